@@ -32,8 +32,9 @@ _MODE_POWER = 1e-3  # fraction of the total power that should be near or above t
 def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
     """Check whether inputs and motion are rich enough for identification.
 
-    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb friction, range of
-    positions, speed, direction, and the spectrum of the inputs relative to the lowest natural frequency of the belts.
+    The checks cover constant inputs, inputs above the rated voltage, drive force relative to Coulomb friction, travel
+    relative to the declared range, motion in both directions and at low speed, and the spectrum of the inputs relative
+    to the lowest natural frequency of the belts.
 
     Args:
         recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
@@ -42,7 +43,8 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 
     Returns:
         Findings (severity, run, channel, message): "advice" where the excitation is insufficient or contradicts the
-        machine file, "note" where it suffices. All are about all runs together, except for those about constant inputs.
+        machine file, "note" where it suffices. A finding about a constant input names its run; each of the others
+        concerns all runs together.
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):
@@ -51,7 +53,7 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 
 
 def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report inputs that have one constant value throughout a run.
+    """Report inputs that have one constant value throughout a run: drives that were not used, or not logged.
 
     Args:
         recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).

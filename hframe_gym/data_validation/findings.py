@@ -46,7 +46,7 @@ class Finding:
 
 
 def group_findings(findings: Sequence[Finding]) -> list[Finding]:
-    """Merge equal findings of several runs into one.
+    """Merge equal findings of several runs into one, so that a defect of all runs is printed only once.
 
     Findings belong to one group if severity, channel and message are equal; numbers in the message may differ. Findings
     about all runs together (`run` is "") are merged only if their messages are identical.
@@ -106,7 +106,7 @@ def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
 
     Raises:
         InputError: If a finding has the severity "fault". The message states file, channel and message of each fault,
-            and that the option --force fits nevertheless.
+            and that `hframe identify --force` fits nevertheless.
     """
     faults = [finding for finding in findings if finding.severity == "fault"]
     if not faults:

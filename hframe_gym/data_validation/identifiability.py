@@ -47,10 +47,10 @@ class CramerRaoBound:
 
 
 def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()) -> list[CramerRaoBound]:
-    """Compute the Cramer-Rao bounds on the standard deviations of parameters that are estimated jointly.
+    """Compute how precisely recordings can determine parameters: Cramer-Rao bounds on their standard deviations.
 
-    The bounds hold for the declared machine, simulated without feedback, with white sensor noise and without priors.
-    At most 20000 rows of each run are used.
+    The bounds hold for the declared machine, simulated without feedback of measurements, if all the parameters are
+    estimated jointly, with white sensor noise and without priors. At most 20000 rows of each run are used.
 
     Args:
         data: Runs prepared by `identification.prepare` (times, voltages, measurements, noise).
@@ -100,8 +100,8 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         machine: Declared machine.
 
     Returns:
-        One finding (severity, channel, message) per parameter or sum: advice if it has no influence or its relative
-        standard deviation is at least 10 %, otherwise a note.
+        One finding (severity, channel, message) per parameter or sum: advice if it has no influence on the measurements
+        or its relative standard deviation exceeds 10 %, otherwise a note.
     """
     names, information = _relative_information(data, machine, [f.name for f in default_free_parameters(machine)])
     bounds = _joint_bounds(names, information)

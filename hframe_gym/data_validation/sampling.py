@@ -22,7 +22,7 @@ _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
     """Report runs whose times are probably in milliseconds instead of seconds.
 
-    A median time step of at least 0.2, read as seconds, is too long to record the motion of a machine.
+    A median time step of at least 0.2 s would be too long to record the motion of a machine.
 
     Args:
         recordings: Runs of a machine (times, s).
@@ -40,14 +40,15 @@ def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def check_sampling(recording: Recording) -> list[Finding]:
-    """Check number of rows, gaps, duration and jitter of one run.
+    """Check number of rows, gaps, duration and jitter of the sample times of one run.
 
     Args:
         recording: Run of n rows (times, s, shape (n,)).
 
     Returns:
-        Findings (severity, run, channel, message). Too few rows for identification are a fault. Lost samples, a
-        duration above 120 s and irregular sampling are advice; a small jitter is a note. Empty if nothing is wrong.
+        Findings (severity, run, channel, message). Fewer rows than identification needs (20) are a fault. Lost samples,
+        a duration above 120 s and a jitter above 10 % of the period are advice; a jitter of 2 % to 10 % is a note.
+        Empty if nothing is wrong.
     """
     steps = np.diff(recording.time_s)
     if len(steps) + 1 < MIN_ROWS:
@@ -91,9 +92,9 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report runs that overlap in time, because the clock was restarted between them.
+    """Report whether the times of some runs overlap, because the clock restarted with each run.
 
-    Without a common clock, a drift over the session (all runs of a rig) cannot be identified.
+    Identification can find a drift (a slow change from run to run) only if all runs have a common clock.
 
     Args:
         recordings: Runs of a machine (times, s).
@@ -112,7 +113,7 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report channels whose sensor is slower than the log, so that the log repeats its last measurement.
+    """Report channels whose sensor measures less often than a row is logged, so that rows repeat a measurement.
 
     Args:
         recordings: Runs of the machine (times, s; measurements, m or rad).

@@ -30,21 +30,21 @@ _CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each
 
 
 def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report outputs that keep one value while they should move.
+    """Report sensor channels that keep one value for more than 0.1 s although the machine moves.
 
-    Other channels show that it should move. Without them, two observations show it: a channel that has noise at rest
-    loses it (fault), or the drive pushes the coordinate in both directions by several times its friction (advice,
-    because the drive may have been off).
+    The other channels show the motion. Where they do not, one of two observations suffices: the channel lacks the noise
+    that it has at rest, or its drive pushes the coordinate in both directions by several times its friction.
 
-    If the value is the smallest or the largest over all runs, a sensor with a fixed zero may have reached the end of
-    its range (advice), which identification handles. Otherwise the channel is stuck (fault).
+    A stuck channel is a fault. Two cases are only advice: nothing but the drive indicates motion, and the drive may
+    have been off; or the value is the smallest or largest one over all runs, where a sensor with a fixed zero (no
+    incremental encoder) may have reached the end of its range. Identification leaves such measurements out.
 
     Args:
         recordings: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad).
         machine: Declared machine.
 
     Returns:
-        At most one finding for each run and channel.
+        At most one finding for each run and channel, about the longest such interval.
     """
     findings = []
     # Ends of the channels' spans over all runs, (2, sensors).

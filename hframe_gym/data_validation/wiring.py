@@ -47,14 +47,14 @@ _SUSPECTS = {"m": ((1000.0, "millimeters"), (0.001, "kilometers")), "rad": ((180
 def sensor_motions(machine: Machine) -> Array:
     """Return how much each sensor's measurement changes per unit of each rigid motion.
 
-    A rigid motion is a motion that stretches no belt, see `machine.rigid_motions`.
+    A rigid motion stretches no belt: a carriage moves, and the pulleys follow. Without belts, one coordinate moves.
 
     Args:
         machine: Machine with sensors.
 
     Returns:
         Change of each measurement, m or rad, per m or rad of each motion, shape (sensors, motions), with the motions in
-        the order of `rigid_motions`.
+        the order of `machine.rigid_motions`.
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     return machine.sensor_matrix @ motions.T
@@ -94,8 +94,9 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 def rigid_misfit(motion: Array, machine: Machine) -> float:
     """Compute which fraction of a measured motion contradicts rigid kinematics (belts that do not stretch).
 
-    A rigid motion is fitted to each row by least squares. Channels are first divided by their change per unit of
-    motion, so that angles and lengths are comparable. Rows in which a channel is missing are left out.
+    A rigid motion is fitted to each row by least squares; what it leaves is the contradiction. Channels are first
+    divided by their change per unit of motion, so that angles and lengths are comparable. Rows in which a channel is
+    missing are left out.
 
     Args:
         motion: Displacements or changes of the measurements, m or rad, shape (n, sensors), NaN where not measured. A
@@ -122,8 +123,9 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     """Check for channels with a wrong sign, unit or gear ratio and for swapped channels.
 
-    Measured speeds are compared with the speeds that the machine reaches in a simulation with the recorded voltages:
-    over all runs together and, if these show no fault, in each run.
+    Signs, swaps and units: measured speeds are compared with those that the machine reaches in a simulation with the
+    recorded voltages, over all runs together; if no sign or swap is a fault there, these are checked in each run. Gear
+    ratios: angles of rotary sensors are compared with the travel that linear sensors measure.
 
     Args:
         data: Runs prepared by `identification.prepare` in which the machine moves (times, voltages, measurements, SI),

@@ -59,25 +59,26 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name of the effect (deviation from the nominal model) and of the component it acts on, joined by @."""
+        """Name of the effect (deviation from the nominal model) and of its component, such as "stribeck_friction@x"."""
         return f"{self.effect.name}@{self.site}"
 
     @property
     def has_no_amplitude(self) -> bool:
-        """Whether the effect (deviation from the model) has no amplitude that could be reduced to zero."""
+        """Whether the effect (deviation from the model) lacks an amplitude, a parameter proportional to its size."""
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Return the effect (deviation from the model) that is the weighted sum of the basis functions in `columns`.
+        """Return the effect (deviation from the model) that is a weighted sum of the basis functions in `columns`.
 
-        The two weights of an effect with a phase belong to sine and cosine; they are converted to amplitude and phase.
-        An effect without amplitudes ignores the weights.
+        There is one basis function per amplitude. An effect with a phase has two, sine and cosine, whose weights are
+        converted to amplitude and phase. An effect without amplitudes ignores the weights.
 
         Args:
-            amounts: Dimensionless weight of each basis function, shape (basis functions,).
+            amounts: Weight of each basis function in multiples of its typical size, dimensionless, shape
+                (basis functions,).
 
         Returns:
-            Effect at the candidate's site, with parameters clipped to their bounds.
+            Effect at the candidate's component, with its parameters, SI, clipped to their bounds.
         """
         values = dict(self.columns[0])
         phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
@@ -100,22 +101,24 @@ def candidates(
     *,
     slow_friction: bool = False,
 ) -> list[Candidate]:
-    """List effects (deviations from the model) that the machine lacks, at every site and with several start values.
+    """List the effects (deviations from the model) that the machine may lack, as candidates for a search.
+
+    Every effect is combined with every component that it can act on (its site), and with several starting values.
 
     Args:
         machine: Machine with the effects that have been selected so far.
         data: Prepared recordings (times, voltages, measurements).
         scales: Typical sizes of force, speed and so on, by which relative starting values are multiplied.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
-            the force that the model lacks, in the coordinate's units, see `residual.missing_force`. The strongest
-            periods of this force over the position are the starting values of the periods of effects.
+            the force that the model lacks, in the coordinate's units, see `residual.missing_force`. Its strongest
+            periods over the position are the starting values for effects that are periodic in position.
         slow_friction: Whether friction that is periodic in position is also tried with the long periods of
             `slow_rates`.
 
     Returns:
-        One candidate per effect, site and set of starting values, at most 64 per effect and site. Effects that a refit
-        of the machine's parameters can represent are left out. Effects that replace a part of the model are left out
-        as well; `screening.screen_structures` tries them.
+        One candidate per effect, site and set of starting values, at most 64 per effect and site. Not included are
+        effects that the machine has already, those that a refit of its parameters can represent, and those that
+        replace a part of the model, which `screening.screen_structures` tries.
     """
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
@@ -201,14 +204,15 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
     """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
-    The optimizer changes one dimensionless variable theta per parameter, see `FreeParameter`. With the starting value
-    `start`, a positive parameter is start * exp(theta); one that may be zero or negative is start + size * theta, with
-    a typical size. The ordinates of a table (a curve given by its values at knots) are size * theta.
+    The optimizer changes one dimensionless variable theta per parameter, see `FreeParameter`. A parameter that must be
+    positive is start * exp(theta), with its starting value; an amplitude, a phase, or a parameter that may be zero or
+    negative is start + size * theta, with its typical size. The ordinates of a table (a curve given by its values at
+    knots) are size * theta.
 
     Args:
         effect: Effect (deviation from the nominal model) with its starting values.
         machine: Machine that it acts on.
-        scales: Typical sizes on this machine.
+        scales: Typical sizes of force, speed and so on, which are the units of theta.
 
     Returns:
         One free parameter for every parameter of the effect, except those that its definition declares as fixed.
@@ -254,12 +258,12 @@ def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float
 
 
 def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
-    """Find the strongest spatial rates (2 pi / period over position) of the missing force by a periodogram.
+    """Find the periods over the position at which a missing force varies most (least-squares periodogram).
 
-    The missing force is the force that the model lacks. At each rate, a sine and a cosine of the position are fitted to
-    it by least squares, together with a constant, viscous and dry friction. Rates from 1 (friction: 0.5) to 1000
-    periods over the range of the positions are tried, but no period of which most of the motion has fewer than four
-    rows.
+    The missing force is the force that the model lacks. At each spatial rate (2 pi / period), a sine and a cosine of
+    the position are fitted to it by least squares, together with a constant, viscous and dry friction. Rates from 1
+    (friction: 0.5) to 1000 periods over the range of the positions are tried, but no period of which most of the motion
+    has fewer than four rows.
 
     Args:
         motion: Position, velocity and missing force of one coordinate, in its units, one column each, shape (n, 3).
@@ -267,7 +271,7 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
             force.
 
     Returns:
-        At most seven rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
+        At most seven spatial rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
         (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
         Empty if the position does not change.
 
@@ -302,9 +306,9 @@ def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
 
 
 def slow_rates(position: Array) -> Array:
-    """Return a grid of spatial rates (2 pi / period) of slow variations of friction over the position.
+    """Return starting values for the spatial rate (2 pi / period) of friction that varies slowly over the position.
 
-    The rates have 0.5 to 6 periods over the range of the positions. They are tried in addition to `periodogram_peaks`,
+    They form a grid of 0.5 to 6 periods over the range of the positions and are tried besides `periodogram_peaks`,
     which may miss slow variations: the force that the model lacks is estimated with much noise. A simulation with such
     a variation can nevertheless predict the positions better.
 

@@ -150,7 +150,7 @@ class SelectionCriteria:
         return "\n".join(f"{name} = {value:g}" for name, value in self.as_json().items())
 
     def as_json(self) -> dict[str, float]:
-        """Convert the thresholds to the entry `criteria` of report.json.
+        """Convert the thresholds to a dictionary, which report.json contains as `criteria`.
 
         Returns:
             Value of each threshold by its attribute name, dimensionless or in the unit that the class docstring states.

@@ -50,7 +50,7 @@ class PreparedRecording:
 
     @property
     def counted(self) -> Array:
-        """How many independent values each measurement counts as, 0 (not measured or used) to 1, shape (n, sensors)."""
+        """Weight of each squared error, shape (n, sensors): 1; less if a rounded value repeats; 0 if it is not used."""
         return self.weights if self.rows is None else self.weights * self.rows[:, None]
 
     @property
@@ -171,7 +171,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Leave out the runs whose initial position cannot be determined.
+    """Leave out the runs whose initial position no sensor determines, because a simulation needs it.
 
     Args:
         data: Data set of prepared runs (times, voltages, measurements, SI).
@@ -207,7 +207,7 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Seq
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Restore the saturated measurements (at the ends of a sensor's range), which a fit leaves out.
+    """Restore the saturated measurements (at the ends of a sensor's range) that a fit leaves out, for an evaluation.
 
     Args:
         data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
@@ -308,6 +308,9 @@ class TypicalScales:
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
     """Compute typical sizes of forces, speeds, positions, currents and belt extensions from a motion.
 
+    Other functions state starting values and scales of parameters relative to these sizes. A speed is the 99th
+    percentile, a position the range, a current the maximum over the motion; a force is that of `typical_force`.
+
     Args:
         machine: Machine that moved.
         positions: Positions over all rows of all runs, m or rad, shape (n, coordinates).
@@ -315,7 +318,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes by coordinate and, for belts, in general, all positive, see `TypicalScales` for keys and units.
+        Typical sizes by coordinate and, for belts, in general, all positive. `TypicalScales` lists keys and units.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

@@ -49,7 +49,7 @@ _CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 
 
 def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:
-    """Return the size of the force that an effect adds to a machine during the recordings.
+    """Return the root mean square force that an effect adds to a machine during the recordings.
 
     Args:
         machine: Machine with or without the effect; the motion is predicted without it.
@@ -58,8 +58,7 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
     Returns:
         Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
-        pulley radius), N; infinite for an effect that changes the structure of the machine or a measurement, which no
-        force describes.
+        pulley radius), N; infinite for an effect that adds coordinates or changes a measurement: no force describes it.
     """
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
@@ -68,13 +67,14 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
 
 def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
-    """Return the size of the difference between the forces of two machines during the recordings.
+    """Return the root mean square difference between the forces of two machines along the same motion.
+
+    If the second machine has one more effect (deviation from the nominal model) and was refitted, this is the part of
+    the effect's force that other values of the first machine's parameters cannot reproduce.
 
     Args:
         first: Machine whose predicted motion is used.
-        second: Machine with the same coordinates, for example with an effect (deviation from the nominal model), fitted
-            to the same data. What parameters of the first machine can represent of that effect is then not a part of
-            the difference.
+        second: Machine with the same coordinates.
         data: Runs over which the motion is predicted (times, voltages, measurements, SI).
 
     Returns:
@@ -94,8 +94,8 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
     """Check whether two effects act on the same component and depend on the same variable of it.
 
-    If so, a small effect may only correct the formula of a large one: where a formula describes friction as a function
-    of the speed to within 10 %, the remaining force is a function of the speed as well.
+    If so, a small effect may be no effect but an error in the formula of a large one. For example, what an inaccurate
+    formula of friction leaves is a function of the speed as well.
 
     Args:
         first: One effect (deviation from the nominal model) at its component.
@@ -118,7 +118,7 @@ def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
 
 
 def drive_force(machine: Machine, data: Dataset) -> float:
-    """Return the size of the force that the drives apply during the recordings, without back-EMF.
+    """Return the root mean square force that the voltages of the recordings cause in the drives, without back-EMF.
 
     Args:
         machine: Machine with its drives.
@@ -133,7 +133,7 @@ def drive_force(machine: Machine, data: Dataset) -> float:
 
 
 def force_size(force: Array) -> float:
-    """Return the root mean square of a force over time.
+    """Return the root mean square over time of a force with several components.
 
     Args:
         force: Forces at n samples, N, shape (n, coordinates).
@@ -145,13 +145,13 @@ def force_size(force: Array) -> float:
 
 
 def residue_force(fitted: Fit, data: Dataset) -> float:
-    """Return the size of the force that the model lacks: the observer's corrections of the velocities as forces.
+    """Return the root mean square force that a fitted model lacks during the recordings.
 
-    The observer corrects the prediction by the measurements. The part of the corrections that the sensors' noise causes
-    is subtracted.
+    An observer corrects the predicted velocities by the measurements. These corrections, divided by the sampling period
+    and times the mass, are forces. The part of them that the sensors' noise causes is subtracted.
 
     Args:
-        fitted: Fitted machine with its observer bandwidth.
+        fitted: Fitted machine with its observer bandwidth; a fit in simulation is observed with 3 rad/s.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
@@ -175,12 +175,12 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
 
 def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
-    """Return the variance of the residual along the influence of an effect, relative to that of white noise.
+    """Return by which factor correlation in time increases the cost reduction that an effect reaches by chance.
 
-    A residual that is correlated in time has fewer independent values, and an effect that does not exist reduces the
-    cost by that many times more. Blocks of 50 ms, blocks of 0.5 s, or runs are taken as independent. Few blocks
-    estimate a variance inaccurately; it is larger by the ratio of the quantiles of the F and the chi-squared
-    distribution, as for the gain of an effect that does not exist.
+    The cost is the sum of squared residuals in units of the noise. If the residual is not white, this reduction is
+    larger by the ratio of its long-run variance to that of white noise, in the direction in which the effect changes
+    the predictions. The variance follows from sums over blocks that count as independent: 50 ms, 0.5 s, or runs. If
+    there are few, it is multiplied by the ratio of the quantiles of the F and the chi-squared distribution.
 
     Args:
         fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
@@ -188,8 +188,8 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Largest ratio over the kinds of blocks and over combinations of the effect's parameters, at least 1; infinite if
-        the machine diverges at slightly different parameters.
+        Largest ratio over the kinds of blocks and over combinations of the effect's parameters, dimensionless, at least
+        1; infinite if the machine diverges at slightly different parameters.
 
     References:
         Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
@@ -224,7 +224,9 @@ def _block_sums(rows: Array, size: int) -> Array:
 
 
 def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
-    """Return why an effect may not exist although it reduces the error, while other effects may still be missing.
+    """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
+
+    Confirmation by other runs and chance are tested only if the error without the effect is close to the noise.
 
     Args:
         current: Fit (machine, parameters theta, shape (k,), cost) without the effect.
@@ -234,7 +236,7 @@ def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds.
 
     Returns:
-        Clause that follows "it "; empty if nothing speaks against the effect.
+        Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to".
     """
     # While other effects are missing, a fit without one run says little about the machine, and what they leave is
     # correlated in time; `doubt_beside_others` repeats these tests.
@@ -245,7 +247,7 @@ def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: Sel
 def doubt_beside_others(
     reduced: Fit, complete: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
 ) -> str:
-    """Return why an effect of a machine may not exist, given all other effects.
+    """Return a reason why an effect of a machine may not exist, given all other effects, or "" if it passes all tests.
 
     Args:
         reduced: Fit (machine, parameters theta, shape (k,), cost) with all other effects.
@@ -255,7 +257,7 @@ def doubt_beside_others(
         criteria: Decision thresholds.
 
     Returns:
-        Clause that follows "it "; empty if nothing speaks against the effect.
+        Clause that follows "it ", such as "has no effect on the error".
     """
     if reduced.cost - complete.cost < minimum_gain(complete, criteria) * data.count:
         return "has no effect on the error"

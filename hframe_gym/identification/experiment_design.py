@@ -76,7 +76,7 @@ class ExperimentDesign:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the design, without its voltages, as the entry `next_experiment` of report.json.
+        """Convert the design, without its voltages, to a dictionary, the entry `next_experiment` of report.json.
 
         Returns:
             "separates": labels (name@site) of the two effects; "file": name of the file with the voltages; "why":
@@ -105,7 +105,8 @@ def design_discriminating_experiment(
 ) -> ExperimentDesign | None:
     """Design the run that decides between an identified effect (deviation from the nominal model) and its best rival.
 
-    A rival is another effect that explains the same data equally well.
+    A rival is another effect that explains the same data equally well. The run is the one on which the predictions of
+    the machines with either effect differ most, see `separate_machines`.
 
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
@@ -135,8 +136,9 @@ def separate_machines(
 ) -> ExperimentDesign | None:
     """Design the run on which the predictions of two machines differ most.
 
-    Many trial voltages are simulated with both machines, see the module. The parameters of the second machine adapt to
-    each trial run within their uncertainty; only the difference that remains counts.
+    Steps, ramps, staircases, sines, chirps and random steps of voltage are simulated with both machines, at several
+    amplitudes. Runs that leave the permitted travel are discarded. The parameters of the second machine adapt to each
+    run within their uncertainty; only the difference that remains counts.
 
     Args:
         first: One machine.

@@ -64,16 +64,17 @@ class ProposedFormula:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean of `held_out` over the channels, in units of the sensor noise; NaN if it is empty."""
+        """Ratio of rms error to sensor noise on the held-out runs, mean of the channels; NaN if not simulated."""
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
         """Convert the formula to an entry of the list `formulas` of its table in report.json.
 
         Returns:
-            "table": label of the table; "terms": names of the terms; "formula": the equation as text; "parameters":
-            values by name, SI; "complexity": number of parameters; "curve_error": `Formula.error`; "fitted",
-            "held_out" and "recommended": the attributes of these names.
+            "table": label (name@site) of the table; "terms": names of the terms; "formula": the equation as text;
+            "parameters": values by name, SI; "complexity": number of parameters; "curve_error": cross-validated error
+            at the table's values, in their standard deviations; "fitted" and "held_out": errors on runs, in units of
+            the sensor noise; "recommended": whether this formula is the recommended one.
         """
         effect, formula = self.effect, self.effect.formula
         return {
@@ -95,7 +96,7 @@ class ProposedFormula:
         Args:
             entry: Entry of report.json.
             machine: Identified machine with the table.
-            table: Table that the formula can replace.
+            table: Table (force or friction level interpolated over one variable) that the formula can replace.
 
         Returns:
             The formula with its parameters and errors.
@@ -135,15 +136,15 @@ class TableComparison:
 
     @property
     def noise_ratio(self) -> float:
-        """Mean of `held_out` over the channels, in units of the sensor noise."""
+        """Ratio of rms error to sensor noise on the held-out runs with the table, mean of the channels."""
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
         """Convert the comparison to an entry of the list `proposed_formulas` in report.json.
 
         Returns:
-            "table": label of the table; "complexity": number of its knots; "fitted" and "held_out": the attributes of
-            these names; "formulas": list of formulas, see `ProposedFormula.as_json`.
+            "table": label (name@site) of the table; "complexity": number of its values; "fitted" and "held_out": errors
+            with the table on runs, in units of the sensor noise; "formulas": see `ProposedFormula.as_json`.
         """
         return {
             "table": self.table.label,
@@ -155,7 +156,7 @@ class TableComparison:
 
 
 def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
-    """Return the tables among the effects of a machine.
+    """Return the tables (forces or friction levels interpolated over one variable) among the effects of a machine.
 
     Args:
         machine: Identified machine.
@@ -167,7 +168,7 @@ def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:
 
 
 def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFormula, ...]:
-    """Fit formulas to the values of a table.
+    """Fit formulas to the values of a table (a force or friction level interpolated over one variable).
 
     Args:
         machine: Identified machine with the table. The covariance of its parameters weights the values; without it,
@@ -188,10 +189,10 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
 def compare_formulas(
     result: IdentificationResult, log: Callable[[str], None] = lambda line: None
 ) -> tuple[TableComparison, ...]:
-    """Propose formulas for each table of an identified machine and compare them with the table.
+    """Propose formulas for each table of an identified machine and compare their errors with that of the table.
 
-    Each formula takes the place of its table, and all parameters of the machine are fitted again. A formula with which
-    the machine diverges is left out.
+    A table is a force or friction level interpolated over one variable. Each formula takes its place, and all
+    parameters of the machine are fitted again. A formula with which the machine diverges is left out.
 
     Args:
         result: Result of `identify`.
@@ -226,7 +227,7 @@ def compare_formulas(
 
 
 def mean_error(errors: Mapping[str, float]) -> float:
-    """Compute the mean of errors over the channels.
+    """Compute the mean of simulation errors over the sensor channels.
 
     Args:
         errors: Error by channel, in units of the sensor noise.

@@ -57,13 +57,13 @@ class SelectedEffect:
     rival_effects: tuple[AppliedEffect, ...] = ()
 
     def with_values(self, machine: Machine) -> SelectedEffect:
-        """Return a copy in which the effect has the parameter values of a machine that was fitted later.
+        """Return a copy in which the effect has the parameter values of another fitted machine.
 
         Args:
-            machine: Machine that contains the effect (deviation from the nominal model).
+            machine: Machine that contains the effect (deviation from the nominal model), usually a later fit.
 
         Returns:
-            Copy with the updated effect.
+            Copy with the updated effect; its gain and its rivals are unchanged.
         """
         effect = next(e for e in machine.effects if e.label == self.effect.label)
         return dataclasses.replace(self, effect=effect)
@@ -110,7 +110,7 @@ class EffectSearch:
         self._structures_tried = (math.nan, math.inf)
 
     def with_data(self, data: Dataset) -> EffectSearch:
-        """Return a new search in other data, with the effects that this search has considered.
+        """Return a search in other data that keeps the record of effects that failed a test (`considered`).
 
         Args:
             data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros of
@@ -126,9 +126,10 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        The tests are those of `evidence`. After each effect, the bandwidth of the observer that corrects predictions by
-        the measurements is chosen anew, see `model_error.fit_with_model_error`. Effects that fail a test are added to
-        `considered`.
+        Other runs must confirm an effect, chance must not explain its gain, the machine must stay stable, and its force
+        must exceed the one that remains unexplained (`evidence`). Effects that fail a test are added to `considered`.
+        After each effect, the bandwidth of the observer that corrects predictions by the measurements is chosen anew,
+        see `model_error.fit_with_model_error`, and earlier effects may be replaced by ones that now explain more.
 
         Args:
             current: Fit of the machine with the effects selected so far.
@@ -243,8 +244,8 @@ class EffectSearch:
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace effects (deviations from the model) by rivals that explain the data with a higher likelihood.
 
-        When an effect was selected, other effects were still missing, and the wide observer (feedback of the
-        measurements) hid its difference from the rivals. Now each is compared with its rivals beside all other effects.
+        While other effects were missing, predictions needed strong feedback of the measurements (an observer of wide
+        bandwidth), which hid how an effect differs from its rivals. Beside all other effects, they are compared again.
 
         Args:
             current: Fit of the machine with all selected effects.

@@ -59,17 +59,17 @@ class FreeParameter:
 
     @property
     def theta_limit(self) -> float:
-        """Largest absolute value of the optimizer's variable theta in a fit, dimensionless; infinite with `scale`."""
+        """Largest |theta| that a fit may reach, dimensionless: 4 prior standard deviations; infinite with `scale`."""
         return _MAXIMUM_DEVIATION * self.prior if self.scale is None else math.inf
 
     def at_limit(self, theta: float) -> bool:
-        """Return whether a fit has moved the parameter to its limit (to within 1 %).
+        """Return whether a fit has moved the parameter to its limit, so that its value is not reliable.
 
         Args:
-            theta: Dimensionless optimizer variable.
+            theta: Dimensionless optimizer variable that the fit returned.
 
         Returns:
-            True at the limit.
+            True if |theta| is more than 99 % of `theta_limit`.
         """
         return abs(theta) > (1.0 - _LIMIT_TOLERANCE) * self.theta_limit
 
@@ -207,7 +207,9 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
 
 
 def typical_force(machine: Machine) -> float:
-    """Return a typical size of forces at the belt: a tenth of the force of all drives at standstill and rated voltage.
+    """Return a typical size of forces: a tenth of the force of all drives together at standstill and rated voltage.
+
+    A fit expresses the amplitudes of effects and undeclared friction relative to it.
 
     Args:
         machine: Machine with its drives.
@@ -224,7 +226,8 @@ def typical_force(machine: Machine) -> float:
 def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
     """Return the parameters that identification refits by default.
 
-    These are masses, viscous and dry friction, belts, torque and back-EMF constants, and the declared effects, except:
+    These are masses, viscous and dry friction, stiffnesses and lengths of belts, torque and back-EMF constants, and the
+    declared effects, except:
 
     - The torque constant of the first drive stays fixed, because voltages determine forces only relative to it.
     - Parameters that the machine ties to others are left out.

@@ -50,16 +50,19 @@ class InitialRest(NamedTuple):
 def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     """Find the rest at the beginning of a run by its inputs and its sensors.
 
-    The rows before the first input are divided into blocks. The machine is at rest where the median of no sensor
-    departs from those of the last quarter of the blocks (it settled) or of the first blocks (it moves before the input)
-    by more than noise and quantization explain. If it moves in both, only its first row is used.
+    The inputs alone do not show rest: the machine may still swing when the run begins, or move before a voltage is
+    logged. The rows before the first input are therefore divided into blocks, and the medians of each sensor are
+    compared. A sensor moves where its median departs from those of the last blocks (then the machine settles first) or
+    of the first blocks (then it moves before the input) by more than noise and quantization explain. If the machine
+    moves from beginning to end, only its first row counts as rest. Fewer than 16 rows are taken as rest.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
         machine: Machine with the sensors.
 
     Returns:
-        Rows at rest (numbers), and the sensors that move before the first input (mask of shape (sensors,)).
+        First row at rest and number of rows to the end of the rest, the sensors that move before the first input (mask
+        of shape (sensors,)), and the time by which a motion precedes the input, s.
     """
     rows = _rows_without_input(recording)
     rest = InitialRest(0, rows, rows, np.zeros(recording.outputs.shape[1], np.bool_))
@@ -92,21 +95,21 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
     """Count the rows at the beginning of a run in which the machine is at rest.
 
     The row in which an input first changes is included, because its measurement still precedes the motion. Rows without
-    measurement count as at rest, see `without_moving_start`.
+    measurement count as at rest, so that motion which `without_moving_start` has removed does not count.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad).
         machine: Machine with the sensors.
 
     Returns:
-        Number of rows, at least 1; 1 if an input is not zero in the first row or the machine moves there.
+        Number of rows, at least 1; 1 if an input is not zero in the first row or a measurement there shows motion.
     """
     rest = initial_rest(recording, machine)
     return 1 if rest.first else rest.rows
 
 
 def without_moving_start(recording: Recording, machine: Machine) -> Recording:
-    """Remove the measurements before the machine came to rest, if it still moves when the run begins.
+    """Remove the measurements before the machine comes to rest, if it still moves when the run begins.
 
     The velocity at the first row is unknown, but the rest that follows gives the initial state. A simulation that
     begins with this state and without input remains at rest until the first input, so times and inputs are kept.

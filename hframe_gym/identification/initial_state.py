@@ -93,19 +93,19 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
 
 
 def static_equilibrium(machine: Machine, position: Array) -> Array:
-    """Return the positions of all coordinates at rest, stretched belts included, for a given position of the tool.
+    """Compute the angles of the pulleys at rest, where forces may stretch the belts, for given carriage positions.
 
     Effects such as cables and tilt exert forces at rest. Static friction carries such a force up to the Coulomb level.
-    A larger force displaced the carriage, which came to rest at the far end of its first swing: there the belts carry
-    twice the force in excess of the Coulomb level, but at most the entire force.
+    A larger force has displaced the carriage, which is assumed to rest at the far end of its first swing: there the
+    belts carry twice the force in excess of the Coulomb level, but at most the entire force.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
         position: Positions of all coordinates, or of the first ones, m or rad, shape (at most coordinates,); only
-            those of the linear coordinates are used.
+            those of the linear coordinates (carriages) are used.
 
     Returns:
-        Positions, m or rad, shape (coordinates,).
+        Positions of all coordinates, m or rad, shape (coordinates,): those of the carriages as given.
     """
     names = machine.coordinate_names
     linear = np.array([c.kind == "linear" for c in machine.coordinates])
@@ -170,7 +170,7 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
 
 
 def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
-    """Return the angles at rest of all pulleys whose encoder has a known zero.
+    """Return the angles at rest of all pulleys whose encoder has a known zero and resolves the stretch of the belts.
 
     The zero of an encoder is its measurement at position 0, from which the angle counts. For an eccentric pulley, the
     angle is that of a concentric pulley with the same belt travel, see `concentric_angle`.
@@ -213,7 +213,7 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
 
 
 def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
-    """Compute the positions at rest from the measurements at rest, without the influence of the machine's effects.
+    """Compute the true positions at rest from measurements at rest that the machine's effects falsify.
 
     Effects on the measurements of lasers (skew, scale) are inverted iteratively. If a laser measured nothing at rest
     (end of its range), the other sensors give the position. Where encoders replace a laser, their angles are corrected

@@ -75,7 +75,7 @@ class NormalEquations:
     def from_rows(
         cls, jacobian: Array, residual: Array, responses: Array | None = None, *, count: float | None = None
     ) -> NormalEquations:
-        """Form the normal equations of one run's linearized residual.
+        """Form the normal equations of one run's linearized residual r + J dtheta + E amounts.
 
         Args:
             jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
@@ -104,7 +104,7 @@ class NormalEquations:
 
     @classmethod
     def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
-        """Sum the normal equations (inner products of Jacobian and residual) of several runs.
+        """Sum the normal equations (inner products of Jacobian and residual) of several runs, to fit them together.
 
         Args:
             parts: Normal equations of at least one run.
@@ -126,7 +126,7 @@ class NormalEquations:
         return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all())
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
-        """Eliminate the k parameters (Schur complement), so that the amounts of the m perturbations are the unknowns.
+        """Eliminate the k parameters (Schur complement), so that the weights of the m perturbations are the unknowns.
 
         What a change of the parameters can reproduce is removed from the responses to the perturbations.
 
@@ -158,8 +158,8 @@ class RunLinearization:
         jacobian: Derivatives with respect to k parameters, shape (k, rows).
         responses: Changes by m perturbations, shape (m, rows), or None.
         residual: Residual at the expansion point, shape (rows,).
-        initial_state: Positions, then velocities, from which the run is predicted, in the coordinates' units, shape
-            (2 * coordinates,).
+        initial_state: Positions, velocities and states of the effects from which the run is predicted, in their units,
+            shape (2 * coordinates + effect states,).
         projection: Projection that removed the part which the initial state explains; None if there is none.
     """
 
@@ -174,7 +174,7 @@ class Start(NamedTuple):
     """Where the prediction of a run starts.
 
     Attributes:
-        state: Positions, then velocities, in the coordinates' units, shape (2 * coordinates,).
+        state: Positions, velocities, states of the effects, in their units, shape (2 * coordinates + effect states,).
         projection: Removes from residuals what an error of this state explains; None if it explains nothing.
     """
 
@@ -238,11 +238,11 @@ class ResidualModel:
         Args:
             run: Run to predict.
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function from the run and its predicted motion to the changes of the residual by m perturbations,
-                shape (m, rows). Default: none.
+            responses: Function from the run and its predicted motion to the residual's changes by m perturbations, such
+                as candidate forces, shape (m, rows). Default: none.
 
         Returns:
-            Jacobian, shape (k, rows), residual, (rows,), and responses, all projected by `initial_state_projection`.
+            Jacobian, shape (k, rows), residual, (rows,), responses, without what the initial state may explain.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -328,7 +328,7 @@ class Linearization:
     def costs(self, thetas: Array) -> Array:
         """Compute the costs of trial parameters by new predictions, not from the linearization.
 
-        The initial states, and the projection that removes their uncertainty, are those of the expansion point.
+        The initial states, and the projection that removes what their errors explain, are those of the expansion point.
 
         Args:
             thetas: Dimensionless variables of the k free parameters for each trial of a batch, shape (batch, k).

@@ -26,7 +26,7 @@ _FLAT = 1e-9  # fraction of the largest tension that counts as rounding error
 
 
 def monotonic_belts(machine: Machine) -> bool:
-    """Check that the tension of no belt falls while it is extended, as far as the rated voltage can extend it.
+    """Check that no belt loses tension when it is extended further, as far as the rated voltage can extend it.
 
     The largest extension of each belt is simulated for the machine without its effects, under voltages that switch at
     random between the positive and the negative rated voltage, and multiplied by 1.5. A tension that is constant (play,
@@ -77,7 +77,7 @@ def stable_under_rated_voltage(machine: Machine) -> bool:
 
 
 def validation_fault(machine: Machine) -> str:
-    """Return why a machine must not be written to a file.
+    """Return why a machine is not physical outside the recordings it was fitted to, so that it must not be used.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).

@@ -87,10 +87,10 @@ def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
 
 
 def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
-    """Fit a machine again with an observer (feedback of measurements) of the next smaller bandwidth in `BANDWIDTHS`.
+    """Fit a machine again with weaker feedback of measurements: an observer of the next smaller bandwidth.
 
     Args:
-        fitted: Fit at one of the bandwidths `BANDWIDTHS` above 0.
+        fitted: Fit at one of the bandwidths 60, 30, 15, 7 and 3 rad/s (`BANDWIDTHS`).
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
@@ -123,7 +123,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     disturbs phases in which friction holds the machine at rest, a simulation does not.
 
     Args:
-        fitted: Fit (machine, parameters, cost) at one of the bandwidths `BANDWIDTHS`.
+        fitted: Fit (machine, parameters, cost) at 60, 30, 15, 7, 3 or 0 rad/s (`BANDWIDTHS`; 0: simulation).
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
@@ -156,14 +156,14 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
-    """Fit the parameters again so that the machine is better in simulation.
+    """Fit the parameters again with weaker feedback of measurements, so that the machine is better in simulation.
 
     An observer (feedback of the measurements) makes the fit robust against errors of the model, but it hides slow
     errors and the information that they contain about the parameters. The final machine is used in simulation.
-    Therefore fits at all smaller bandwidths are compared, by the product of two costs: that of the simulation, and that
-    of the prediction at the given bandwidth. The simulation alone does not suffice: where small differences of the
-    parameters grow without limit, wrong parameters may simulate best by chance. A fit in simulation is compared as
-    well; because its parameters adapt to errors of the model, its simulation is measured by cross-validation.
+    Therefore fits at all smaller bandwidths are compared by the product of two costs (sums of squared residuals): that
+    of the simulation, and that of the prediction at the given bandwidth. The simulation alone does not suffice: where
+    small differences of the parameters grow without limit, wrong parameters may simulate best by chance. A fit in
+    simulation adapts to errors of the model; its cost in simulation is therefore that of cross-validation.
 
     Args:
         fitted: Final fit at any observer bandwidth.
@@ -171,7 +171,8 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit of the same k parameters (theta of shape (k,)) with the smallest product, with the shortest integration
-        step. The given fit if none is better, or if there is only one run, which permits no cross-validation.
+        step. The given fit if none is better, if it is one in simulation, or if there is only one run, which permits no
+        cross-validation.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
         return fitted
@@ -294,7 +295,7 @@ def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float
 
 
 def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
+    """Return whether a fit explains the data: it leaves only noise, or a negligible part of the initial residual.
 
     Args:
         fitted: Fit at the observer bandwidth that `fit_with_model_error` chose.

@@ -52,7 +52,7 @@ def table_candidates(
     The missing force is the force that would have to be added to the model for it to follow the measurements. Several
     tables are proposed for each coordinate:
 
-    - the ones that explain most, because a force on one coordinate also appears in the missing force of the others;
+    - the few that explain most, because a force on one coordinate also appears in the missing force of the others;
     - one over time, because a position that differs from run to run correlates with time;
     - one over the position of the coordinate, because refitted friction can reproduce a part of such a force, which is
       then absent from the missing force.
@@ -96,7 +96,7 @@ def table_candidates(
 
 
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
-    """Return the variables that a table (force interpolated over one variable) may depend on.
+    """Return the variables over which a table may interpolate a force or a friction level, along all runs.
 
     Positions and velocities are predictions that an observer corrects by the measurements at every sample.
 
@@ -177,7 +177,7 @@ def add_tables(
     max_tables: int,
     log: Log,
 ) -> Selection:
-    """Add tables (forces interpolated over one variable) for the residual that the selected effects leave.
+    """Add tables (forces or friction levels interpolated over one variable) for the residual that the effects leave.
 
     A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
 

@@ -44,7 +44,7 @@ class InseparableParameters:
     combinations: tuple[dict[str, float], ...]
 
     def describe(self) -> str:
-        """Describe what the data determine of these parameters.
+        """Describe in words which weighted sums of these parameters the data determine.
 
         Returns:
             Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined".
@@ -62,8 +62,8 @@ class InseparableParameters:
 
         Returns:
             "parameters": names of the parameters. "determined": one dictionary for each weighted sum that the data
-            determine, with its "weights" by parameter name, its "value", and its standard deviation "std", both in the
-            unit of its first parameter.
+            determine, with its "weights" by parameter name, its "value", and its standard deviation "std". Value and
+            standard deviation are in the unit of the sum's first parameter, whose weight is 1.
         """
         return {
             "parameters": list(self.names),
@@ -112,7 +112,7 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
 
     Returns:
         Disjoint sets of at least two parameters each, with the weighted sums that the data determine. Ordinates of
-        tables (curves) are left out. Empty if the machine has no uncertainty.
+        tables (curves) are left out. Empty if all parameters are separable or the machine has no uncertainty.
     """
     if machine.uncertainty is None:
         return ()

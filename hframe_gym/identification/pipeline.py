@@ -66,7 +66,8 @@ def identify(
         log: Called with a line of text after each part of the work. Default: nothing is reported.
 
     Returns:
-        Verdict, machines, selected effects and their errors on the held-out runs.
+        Verdict ("effect_found", "no_effect", or "unexplained" if an error remains that no effect explains), the three
+        machines with their errors on the held-out runs, and the selected effects.
 
     Raises:
         InputError: If the runs cannot be divided into fitted and held-out ones, or `recordings` is a path.

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import remove_file
+from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Machine
 from ..web_page import Panel, color, legend_above, number, save_panels
 
 Array = NDArray[np.float64]
 Panels = dict[str, list[Panel]]
-TABLE_FAMILY = "smooth_table"  # Family of the effects that are curves, not formulas.
 _STAGES = {"declared": "as declared", "before": "before (refitted)", "after": "after (with effects)"}
 _STAGES_WITHOUT_EFFECT = {"declared": "as declared", "before": "refitted"}  # nothing was added: no machine "after"
 _SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
@@ -27,7 +27,7 @@ _MAX_BUCKETS = 350  # Intervals of a curve over time, of which a panel shows the
 
 
 def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> Panels:
-    """Describe the plots of an identification report.
+    """Prepare the plots of an identification report as panels: axes with title, description and drawing function.
 
     They show the errors by channel and over time, the force that the model lacks (residual force), the tables (forces
     interpolated over one variable), and the positions, velocities and voltages that the recordings cover.
@@ -65,7 +65,7 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
     The file of a plot without panels is deleted, so that no plot of an earlier result remains.
 
     Args:
-        panels: Panels by name of the plot.
+        panels: Panels (axes with a drawing function) by name of the plot, see `report_panels`.
         folder: Folder for the files; created if it does not exist.
 
     Returns:
@@ -94,8 +94,8 @@ def readable_unit(channel: str, largest: float) -> tuple[float, str]:
         largest: Largest value to be written, in the channel's unit.
 
     Returns:
-        factor: Factor from the channel's unit to the readable unit.
-        unit: Name of that unit, for example "µm".
+        factor: Number by which values in the channel's unit are multiplied, for example 1e6.
+        unit: Name of the readable unit, for example "µm".
     """
     base = channel.rpartition("_")[2]
     return next((s for s in _SCALES.get(base, ()) if s[0] * largest < 1000.0), (1.0, base))
@@ -247,8 +247,11 @@ def _coverage(label: str, values: Array) -> Panel:
 def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
     """Compute the fraction of the moving time that each coordinate spent below a twentieth of its top speed.
 
+    There, friction shows how it depends on a low speed. The top speed is the 99th percentile.
+
     Args:
-        curves: Curves by name, SI, shape (m,) each, see `result.plot_data`.
+        curves: Curves by name, see `result.plot_data`. Those named "coverage/velocity of C" are velocities of the
+            coordinate C, m/s or rad/s, shape (m,); all others are ignored.
 
     Returns:
         Fraction as text, such as "23 %", by name of each coordinate that moves.

@@ -124,7 +124,7 @@ def predict(
     longest_step: float = SEARCH_STEP,
     states: bool = False,
 ) -> Motion:
-    """Predict the measurements of a run for a batch of parameters or perturbations.
+    """Predict the measurements of a run, for several sets of parameters, perturbations or initial states at once.
 
     Args:
         machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
@@ -136,8 +136,9 @@ def predict(
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
             (batch, n, coordinates). Default: none.
         extra_measurement: Value added to the sensors' output, in their units, shape (batch, n, sensors). Default: none.
-        initial_state: Positions, then velocities, in the coordinates' units, shape (batch, 2 * coordinates) or
-            (2 * coordinates,). Encoders count from the first state. Default: `run.initial_state(machine)`.
+        initial_state: Positions, velocities and states of the effects (default: zero), in their units, shape
+            (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
+            observer shifts the measurements of encoders so that they agree with the (first) initial state.
         longest_step: Maximum integration step, s.
         states: Whether to return positions and velocities too.
 
@@ -145,14 +146,13 @@ def predict(
         Motion with the predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), and if
         `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates).
     """
-    states_given = run.initial_state(machine) if initial_state is None else initial_state
-    run_state = np.atleast_2d(states_given)[0]
+    starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     measured = gains = None
     if bandwidth > 0.0:
         start = run.initial.position
         encoders = [sensor.incremental for sensor in machine.sensors]
         # Encoders count from the initial position, which differs from the measured one if effects change it.
-        displacement = machine.sensor_matrix[:, : len(start)] @ (run_state[: len(start)] - start)
+        displacement = machine.sensor_matrix[:, : len(start)] @ (starts[0, : len(start)] - start)
         measured = run.outputs + np.where(encoders, displacement, 0.0)
         if extra_measurement is not None:
             measured = measured - extra_measurement
@@ -162,7 +162,7 @@ def predict(
         run.time_s,
         run.inputs,
         parameters=parameters,
-        start=states_given,
+        start=starts,
         extra_force=extra_force,
         measured=measured,
         gains=gains,
@@ -174,7 +174,7 @@ def predict(
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:
-    """Return how many rows of a residual may be combined into one without loss of mechanical effects.
+    """Return how many rows of a residual may be combined into one, which saves time in the search for effects.
 
     Mechanical effects hardly change the residual within 4 ms. `residuals` describes how rows are combined.
 
@@ -189,6 +189,8 @@ def mechanical_rows_per_block(data: Dataset) -> int:
 
 def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
     """Return how many values of the residual belong to a block of consecutive rows of a given duration.
+
+    Statistics that must permit correlation in time take such blocks, not single values, as independent.
 
     Args:
         seconds: Duration of the block, s.
@@ -216,7 +218,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
             evaluation: the narrower limits of `rest_measurement.max_zero_means`, and equal weights.
 
     Returns:
-        Errors in the sensors' units, shape (batch, n, sensors); arbitrary where a value was not measured.
+        Errors in the sensors' units, shape (batch, n, sensors); meaningless numbers where nothing was measured.
     """
     measured = np.isfinite(run.outputs)
     error: Array = run.outputs - measurements

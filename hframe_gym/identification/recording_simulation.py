@@ -70,8 +70,8 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
         recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), and
-        initial state.
+        Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
+        where nothing or an outlier was measured, and initial state.
 
     Raises:
         NotFiniteError: If the motion diverges.
@@ -175,7 +175,7 @@ def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> 
 def evaluate_held_out(
     machine: Machine, fitted: Dataset, held_out: Dataset, recordings: Sequence[Recording]
 ) -> ModelEvaluation:
-    """Simulate a machine over the held-out runs (not fitted) as ``hframe simulate`` does, and compare with the data.
+    """Evaluate a machine on the held-out runs (not fitted): simulate it as ``hframe simulate`` does, and compare.
 
     The zeros of the encoders (measurements at position 0), estimated from all fitted runs together, are written to the
     machine. Everything else about the initial states follows from each recording alone.

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import output_batch
+from ..effects.smooth_table import TABLE_FAMILY
 from ..errors import InputError
 from ..machine import Machine
 from ..web_page import number, write_page
 from .parameter_diagnostics import parameter_doubts, sum_text
-from .plots import TABLE_FAMILY, readable_unit, report_panels, save_plots, slow_fractions
+from .plots import readable_unit, report_panels, save_plots, slow_fractions
 from .saved_result import SavedResult, load_result, next_command
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
 
     Args:
         folder: Folder that `hframe identify` wrote. The page is written there, the plots to its subfolder plots/. All
-            become visible together; if the caller has opened `output_batch` for the folder, at its end.
+            files appear together; within a `with output_batch(folder)` block of the caller, at the end of the block.
         final_folder: Folder that the commands on the page name, if the files are moved there later. Default: `folder`.
 
     Returns:
@@ -93,7 +94,6 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     """
     by_force = _drifts(report, channels)
     unit = "% of the drives' force" if by_force else "times the sensors' noise"
-
     errors = {
         stage: 100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
         for stage in _STAGES

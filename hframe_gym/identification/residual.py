@@ -76,7 +76,7 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
 
 
 def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
-    """Return the simulation error of every output channel over all runs.
+    """Simulate a machine over all runs and return the root mean square error of every output channel.
 
     Args:
         machine: Machine to simulate, without feedback of the measurements, from its most probable initial states.
@@ -92,7 +92,7 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
 
 
 def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -> dict[str, ChannelError]:
-    """Return the root mean square of simulation errors for every output channel.
+    """Return the root mean square of given simulation errors over all runs, for every output channel.
 
     Args:
         by_run: Errors by run, in the sensors' units, NaN where not measured, shape (n, sensors) each.
@@ -138,7 +138,7 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Estimate the missing force of a run (see `force_residual`) and low-pass filter it at 30 Hz without phase lag.
+    """Estimate the force that the model lacks in a run (`force_residual`), low-pass filtered at 30 Hz without lag.
 
     Args:
         machine: Machine that predicts.
@@ -190,7 +190,7 @@ def _low_pass(values: Array, cutoff: float, period: float) -> Array:
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
-    """Return the variables of a run on which a missing effect (deviation from the model) may depend.
+    """Return the variables of a run on which the force of a missing effect (deviation from the model) may depend.
 
     Args:
         machine: Machine that predicts positions and velocities, corrected by an observer at every sample.
@@ -210,16 +210,18 @@ def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset
 
 
 def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
-    """Rank the variables on which the force residual depends.
+    """Rank the variables on which the force that the model lacks depends, as a hint to its cause.
+
+    For each coordinate and each variable (position, velocity, voltage, time), the mean of the force over bins of the
+    variable is computed.
 
     Args:
         machine: Machine that predicts.
         data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        Pairs of coordinate and variable (position, velocity, voltage, time) that explain more than 5 % of the variance
-        of the force residual (the force that the model lacks), sorted by the explained variance of the force at the
-        belt, largest first.
+        Pairs of coordinate and variable whose bin means explain more than 5 % of the variance of the force, with this
+        fraction, sorted by the explained variance of the force at the belt, largest first.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]

@@ -71,7 +71,7 @@ class InitialState:
     warnings: tuple[str, ...] = field(default=())
 
     def start(self, machine: Machine) -> Array:
-        """Return the state together with the states of the effects, as `simulate` takes them.
+        """Return the state vector from which `simulate` starts: this state, then the states of the effects.
 
         Args:
             machine: Machine with its effects (deviations from the nominal model).
@@ -83,7 +83,7 @@ class InitialState:
         return np.concatenate([self.state, states])
 
     def with_start(self, machine: Machine, start: Array) -> InitialState:
-        """Return a copy that starts from another state.
+        """Return a copy that starts from another state (inverse of `start`).
 
         Args:
             machine: Machine with its effects (deviations from the nominal model), which name the last entries of
@@ -105,7 +105,7 @@ class InitialState:
 
 
 def settled_rows(resting_rows: int) -> slice:
-    """Return the slice of the later half of the rows at rest, where a vibration from before the run has decayed.
+    """Select the later half of the rows at rest, where a vibration from before the run has decayed.
 
     Args:
         resting_rows: Number of rows at rest at the beginning of a run, at least 1.
@@ -275,11 +275,11 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
 
 
 def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
-    """Return the limits up to which a mean prediction error counts as an error of each sensor's zero.
+    """Return how far the zero of each sensor may differ from the one that the rows at rest give.
 
     The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
-    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. The limits are used
-    by `sensor_zero_error`.
+    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up to these limits,
+    `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
 
     Args:
         behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
@@ -292,11 +292,12 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
 
 
 def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
-    """Return the limits up to which, in a fit, a mean prediction error counts as an error of each sensor's zero.
+    """Return how far, in a fit, the zero of each sensor may differ from the one that the rows at rest give.
 
-    They differ from those of `max_zero_means` for a sensor without quantization. It gives the initial position, and the
-    noise of its few measurements at rest makes this position wrong by a constant over the complete run. The mean error
-    over the run is the best estimate of this constant. If it remained in the residual, parameters would adapt to it.
+    The zero is the measurement at position 0. The limits differ from those of `max_zero_means` for a sensor without
+    quantization. It gives the initial position, and the noise of its few measurements at rest makes this position wrong
+    by a constant over the complete run. The mean error over the run is the best estimate of this constant. If it
+    remained in the residual, parameters would adapt to it.
 
     Args:
         behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).

@@ -38,7 +38,7 @@ _MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
 
 @dataclass(frozen=True)
 class PredictionErrors:
-    """Errors of a machine on a data set.
+    """Errors of a machine on runs: of the simulated measurements, and of the drives' force.
 
     Attributes:
         channels: Simulation error by output channel.
@@ -177,18 +177,18 @@ class IdentificationResult:
 
     @property
     def left(self) -> float:
-        """Ratio of simulation error to sensor noise (rms over channels) with all effects, on the held-out runs."""
+        """Simulation error / sensor noise (rms over channels, dimensionless) with all effects, on the held-out runs."""
         return self.after.held_out.noise_ratio
 
     @property
     def limit_warnings(self) -> tuple[str, ...]:
-        """Masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
+        """Warnings about masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
         machine = self.after.machine if self.effects else self.before.machine
         return tuple(parameters_at_limit(machine, self.declared.machine).values())
 
     @property
     def divergence_warnings(self) -> tuple[str, ...]:
-        """Machines whose simulation diverges on a held-out run, one sentence each."""
+        """Warnings about machines whose simulation diverges on a held-out run, one sentence each."""
         models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
         cause = (
             "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
@@ -198,7 +198,7 @@ class IdentificationResult:
 
     @property
     def initial_state_warnings(self) -> tuple[str, ...]:
-        """Runs that were not used, and what could not be determined about initial states, one sentence each."""
+        """Warnings about runs that were not used and about uncertain initial states, one sentence each."""
         fitted = [warning for run in self.fitted.runs for warning in run.initial.warnings]
         return tuple(dict.fromkeys([*self.excluded, *fitted, *self.after.warnings]))
 
@@ -262,8 +262,7 @@ def write_result(
 ) -> None:
     """Write all files of a result except the plots and report.html, which `build_report` adds.
 
-    All files become visible together or not at all. If the caller has opened `output_batch` for the folder, they become
-    visible at its end.
+    All files appear together or not at all; within a `with output_batch(folder)` block, at the end of the block.
 
     Args:
         result: Result of `identify`.
@@ -296,7 +295,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
     """Compute the curves that the report plots.
 
     The residual force is the force that would have to be added for a machine to follow the measurements. Thinned curves
-    have about 4000 points.
+    have fewer than 8000 points.
 
     Args:
         result: Result of `identify`.
@@ -305,14 +304,15 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         Arrays by name, where RUN is the name of a held-out run (not fitted) with n samples.
 
         - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
-        - ``RUN/measured``: its measurements, in the sensors' units, shape (n, sensors).
+        - ``RUN/measured``: its measurements minus the sensors' zeros, in the sensors' units, shape (n, sensors).
         - ``RUN/declared``, ``RUN/before``, ``RUN/after``: simulation errors of the declared, refitted and corrected
           machine, in the sensors' units, shape (n, sensors).
         - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
           SI, shape (m,); absent if there is none.
         - ``force/before``, ``force/after``: residual force of the refitted and of the corrected machine at these
           points, N or Nm, shape (m,).
-        - ``coverage/NAME``: positions, velocities and inputs of the fitted runs, thinned, SI, shape (m,).
+        - ``coverage/NAME``: motion and inputs of the fitted runs, thinned, SI, shape (m,). NAME is an input channel, or
+          "position of C" or "velocity of C" for each linear coordinate C (if there is none, for each coordinate).
     """
     curves: dict[str, Array] = {}
     evaluations = {"declared": result.declared, "before": result.before, "after": result.after}

@@ -25,10 +25,10 @@ def _margin(current: Fit, best_cost: float, data: Dataset, criteria: SelectionCr
 
 
 def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> list[Fit]:
-    """Sort trials by preference: the simplest of the equally good ones first.
+    """Sort trial fits of different effects by preference: of equally good ones, that with fewest parameters first.
 
-    Trials are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost
-    by less than a margin.
+    Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost by
+    no more than a margin.
 
     Args:
         trials: Fits with one candidate effect (deviation from the model) each.
@@ -37,8 +37,8 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds, among them the margin.
 
     Returns:
-        First the trials that are as good as the best one, by the number k of their parameters (theta, shape (k,)); then
-        all others by cost.
+        First the fits that are as good as the best one, by the number k of their parameters (theta, shape (k,)); then
+        all others, by cost.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -50,7 +50,7 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
 def close_rivals(
     trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria
 ) -> tuple[AppliedEffect, ...]:
-    """Return the rivals of a selected effect: effects of other trials that explain the data as well.
+    """Return the rivals of a selected effect: effects of other trial fits that explain the data about equally well.
 
     Args:
         trials: Fits with one candidate effect (deviation from the model) each, that of the selected effect first.

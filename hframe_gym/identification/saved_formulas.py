@@ -18,9 +18,10 @@ from .saved_result import SavedResult, load_result
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
     """Return formulas that can take the place of a table of a saved identification.
 
-    These are the formulas that `hframe identify` compared with the table, with their fitted parameters and the errors
-    of the machine with each formula on the recorded runs. If it compared none, formulas are fitted to the values of the
-    table. Their errors on runs are then unknown: `fitted` is None and `held_out` is empty.
+    A table is a force or friction level interpolated over one variable. The formulas are those that `hframe identify`
+    compared with it, with their fitted parameters and the errors of the machine with each formula on the recorded runs.
+    If it compared none, formulas are fitted to the values of the table. Their errors on runs are then unknown: `fitted`
+    is None and `held_out` is empty.
 
     Args:
         folder: Folder that `write_result` wrote.

@@ -286,7 +286,7 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
 
 
 def next_command(verdict: str, machine: Machine, folder: Path) -> str:
-    """Return the command that usually follows an identification.
+    """Return the command that the user should run after an identification, as a suggestion to print.
 
     Args:
         verdict: "effect_found", "no_effect" or "unexplained".

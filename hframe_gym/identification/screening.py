@@ -75,10 +75,10 @@ class ScoredCandidate(NamedTuple):
 
 
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
-    """Rank candidates by the reduction of chi-squared that a linearized model predicts, without fitting any.
+    """Rank candidate effects by the reduction of chi-squared that a linearized model predicts, without fitting any.
 
-    The residual is linearized with respect to the weights of a candidate's basis functions and the machine's free
-    parameters. The best weights and parameters then follow from a linear equation.
+    A candidate is a weighted sum of basis functions, such as sine and cosine. The residual is linearized with respect
+    to these weights and the machine's free parameters. The best weights and parameters follow from a linear equation.
 
     Args:
         fit: Fit of the machine without the candidates; the candidates are evaluated at its observer bandwidth.
@@ -117,8 +117,9 @@ def candidate_perturbations(
 ) -> Perturbation:
     """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
 
-    The result is approximate in three respects: the motion is that of the machine without the candidate, the candidate
-    does not interact with other effects, and forces are constant from each sample to the next.
+    `screen` linearizes the residual with them. They are approximate in three respects: the motion is that of the
+    machine without the candidate, the candidate does not interact with other effects, and forces are constant from each
+    sample to the next.
 
     Args:
         machine: Machine that moves.
@@ -263,7 +264,8 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
         minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
 
     Returns:
-        Copies of the fitted machine, each with one more effect, the last in its list; most promising first.
+        Copies of the fitted machine, each with one more effect (the last in its list, with starting values); most
+        promising first.
     """
     machine = current.machine
     present = {e.label for e in machine.effects}

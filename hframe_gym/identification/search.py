@@ -73,7 +73,8 @@ def search_effects(
         leave_out: Whether a run that contradicts the others may be left out.
 
     Returns:
-        Verdict, fits of the machine without and with the effects, and effects, selected and rejected.
+        Verdict ("effect_found", "no_effect" or "unexplained"), fits of the machine without and with the effects, and
+        the selected and the rejected effects.
     """
     all_runs = _Search(machine, data, criteria, log)
     suspect = contradicting_run(all_runs.base, data) if leave_out else None

@@ -100,7 +100,7 @@ _REST_S = 0.02  # s; a quantized measurement that stays the same for longer show
 
 
 def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
-    """Return how many independent values each measurement counts as, at most 1.
+    """Return how many independent values each measurement counts as in a sum of squared errors, at most 1.
 
     While a machine rests, all measurements of a quantized sensor have the same rounding error. Together, they contain
     no more information about the position than one of them, so their counts add up to 1.
@@ -139,7 +139,7 @@ def difference_noise(channel: Sequence[Array]) -> float:
         channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
 
     Returns:
-        Standard deviation in the sensor's unit, at least 1e-12; 1 without measurements.
+        Standard deviation in the sensor's unit, at least 1e-12; 1 if no run has four measurements.
     """
     differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
     if len(differences) == 0:
@@ -309,7 +309,7 @@ def _end(
 def blank_saturated(
     recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> Recording:
-    """Replace the saturated measurements of a recording, at or beyond the ends of a sensor's range, by NaN.
+    """Replace the saturated measurements of a recording by NaN: those at the end of a sensor's range, within its noise.
 
     Args:
         recording: One run (times, s; voltages, V; measurements, m or rad).

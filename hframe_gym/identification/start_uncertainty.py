@@ -90,10 +90,10 @@ def initial_state_projection(
 ) -> InitialStateProjection | None:
     """Return the projection that removes from residuals what an uncertain initial state explains.
 
-    The initial state is uncertain mainly because static friction holds an unknown stretch of the belts at rest;
+    The initial state is uncertain mainly because static friction holds an unknown stretch of the belts at rest.
     `start_displacements` lists all uncertain displacements and their standard deviations (Gaussian prior). The run is
-    simulated once for each of them. The projected residual has the sum of squares that the best displacements would
-    give, prior included (variable projection), so a fit need not estimate them.
+    simulated once for each of them, which linearizes the residual. The sum of squares of a projected residual equals
+    the cost, prior included, at the best displacements (variable projection). A fit therefore need not estimate them.
 
     Args:
         machine: Machine that predicts.
@@ -157,9 +157,10 @@ def prediction_residuals(
 def start_displacements(machine: Machine, initial: InitialState) -> Array:
     """Return the independent displacements by which the state at the start of a run may differ from the measured one.
 
-    They have three causes: static friction holds an unknown stretch of the belts (one displacement per motor); no laser
-    measures at rest (one displacement per unmeasured motion that stretches no belt); an effect such as hysteresis
-    remembers motion before the recording (one per state of an effect that defines an `initial_spread`).
+    They have three causes: static friction holds an unknown stretch of the belts (one displacement per pulley with an
+    encoder); no sensor with a fixed zero (laser) measures at rest (one per unmeasured motion that stretches no belt);
+    an effect such as hysteresis remembers motion before the recording (one per state of an effect that defines an
+    `initial_spread`).
 
     Args:
         machine: Machine that predicts.
@@ -211,7 +212,9 @@ def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: d
 
 
 def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return the state from which a prepared run most probably began, see `most_probable_start`.
+    """Return the state from which a prepared run most probably began, given all of its measurements.
+
+    It is the state of maximum posterior density of `most_probable_start`.
 
     Args:
         machine: Machine to simulate.
@@ -236,8 +239,8 @@ def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = N
     """Correct the encoder zeros and the initial states of effects of all runs with a fitted machine.
 
     The zeros are the measurements at position 0, see `dataset.refine_encoder_zeros`. The corrected states are those of
-    effects that remember motion before the recording, such as hysteresis. A fit treats their uncertainty as linear,
-    which is accurate only near the true states.
+    effects that remember motion before the recording, such as hysteresis. They must be close to the true ones, because
+    a fit linearizes the influence of their uncertainty.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).

@@ -45,7 +45,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         criteria: Decision thresholds.
 
     Returns:
-        One fit (machine, parameters theta, shape (k,), cost) per candidate, after few iterations, in no given order.
+        One fit (machine, parameters theta, shape (k,), cost) per effect and component, or two where they are also
+        fitted from the declared parameters, after few iterations, in no given order.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
     nothing_promising = not trials and current.chi2 > criteria.explained_chi2
@@ -117,11 +118,11 @@ def structural_trial_fits(
 
 
 def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:
-    """Return the fraction of the error beyond the noise that the best trial leaves.
+    """Return which fraction of the present fit's error beyond the noise the best trial fit leaves.
 
     The error beyond the noise is chi-squared per sample (mean squared error / noise variance) minus its value for a
-    correct model. This value is 1, but `criteria.one_step_floor` at an observer bandwidth of 60 rad/s (one-step
-    prediction), where quantization keeps it above 1.
+    correct model: 1, or `criteria.one_step_floor` at an observer bandwidth of 60 rad/s (one-step prediction), where
+    quantization keeps it above 1.
 
     Args:
         current: Fit without candidates.
@@ -229,9 +230,7 @@ def _promising(
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
-    """Add a candidate effect (deviation from the model) to the machine and fit the parameters of both together.
-
-    The fit has only a few iterations.
+    """Add a candidate effect (deviation from the model) to the machine and fit both together, with few iterations.
 
     Args:
         current: Fit without the effect; the new one has the same observer bandwidth.
@@ -332,10 +331,10 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
 
 
 def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
-    """Compute typical forces, speeds and travels from the motion that a fitted machine predicts.
+    """Compute typical forces, speeds and travels of a machine, by which starting values of effects are multiplied.
 
     Args:
-        current: Fit of the machine.
+        current: Fit of the machine, which predicts the motion.
         data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
