@@ -43,6 +43,7 @@ from .differentiable_episode import (
 from .sb3_adapters import ResidualActionVecEnv, set_mean_action_to_zero
 
 LARGEST_NORM = 1.0  # of the gradient with respect to the weights
+HALF_KEPT_AFTER = 9.0  # updates after which the average keeps half of its value; the first weights are random
 
 
 class AnalyticPolicyGradient:
@@ -161,8 +162,8 @@ class AnalyticPolicyGradient:
         if torch.isfinite(norm):
             self._optimizer.step()
         self._updates += 1
-        # The first weights are random: at the beginning the average forgets them faster.
-        kept = min(self._averaging, self._updates / (self._updates + 9.0))
+        # At the beginning the average forgets earlier weights faster.
+        kept = min(self._averaging, self._updates / (self._updates + HALF_KEPT_AFTER))
         with torch.no_grad():
             for average, weights in zip(self.policy.parameters(), self._trained.parameters(), strict=True):
                 average.lerp_(weights, 1.0 - kept)

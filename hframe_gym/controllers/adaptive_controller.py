@@ -127,7 +127,8 @@ class AdaptiveController(FullStateController):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
-            InputError: If the preview, beyond the dead time of the drives, has less than PERIODS_AHEAD + 1 periods.
+            InputError: If the goal moves and the preview has fewer than PERIODS_AHEAD + 1 = 4 periods beyond the dead
+                time of the drives.
         """
         model = self.model
         if self._starts.resize(len(state)):
@@ -148,7 +149,7 @@ class AdaptiveController(FullStateController):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the applied actions, if they differ from those that `act` returned last.
+        """Replace the actions of this control period in the controller's memory by those that were applied instead.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -233,7 +234,7 @@ class MomentumFilter:
 
     @property
     def mass_ratio(self) -> Array:
-        """Estimated moving mass along each tool axis divided by the model's, shape (B, axes) for B machines."""
+        """Estimated mass that moves along each tool axis divided by the model's, shape (B, axes) for B machines."""
         n = len(self.model.mass)
         # Contribution of each coordinate to the mass moved along the tool axes with unstretched belts, kg, (n, axes).
         moving_mass = self.model.mass[:, None] * self.model.rigid**2
@@ -242,13 +243,15 @@ class MomentumFilter:
     def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
         """Update the estimates of friction, masses and belt stiffness with the momentum balances of the last period.
 
+        A balance compares the measured change of momentum with the modeled forces; the module states the equations.
+
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             volts: Mean voltages at the motors in the period, V, shape (B, drives).
             effect_force: Modeled forces of the machine's effects (deviations from its nominal model) on each
-                coordinate, N, shape (B, n).
+                coordinate, changes of friction included, N, shape (B, n).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
         """
         size = len(self._prior_std)
@@ -295,13 +298,14 @@ class MomentumFilter:
     def friction_voltage_ahead(self, goals: Array) -> Array:
         """Compute voltages that compensate the difference between estimated and modeled Coulomb friction along a path.
 
+        The direction of friction follows from the velocity of the goals, which k goals determine for k - 2 periods.
+
         Args:
-            goals: Tool goals of B machines at k > 2 sample times, the first now, the others one period apart, m, shape
-                (B, k, axes).
+            goals: Tool goals of B machines now and at the ends of the next periods, m, shape (B, k, axes), k > 2.
 
         Returns:
-            Voltages for the next k - 2 periods, at whose starts and ends the goals determine a velocity, V, shape
-            (B, k - 2, drives).
+            Voltages for each of the next k - 2 periods, the present one first, V, shape (B, k - 2, drives); 0 where the
+            estimated friction equals the model's.
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period
@@ -341,6 +345,6 @@ def _mean_direction(before: Array, after: Array) -> Array:
     # The integral of tanh is log cosh.
     integral = np.logaddexp(after / REVERSAL_SPEED, -after / REVERSAL_SPEED)
     integral = integral - np.logaddexp(before / REVERSAL_SPEED, -before / REVERSAL_SPEED)
-    constant = np.abs(change) < 1e-4
+    constant = np.abs(change) < 1e-4  # where the quotient below would lose its digits
     at_middle = np.tanh(0.5 * (before + after) / REVERSAL_SPEED)
     return np.asarray(np.where(constant, at_middle, integral / np.where(constant, 1.0, change)))

@@ -32,10 +32,12 @@ Feedback = Literal["state", "estimated_state", "observation"]
 
 # s. The preview and the horizon of the controllers last a fixed time, so that a shorter period costs time and memory.
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 10.0
+# s, largest step of the simulations in estimators and plans: that of the environments, short against the belt modes.
+SIMULATION_STEP_S = 5e-4
 
 
 def check_period(period: float) -> float:
-    """Check that controllers can be designed for a control period.
+    """Check that a control period lies between 1e-5 s and 10 s, the limits of the controllers' design.
 
     Args:
         period: Control period, s.
@@ -44,7 +46,7 @@ def check_period(period: float) -> float:
         The period as a float, s.
 
     Raises:
-        InputError: If the period is not from `SHORTEST_PERIOD` to `LONGEST_PERIOD`.
+        InputError: If the period lies outside these limits.
     """
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
@@ -70,7 +72,7 @@ class Controller(ABC):
         period: As given, s.
 
     Raises:
-        InputError: If the period is not positive.
+        InputError: If the period is invalid (see `check_period`).
     """
 
     feedback: ClassVar[Feedback] = "state"
@@ -104,14 +106,15 @@ class Controller(ABC):
         """Return a warning if this controller cannot be expected to work on its machine at its control period.
 
         Returns:
-            One sentence, which `make_controller` prints as a warning; None if there is no reason for one.
+            One sentence, which `make_controller` issues as a warning; None if there is no reason for one.
         """
         return None
 
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
-        """Record the applied actions, if they differ from those that `act` returned last.
+        """Replace the actions of this control period in the controller's memory by those that were applied instead.
 
-        For example, a learned policy may correct them. Observers and dead-time compensation need the applied voltages.
+        Call it after `act` if something changes the actions, for example a learned policy that corrects them: observers
+        and the compensation of a dead time need the applied voltages.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -143,7 +146,7 @@ class EpisodeStarts:
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Set the number of machines. If it changes, mark all of them.
+        """Set the number of machines. If it changes, mark all of them as starting an episode.
 
         Args:
             count: Number of machines.
@@ -157,7 +160,7 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Mark no machine as starting an episode; call it when the first observations have been processed."""
+        """Remove all marks; call it when the first observations of the episodes have been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
@@ -174,7 +177,7 @@ class FullStateController(Controller):
         model: Design model of the machine.
 
     Raises:
-        InputError: If the machine does not have one drive per axis of its tool, or the period is not positive.
+        InputError: If the machine does not have one drive per axis of its tool, or the period is invalid.
     """
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
@@ -264,14 +267,14 @@ class Estimator(Protocol):
         """
 
     def send(self, volts: Array) -> None:
-        """Record the commanded voltages of the control period that starts now; the next `update` uses them.
+        """Record the commanded voltages of the control period that starts now, from which the next `update` predicts.
 
         Args:
             volts: Commanded voltages, V, shape (B, drives) for B simulated machines.
         """
 
     def replace_last(self, volts: Array) -> None:
-        """Record the applied voltages, if they differ from those passed to `send` last.
+        """Replace the voltages that were passed to `send` last by those that were applied instead.
 
         Args:
             volts: Applied voltages, V, shape (B, drives) for B simulated machines.
@@ -291,7 +294,7 @@ class OutputFeedbackController(Controller):
         estimator: As given.
 
     Raises:
-        InputError: If the estimator's period is not positive.
+        InputError: If the estimator's period is invalid.
     """
 
     feedback: ClassVar[Feedback] = "observation"
@@ -333,7 +336,7 @@ class OutputFeedbackController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the applied actions, if they differ from those that `act` returned last.
+        """Replace the actions of this control period in the controller's memory by those that were applied instead.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

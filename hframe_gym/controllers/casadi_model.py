@@ -29,6 +29,12 @@ class SymbolicModel:
 
     States are the belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its rate, m/s, shape
     (2 n,). An action is the motor voltage on a scale on which -1 is the lowest and 1 the highest possible voltage.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model).
+        parameters: CasADi symbols of all P parameters in the order of `Machine.parameters`, shape (P,).
+        start: CasADi symbols of the state at the start, m and m/s, shape (2 n,).
+        reversal_speed: Speed v0 of the smoothed Coulomb friction F tanh(v / v0), m/s.
     """
 
     def __init__(self, machine: Machine, parameters: Any, start: Any, reversal_speed: float) -> None:
@@ -58,15 +64,15 @@ class SymbolicModel:
         return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
 
     def rate(self, state: Any, action: Any, time: Any) -> Any:
-        """Return the time derivative of the state.
+        """Return the equations of motion as a CasADi expression: the time derivative of the state.
 
         Args:
-            state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,).
+            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, shape (2 n,).
             action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
             time: Time since the start, s.
 
         Returns:
-            Expression of the derivative, m/s and m/s^2, shape (2 n,).
+            Expression of velocities and accelerations, m/s and m/s^2, shape (2 n,).
         """
         return self._rate(state, action, time, self._parameters, self._start)
 
@@ -74,27 +80,30 @@ class SymbolicModel:
         """Return constraints (expressions that must be <= 0) that keep the motor currents within their limits.
 
         Args:
-            state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,).
+            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, shape (2 n,).
             action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
 
         Returns:
-            (current / limit)^2 - 1, dimensionless, for each current limit.
+            Expression (current / limit)^2 - 1, dimensionless, of each drive whose current the machine limits.
         """
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]
 
     def static_excess(self, state: Any, time: Any) -> list[Any]:
-        """Return constraints (expressions that must be <= 0) under which the machine stays at rest in a position.
+        """Return constraints (expressions that must be <= 0) under which the machine can stay at rest in a position.
 
-        They require that friction can hold every linear coordinate without a drive against the forces on it.
+        Static friction must hold each linear coordinate that no drive acts on, such as a carriage between stretched
+        belts.
 
         Args:
-            state: Belt travel of n coordinates, m, and its rate, m/s, shape (2 n,). The rate is taken as zero.
+            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, shape (2 n,). The rate is taken
+                as zero.
             time: Time since the start, s.
 
         Returns:
-            Force minus Coulomb friction, N, for both directions of each of these coordinates.
+            Force on each linear coordinate without a drive minus its Coulomb friction, N, first of the force in
+            positive, then of that in negative direction.
         """
         equations = self._equations
         at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
@@ -125,7 +134,7 @@ def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
         equations: Equations of the machine with its effects on the drives.
 
     Returns:
-        Lowest motor voltages, then highest motor voltages, V, one per drive each.
+        Two lists with one entry per drive: voltages at the commands of minus and of plus the rated voltage, V.
     """
     rated = [d.rated_voltage for d in equations.machine.drives]
     return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
@@ -139,9 +148,9 @@ def check_supported(machine: Machine) -> None:
 
     Raises:
         InputError: If the bridge yaws (the tool position then contains a product of coordinates), or if an effect is
-            not supported. Not supported are a dead time of the drives, an internal state other than the displacement
-            since the start, a motion of a sensor instead of the tool, a change of the motor current by another effect
-            than `current_limit`, and formulas that are not differentiable.
+            not supported: a dead time of the drives, an internal state other than the displacement since the start, a
+            motion of a sensor's support instead of the tool, a change of the motor current by another effect than
+            `current_limit`, or a formula that is not differentiable.
     """
     for effect in machine.effects:
         reason = _unsupported_because(effect)
@@ -172,7 +181,7 @@ def _unsupported_because(effect: AppliedEffect) -> str:
 
 
 def _integrates_displacement(effect: AppliedEffect) -> bool:
-    """Whether an effect's state is the displacement of its coordinate since the start, as of an eccentric pulley."""
+    """Return whether an effect's state is the displacement of its coordinate since the start (eccentric pulley)."""
     next_state = effect.definition.next_state
     if next_state is None or set(argument_names(next_state)) != {"z", "dq"}:
         return False
@@ -180,7 +189,7 @@ def _integrates_displacement(effect: AppliedEffect) -> bool:
 
 
 def _has_kink(hook: Hook) -> bool:
-    """Whether a hook's formula switches between branches; |x| is not counted, because it occurs as x |x|."""
+    """Return whether a hook's formula switches between branches; |x| is not counted, because it occurs as x |x|."""
     symbols = [ca.SX.sym(name) for name in argument_names(hook)]
     formula = ca.Function("hook", symbols, [ca.SX(hook(*symbols))])
     return any(formula.instruction_id(k) in SWITCHING_OPERATIONS for k in range(formula.n_instructions()))

@@ -83,7 +83,7 @@ class AugmentedParameters(ParameterRatios):
         self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
 
     def ratios(self, logarithms: Array) -> Array:
-        """Compute the ratios of estimated to declared parameter values from their logarithms.
+        """Compute the ratios of estimated to declared parameter values from their natural logarithms.
 
         Args:
             logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
@@ -105,7 +105,7 @@ class AugmentedParameters(ParameterRatios):
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Compute parameter values from the logarithms of their ratios to the declared values, after `clip`.
+        """Compute parameter values from the logarithms of their ratios to the declared ones, limited by `clip`.
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
@@ -165,7 +165,7 @@ class MeasurementModel:
             )
 
     def to_travel(self, measurements: Array) -> Array:
-        """Scale measurements to meters of belt travel (radius * angle of a rotary coordinate).
+        """Scale measurements to meters of belt travel (radius * angle), the unit of the measurement equation.
 
         Args:
             measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).
@@ -177,6 +177,8 @@ class MeasurementModel:
 
     def in_range(self, measurements: Array) -> Mask:
         """Test which measurements lie strictly inside the ranges of their sensors.
+
+        A measurement at the end of its sensor's range contains no position and must not correct an estimate.
 
         Args:
             measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).

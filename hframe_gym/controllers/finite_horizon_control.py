@@ -58,15 +58,15 @@ HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
-    """Estimate the duration of the longest motion in the workspace, with a margin.
+    """Estimate how long the longest point-to-point motion in the workspace takes, as a limit of planned durations.
 
     Args:
         model: Model of the machine.
-        grid: Operating points, which span the workspace.
+        grid: Operating points (tool positions), which span the workspace.
 
     Returns:
-        Time along both sides of the workspace at top speed, times `LONGEST_MARGIN`, s; `MAX_TRANSFER_S` if friction
-        leaves no top speed.
+        1.3 (`LONGEST_MARGIN`) times the time along both sides of the workspace at top speed, s; 10 s (`MAX_TRANSFER_S`)
+        if the drives cannot overcome Coulomb friction along an axis.
     """
     top_speed = model.top_speed()
     return float(LONGEST_MARGIN * np.sum(grid.span / top_speed)) if top_speed.min() > 0.0 else MAX_TRANSFER_S
@@ -142,6 +142,8 @@ class MinimumEnergyTransfers:
     ) -> TransferSelection:
         """Select for each of B machines the shortest motion to rest at its goal whose voltages stay within the limits.
 
+        The limits are checked in the first period and in the last CHECKED_FINAL_PERIODS = 7 periods of a motion.
+
         Args:
             error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
                 its velocity, m and m/s, shape (B, 2 n).
@@ -151,7 +153,7 @@ class MinimumEnergyTransfers:
 
         Returns:
             Number of control periods until rest, shape (B,), and voltages of the first period, V, shape (B, drives).
-            Where no motion stays within the limits, these are those of the longest one and exceed the limits.
+            Where no motion stays within the limits, both are those of the longest one, which exceeds the limits.
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits
@@ -192,8 +194,8 @@ class MinimumEnergyTransfers:
         for _ in range(N):
             powers.append(A @ powers[-1])
         # The voltages with the least sum of squares that bring the scaled state error to zero in N periods.
-        reachability = np.hstack([powers[j] @ B for j in reversed(range(N))])  # (2 n, 2 N)
-        volts = -np.linalg.lstsq(reachability, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
+        response = np.hstack([powers[j] @ B for j in reversed(range(N))])  # reachability matrix, (2 n, drives * N)
+        volts = -np.linalg.lstsq(response, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
         states = [error[0] / scale]
         for period_volts in volts:
             states.append(A @ states[-1] + B @ period_volts)
@@ -241,7 +243,7 @@ class PreviewGains:
             powers.append(powers[-1] @ A)
 
         def impulse_response(G: Array) -> Array:
-            """Response of the tool at each period's end to inputs by G (2 n, m) in each period, (2 H, m H)."""
+            """Return the tool's response at each period's end to inputs by G (2 n, m) in each, (axes * H, m * H)."""
             pulses = [power @ G for power in powers[:horizon]]
             zero = np.zeros_like(pulses[0])
             return np.block([[pulses[j - i] if i <= j else zero for i in range(horizon)] for j in range(horizon)])
@@ -280,9 +282,10 @@ class PreviewTracker:
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimated disturbance forces with the prediction error of the last control period.
+        """Update the estimated disturbance forces with the linear model's prediction error over the last period.
 
-        They are low-pass filtered with the time constant `DISTURBANCE_TIME_CONSTANT_S`.
+        The forces are low-pass filtered with the time constant `DISTURBANCE_TIME_CONSTANT_S`. The feedforward of
+        `command` compensates them, in place of an integrator.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n

@@ -63,7 +63,7 @@ class DeadTime:
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
     def replace_last(self, volts: Array) -> None:
-        """Record the applied voltages, if they differ from those passed to `send` last.
+        """Replace the voltages that were passed to `send` last by those that were applied instead.
 
         Args:
             volts: Applied voltages of B simulated machines, V, shape (B, drives).
@@ -181,7 +181,7 @@ class InputInversion:
                 self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
 
     def motor_voltage(self, command: Array) -> Array:
-        """Compute the voltages at the motors that result from commanded voltages.
+        """Compute the voltages at the motors that commands give after dead band, offset and gain of the drives.
 
         Args:
             command: Commanded voltages of B simulated machines, at most the rated ones in magnitude, V, shape (B,
@@ -193,7 +193,9 @@ class InputInversion:
         return self._mapped(command, inverse=False)
 
     def command(self, motor_voltage: Array) -> Array:
-        """Compute the commanded voltages that produce given voltages at the motors (inverse of `motor_voltage`).
+        """Compute the commands with which given voltages reach the motors in spite of dead band, offset and gain.
+
+        This is the inverse of `motor_voltage`.
 
         Args:
             motor_voltage: Desired voltages at the motors of B simulated machines, V, shape (B, drives).

@@ -1,7 +1,7 @@
 """Linear models of batches of different machines, and transfers to rest that are planned with them.
 
 `LinearMotion`         Linear models of B machines with different parameters, for example as estimated.
-`reachability`         What voltages contribute to the state after N periods, for transfers of any design.
+`reachability`         Response to voltages, and Gramian, from which voltages to rest in N periods follow.
 `SimulatedTransfers`   Transfers of machines as estimated, planned anew in every period and corrected by simulations.
 
 `MinimumEnergyTransfers` are designed once, for the declared machine, and leave Coulomb friction out. Here each of B
@@ -10,8 +10,8 @@ machines has parameters of its own, which an estimator changes from period to pe
 Linear plan   The voltages with the least sum of squares that bring the linear model to rest at the goal in N periods,
               against a constant friction force that opposes the motion.
 Simulation    Friction reverses within a motion, and static friction decides where a tool stops that is a tenth of a
-              millimeter from its goal. Plans that end soon are simulated with the estimated parameters; the state at
-              their end shows by how much they miss, and the linear model corrects them (shooting, a few iterations).
+              millimeter from its goal. Plans that end soon are simulated with the estimated parameters; the linear
+              model corrects them by the error of the state at their end (shooting, a few iterations).
 
 The derivative of the voltages with respect to the state is that of the linear plan.
 
@@ -30,15 +30,15 @@ from numpy.typing import NDArray
 
 from ..dynamics import Equations, MotionPoint, rollout
 from ..errors import InputError
-from .motion_model import MotionModel
+from .motion_model import REVERSAL_SPEED, MotionModel
 
 Array = NDArray[np.float64]
 TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
 VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
-FRICTION_SPEED, FRICTION_TRAVEL = 0.02, 1e-3  # m/s and m, over which the expected direction of friction changes
+FRICTION_TRAVEL = 1e-3  # m, position error over which the expected direction of friction changes
 SIMULATED_PERIODS, CORRECTIONS = 6, 5  # longest plan that is simulated, and how often it is corrected
 SHORTER = 0.5  # factor of a correction after one that did not help
-INTEGRATION_STEP = 1e-3  # s; the corrections need no higher accuracy
+CORRECTION_STEP_S = 1e-3  # s, integration step; the corrections need no higher accuracy
 SWITCHING_S = 1e-9  # s, length of the interval in which the last voltage is applied, for a dead time
 # m/V: final error (velocities in units of 0.1 m/s per mm) that is as costly as 1 V. It matters for plans of so few
 # periods that they cannot bring every state to rest.
@@ -62,6 +62,8 @@ class LinearMotion:
 
     def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
+
+        The state is belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its velocity, m/s.
 
         Args:
             parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P).
@@ -102,28 +104,34 @@ def _exponential(matrices: Array) -> Array:
 
 
 def state_scale(states: int) -> Array:
-    """Return units (2 n,) in which positions and velocities have similar size, so that W_N is well conditioned.
+    """Return units of positions and velocities in which the reachability Gramian is well conditioned.
+
+    In these units an error of 1 mm is as large as one of 0.1 m/s. A state is scaled by dividing it by them.
 
     Args:
-        states: Number of states, 2 n.
+        states: Number of states, 2 n: belt travel of n coordinates and its velocity.
 
     Returns:
-        1 for belt travel, m, and 1 / VELOCITY_SCALE_S for its velocity, m/s, shape (2 n,).
+        1 m for each belt travel, then 1 / VELOCITY_SCALE_S = 100 m/s for each velocity, shape (2 n,).
     """
     return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)
 
 
 def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield, for N = 1 to `longest` periods, what voltages and the present state contribute to the state after N.
+    """Yield the responses of linear systems over N = 1, 2, ... periods to voltages and to their initial state.
+
+    From them follow the voltages with the least sum of squares that bring the state z to rest in N periods: in period j
+    B' A'^(N-1-j) c with the costate c = -W_N^-1 A^N z.
 
     Args:
         A: System matrices of any number of machines or operating points, shape (points, 2 n, 2 n).
         B: Input matrices of the voltages, shape (points, 2 n, drives).
-        longest: Largest number of periods.
+        longest: Largest N.
 
     Yields:
-        A^(N-1) B, the Gramian W_N (sum of A^j B B' A'^j for j < N) and A^N, all with states in units of `state_scale`,
-        of the shapes (points, 2 n, drives), (points, 2 n, 2 n) and (points, 2 n, 2 n).
+        For each N, with states in units of `state_scale`: the response A^(N-1) B to the voltages of the first period,
+        shape (points, 2 n, drives); the reachability Gramian W_N, sum of A^j B B' A'^j for j < N, shape (points, 2 n,
+        2 n); and the response A^N to the initial state, shape (points, 2 n, 2 n).
     """
     scale = state_scale(A.shape[1])
     A, B = A / scale[:, None] * scale, B / scale[:, None]
@@ -135,22 +143,25 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
 
 
 def opposing_friction(model: MotionModel, state: Array, error: Array, parameters: Array) -> Array:
-    """Compute the Coulomb friction that acts until the goal is reached, against the motion or the way ahead.
+    """Predict the Coulomb friction on the way to the goal, as one constant force per coordinate for a linear plan.
+
+    Friction opposes the present motion. Where a coordinate hardly moves, it opposes the motion towards the goal.
 
     Args:
         model: Model of the machine with its declared parameters, n coordinates.
-        state: Belt travel of the n coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
-        error: State minus that at the goal, m and m/s, shape (B, 2 n).
+        state: Belt travel (radius * angle) of the n coordinates of B machines and its velocity, m and m/s, shape
+            (B, 2 n).
+        error: State minus goal state, m and m/s, shape (B, 2 n).
         parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
     Returns:
-        Force on each coordinate, N, shape (B, n).
+        Friction force on each coordinate, N, positive in the direction of increasing travel, shape (B, n).
     """
     n, declared = len(model.mass), model.machine.parameters
     columns = [list(declared).index(f"{name}.coulomb") for name in model.machine.coordinate_names]
     values = np.array(list(declared.values()))[columns]
     ratio = parameters[:, columns] / np.where(values, values, 1.0) + (values == 0.0)
-    moving = np.tanh(state[:, n:] / FRICTION_SPEED)
+    moving = np.tanh(state[:, n:] / REVERSAL_SPEED)
     ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
     return np.asarray(-model.coulomb * ratio * (moving + (1.0 - np.abs(moving)) * ahead))
 
@@ -195,7 +206,9 @@ class SimulatedTransfers:
             self._time_s = np.insert(self._time_s, 1, SWITCHING_S)
 
     def plan(self, state: Array, goal: Array, parameters: Array, last_volts: Array) -> PlannedTransfers:
-        """Plan all transfers from the present states.
+        """Plan motions from the present states to rest at the goals, one for each of the K durations.
+
+        Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their effects.
 
         Args:
             state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates of B machines and its
@@ -205,7 +218,8 @@ class SimulatedTransfers:
             last_volts: Voltages of the period before, V, shape (B, drives); they act during a dead time only.
 
         Returns:
-            `PlannedTransfers`: voltages, V, shape (B, K, drives), and their derivatives, shape (B, K, drives, 2 n).
+            Voltages of the first period of each motion, V, not limited, shape (B, K, drives), and their derivatives
+            with respect to the state, V/m and Vs/m, shape (B, K, drives, 2 n).
         """
         scale = self._scale
         error = state - self._model.goal_state(goal)
@@ -215,43 +229,46 @@ class SimulatedTransfers:
         gains = first @ costates[..., :-1] / scale
         planned = np.einsum("bkij,bj->bki", costates[..., :-1], error / scale) + costates[..., -1]
         count = len(self._simulated)
-        best, least = planned[:, :count], np.full((len(state), count), np.inf)
-        change, length = np.zeros_like(best), np.ones_like(least)
+        best, smallest = planned[:, :count], np.full((len(state), count), np.inf)
+        correction, step_length = np.zeros_like(best), np.ones_like(smallest)
         for _ in range(CORRECTIONS if count else 0):
-            missed = self._final_states(pulse, planned[:, :count], state, parameters, last_volts)
-            missed = (missed - self._model.goal_state(goal)[:, None]) / scale
-            missed = np.nan_to_num(missed, nan=1.0, posinf=1.0, neginf=-1.0)
-            distance = np.linalg.norm(missed, axis=2)
+            final = self._final_states(pulse, planned[:, :count], state, parameters, last_volts)
+            final_error = (final - self._model.goal_state(goal)[:, None]) / scale
+            # A simulation that diverges counts as an error of 1 m or 100 m/s.
+            final_error = np.nan_to_num(final_error, nan=1.0, posinf=1.0, neginf=-1.0)
+            distance = np.linalg.norm(final_error, axis=2)
             # A plan that ends farther away than the one before is not used; the next correction is then shorter.
-            closer = distance < least
-            better = closer[..., None]
-            best, least = np.where(better, planned[:, :count], best), np.minimum(distance, least)
-            change = np.where(better, np.linalg.solve(gramian[:, :count], missed[..., None])[..., 0], change)
-            length = np.where(closer, 1.0, SHORTER * length)
-            planned[:, :count] = best - length[..., None] * change
+            closer = distance < smallest
+            best = np.where(closer[..., None], planned[:, :count], best)
+            smallest = np.minimum(distance, smallest)
+            full_correction = np.linalg.solve(gramian[:, :count], final_error[..., None])[..., 0]
+            correction = np.where(closer[..., None], full_correction, correction)
+            step_length = np.where(closer, 1.0, SHORTER * step_length)
+            planned[:, :count] = best - step_length[..., None] * correction
         return PlannedTransfers(np.einsum("bkij,bkj->bki", first, planned), gains)
 
     def _costates(self, matrices: tuple[Array, Array, Array], force: Array) -> tuple[Array, Array, Array]:
-        """Return what determines the voltages of all transfers, against a constant force on each coordinate (B, n), N.
+        """Compute the costates of all transfers, against a constant force on each coordinate (B, n), N.
 
         A plan with the costate c applies (A^(j-1) B)' c in the j-th period before its end.
 
         Returns:
             A^(j-1) B for j = 1 to the longest duration, (B, periods, 2 n, drives); the Gramians (B, K, 2 n, 2 n); and
-            the costates as a linear function of the state error, with what the force adds in the last column, (B, K,
-            2 n, 2 n + 1).
+            the costates as a linear function of the state error, with the contribution of the force in the last column,
+            (B, K, 2 n, 2 n + 1).
         """
         A, B, E = matrices
-        push = np.einsum("bij,bj->bi", E, force) / self._scale
-        free, pushed = [np.broadcast_to(np.eye(A.shape[1]), A.shape)], [np.zeros_like(push)]  # by period
+        force_response = np.einsum("bij,bj->bi", E, force) / self._scale  # to the force in one period
+        # Responses by number of periods: A^N to the initial state, and the accumulated one to the force.
+        powers, accumulated = [np.broadcast_to(np.eye(A.shape[1]), A.shape)], [np.zeros_like(force_response)]
         pulses, gramians = [], []
         for pulse, gramian, power in reachability(A, B, int(self._durations[-1])):
             pulses.append(pulse)
             gramians.append(gramian + FINAL_ERROR**2 * np.eye(A.shape[1]))
-            pushed.append(pushed[-1] + np.einsum("bij,bj->bi", free[-1], push))
-            free.append(power)
+            accumulated.append(accumulated[-1] + np.einsum("bij,bj->bi", powers[-1], force_response))
+            powers.append(power)
         chosen = np.stack(gramians, axis=1)[:, self._durations - 1]
-        final = np.concatenate([np.stack(free, axis=1), np.stack(pushed, axis=1)[..., None]], axis=3)
+        final = np.concatenate([np.stack(powers, axis=1), np.stack(accumulated, axis=1)[..., None]], axis=3)
         return np.stack(pulses, axis=1), chosen, -np.linalg.solve(chosen, final[:, self._durations])
 
     def _final_states(self, pulse: Array, costates: Array, state: Array, parameters: Array, last_volts: Array) -> Array:
@@ -271,7 +288,7 @@ class SimulatedTransfers:
             velocities=True,
             parameters=np.repeat(parameters, count, axis=0),
             start=np.repeat(state / self._units, count, axis=0),
-            longest_step=INTEGRATION_STEP,
+            longest_step=CORRECTION_STEP_S,
             parallel=False,
         )
         ends = states[:, -periods:].reshape(len(state), count, periods, -1)[:, np.arange(count), self._simulated - 1]

@@ -144,7 +144,7 @@ class MotionModel:
         return values[:, self._order] * self._scale
 
     def observation(self, state: Array) -> Array:
-        """Convert states in belt travel to full-state observations; the inverse of `state`.
+        """Convert states in belt travel to full-state observations, the inverse of the method `state`.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -252,7 +252,7 @@ class MotionModel:
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:
-            Additional friction force on each coordinate, N, shape (B, n).
+            Additional friction force on each coordinate, N, negative where it brakes positive motion, shape (B, n).
         """
         return self.friction_force(state, elapsed_s) + self.coulomb * self._direction(state)
 
@@ -320,7 +320,7 @@ class MotionModel:
             period: Control period, s.
 
         Returns:
-            Disturbance forces along the axes, Coulomb friction included, N, shape (B, axes).
+            Disturbance forces on the machine along the axes, Coulomb friction included, N, shape (B, axes).
         """
         n = len(self.mass)
         viscous_impulse = self.viscous * (after[:, :n] - before[:, :n])  # Ns
@@ -328,7 +328,7 @@ class MotionModel:
         return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Compute the steady speed along each axis when only this axis moves and all drives have rated voltage.
+        """Compute the steady speed along each axis when only this axis moves, at the rated voltage of all drives.
 
         Returns:
             Speeds along the axes, m/s, shape (axes,); zero where Coulomb friction exceeds the drive force.
@@ -339,7 +339,7 @@ class MotionModel:
 
 
 def _memoryless(effect: AppliedEffect) -> bool:
-    """Whether an effect's forces or friction follow from position, velocity and time of its coordinate alone."""
+    """Return whether an effect's forces and friction depend on its coordinate's position, velocity and time only."""
     hooks = [getattr(effect.definition, name) for name in ("force", "coulomb", "viscous")]
     arguments = {name for hook in hooks if hook for name in argument_names(hook)}
     return any(hooks) and not {"z", "u", "i"} & arguments

@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import rollout
-from .base import Mask
+from .base import SIMULATION_STEP_S, Mask
 from .estimation_model import ParameterRatios
 from .motion_model import MotionModel
 
 Array = NDArray[np.float64]
-LARGEST = 1.2  # limit of the logarithms
+LARGEST = 1.2  # limit of the logarithms: a ratio of 3.3, or the inverse
 # Of `ParameterWindow`:
 WINDOW = 6  # periods
 REPEATED_PERIODS = 4  # periods at the beginning in which the estimates change much; they take two iterations
@@ -108,14 +108,15 @@ class ParameterEstimator(ABC):
         self._restart(starts)
 
     def parameters(self, estimates: Array) -> Array:
-        """Convert estimates to parameter values.
+        """Convert estimates to the values of all parameters of the machines, with which they can be simulated.
 
         Args:
-            estimates: Logarithms of the ratios of actual to declared values, as in the attribute `estimates`, shape
-                (B, size).
+            estimates: Natural logarithms of the ratios of estimated to declared values, as in the attribute
+                `estimates`, shape (B, size). Missing voltages in the last columns are ignored.
 
         Returns:
-            All P parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            All P parameters in the order of `Machine.parameters`, SI, shape (B, P). Parameters that are not estimated
+            keep their declared values.
         """
         return self._ratios.parameters(estimates[:, : self._offsets.start])
 
@@ -232,7 +233,7 @@ class ParameterWindow(ParameterEstimator):
     prior_offset_std: ClassVar[float | None] = 1e-5  # where the simulation is exact, no voltage is missing
     state_std: ClassVar[tuple[float, float]] = (2e-6, 1e-3)  # the smallest noise; the actual one is estimated
     difference: ClassVar[float] = 0.01
-    integration_step: ClassVar[float] = 5e-4  # that of the environments
+    integration_step: ClassVar[float] = SIMULATION_STEP_S
 
     def __init__(self, model: MotionModel, period: float, switch_s: float = 0.0) -> None:
         super().__init__(model, period, switch_s)
@@ -327,5 +328,5 @@ class ParameterWindow(ParameterEstimator):
 
     @property
     def offset(self) -> Array:
-        """Estimated missing voltages, V, shape (B, drives): undeclared forces, expressed as voltages of the drives."""
+        """Estimated missing voltages, V, shape (B, drives): undeclared forces as voltages beside the commanded ones."""
         return self.estimates[:, self._offsets] * self._model.rated

@@ -66,12 +66,12 @@ class PredictiveController(FullStateController):
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
-        self._prompt_model = MotionModel(self._dead_time.machine_without_delay)
-        self.estimator = ParameterWindow(self._prompt_model, period, self._dead_time.remainder_s)
-        self._linear, self._grid = LinearMotion(self._prompt_model, period), OperatingPointGrid(machine)
+        self._undelayed_model = MotionModel(self._dead_time.machine_without_delay)
+        self.estimator = ParameterWindow(self._undelayed_model, period, self._dead_time.remainder_s)
+        self._linear, self._grid = LinearMotion(self._undelayed_model, period), OperatingPointGrid(machine)
         self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_transfer_s(self.model, self._grid) / period)))
-        self._arrival_planner = ArrivalPlanner(self._prompt_model, period, self._longest)
-        self._simulation = PlanSimulation(self._prompt_model, period, REFINED_PERIODS + PERIODS_BEYOND)
+        self._arrival_planner = ArrivalPlanner(self._undelayed_model, period, self._longest)
+        self._simulation = PlanSimulation(self._undelayed_model, period, REFINED_PERIODS + PERIODS_BEYOND)
         self._path_planner: _PathPlanner | None = None  # created when the length of the preview is known
         self._follows_path = False  # whether the goal moved in the last period
         self.feature_sizes = {"estimates": self.estimator.size}
@@ -125,7 +125,7 @@ class PredictiveController(FullStateController):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the applied actions, if they differ from those that `act` returned last.
+        """Replace the actions of this control period in the controller's memory by those that were applied instead.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -134,7 +134,12 @@ class PredictiveController(FullStateController):
 
     @property
     def estimates(self) -> Array:
-        """Estimates of friction, masses, belts and missing voltages, shape (B, size); see `ParameterWindow`."""
+        """Estimated errors of the model's parameters and missing voltages, dimensionless, shape (B, size).
+
+        The columns are logarithms of the ratios of estimated to declared values (0.1: about 10 % above): of the Coulomb
+        friction and the mass of every coordinate, and of the stiffness EA and the length of every belt. The last
+        columns, one per drive, are the voltages that the simulation lacks, as fractions of the rated voltages.
+        """
         return self.estimator.estimates
 
     def gain(self) -> Array:
@@ -144,7 +149,7 @@ class PredictiveController(FullStateController):
         needs it for a policy that corrects this controller.
 
         Returns:
-            Gains on belt travel and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).
+            Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).
         """
         if self._follows_path and self._path_planner is not None:
             return self._path_planner.gain()
@@ -155,7 +160,7 @@ class PredictiveController(FullStateController):
         goal = goals[:, 0]
         error = state - self.model.goal_state(goal)
         elapsed_s = self._elapsed.astype(np.float64) * self.period
-        force = opposing_friction(self._prompt_model, state, error, parameters) + self.model.effect_force(
+        force = opposing_friction(self._undelayed_model, state, error, parameters) + self.model.effect_force(
             state, elapsed_s
         )
         force += self.estimator.offset @ self.model.drive.T
@@ -216,7 +221,7 @@ class PredictiveController(FullStateController):
         goals = self._dead_time.delayed_goals(goals)
         horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
         if self._path_planner is None or self._path_planner.horizon != horizon:
-            self._path_planner = _PathPlanner(self._linear, self._grid, self._prompt_model, self.period, horizon)
+            self._path_planner = _PathPlanner(self._linear, self._grid, self._undelayed_model, self.period, horizon)
         return self._path_planner.command(
             state, goals[:, : horizon + 1], parameters, self.estimator.offset, self._inversion, self._starts.mask
         )

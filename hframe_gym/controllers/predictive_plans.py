@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import mode_frequencies, rollout
+from .base import SIMULATION_STEP_S
 from .linear_motion import state_scale
 from .motion_model import MotionModel
 
@@ -26,6 +27,7 @@ Indices = NDArray[np.intp]
 # fractions of their limits. The tool's error counts most.
 TOOL_UNIT, REST_WEIGHT, EFFORT_WEIGHT = 1e-4, 0.1, 1e-2
 REST_MODE_PERIODS = 1.2  # time in which the tool is held at its goal in the plan, in periods of the slowest belt mode
+# Newton's method on the dual problem: maximum number of steps, step lengths that are tried, largest slope at the end.
 NEWTON_STEPS, STEP_LENGTHS, CONVERGED = 10, (1.0, 0.4, 0.1), 1e-7
 # Refinement: steps of the differences, V, which reach across static friction; error per sample that costs about as much
 # as a larger one, in SAMPLE_UNIT; damping of the tried corrections with their lengths.
@@ -33,7 +35,6 @@ VOLTAGE_STEPS = (0.1, 0.2, 0.4)
 SAMPLE_UNIT, ROBUST_UNITS, LARGE_WEIGHT = 2e-5, 10.0, 0.02
 CORRECTIONS = ((1e-2, 1.0), (1e-2, 0.5), (1.0, 1.0), (30.0, 1.0))
 REFINEMENTS, SAMPLES = 2, 4  # iterations per period, and samples of the tool per period
-INTEGRATION_STEP = 5e-4  # s, that of the environments
 
 
 class ArrivalPlan(NamedTuple):
@@ -65,12 +66,15 @@ class ArrivalPlanner:
         self._scale = state_scale(2 * len(model.mass))
 
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
-        """Predict the motion at 0 V and the responses to voltages, and store both for `plan` and `gain`.
+        """Predict the motion at 0 V and the response to voltages, and store both for `plan` and `gain`.
+
+        Call it in every control period before these methods; the prediction reaches to the end of the longest plan.
 
         Args:
             matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
                 (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n).
-            error: State minus goal state: belt travel of the n coordinates and its velocity, m and m/s, shape (B, 2 n).
+            error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
+                its velocity, m and m/s, shape (B, 2 n).
             force: Force on each coordinate until the tool arrives, for example friction, N, shape (B, n).
         """
         scale = self._scale
@@ -88,14 +92,16 @@ class ArrivalPlanner:
         self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
 
     def plan(self, arrival: Indices) -> ArrivalPlan:
-        """Compute the voltages that bring the tool to its goal by the end of period K, after a call of `predict`.
+        """Compute the voltages that bring the tool to its goal by the end of period K and keep it there.
+
+        The motion starts from the state that was passed to `predict`.
 
         Args:
             arrival: Number K of periods until the arrival, 1 or more, shape (B,).
 
         Returns:
-            Voltages, V, shape (B, periods, drives), and the largest distance of the tool from its goal after period K,
-            m, shape (B,), which is large if the tool cannot arrive so early.
+            Motor voltages within the rated ones, V, shape (B, periods, drives), and the largest predicted distance of
+            the tool from its goal after period K, m, shape (B,), which is large if the tool cannot arrive so early.
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].
@@ -115,7 +121,8 @@ class ArrivalPlanner:
             arrival: Number K of periods until the arrival, shape (B,).
 
         Returns:
-            Gains on belt travel and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).
+            Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n);
+            0 for a voltage at its limit.
         """
         R, c = self._residuals(arrival)
         free = np.abs(_least_squares_within_limits(R, c)) < 1.0  # voltages that are not at their limits
@@ -207,12 +214,12 @@ class PlanSimulation:
         """Simulate the machines with given voltages and return the positions of their tools.
 
         Args:
-            state: Belt travel of n coordinates and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle) of n coordinates and its velocity, m and m/s, shape (B, 2 n).
             parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
             volts: Commanded voltages of each period, V, shape (B, periods, drives).
 
         Returns:
-            Tool positions at SAMPLES equidistant times per period, its end included, m, shape (B, samples, axes).
+            Tool positions at SAMPLES = 4 equidistant times per period, its end included, m, shape (B, samples, axes).
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
         positions = rollout(
@@ -221,7 +228,7 @@ class PlanSimulation:
             np.concatenate([inputs, inputs[:, -1:]], axis=1),
             parameters=parameters,
             start=state / np.tile(self._model.machine.travel_per_unit, 2),
-            longest_step=INTEGRATION_STEP,
+            longest_step=SIMULATION_STEP_S,
             parallel=False,
         )
         return np.asarray(positions[:, 1:, self._model.tool])
@@ -231,8 +238,11 @@ class PlanSimulation:
     ) -> Array:
         """Choose the plan whose tool stays closest to its goal after period K, and improve it by simulations.
 
+        Gauss-Newton iterations with finite differences reduce the tool's distances from the goal after period K.
+
         Args:
-            state: Belt travel of n coordinates and its velocity, m and m/s, shape (B, 2 n).
+            state: Belt travel (radius * angle) of n coordinates of B machines and its velocity, m and m/s, shape
+                (B, 2 n).
             parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
             goal: Tool goals, m, shape (B, axes).
             plans: Commanded voltages of each period, V, each of shape (B, periods, drives).

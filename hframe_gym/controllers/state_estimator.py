@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..dynamics import rollout
 from ..errors import InputError
 from ..machine import Machine
-from .base import EpisodeStarts, Mask, check_period
+from .base import SIMULATION_STEP_S, EpisodeStarts, Mask, check_period
 from .estimation_model import AugmentedParameters, MeasurementModel
 from .input_compensation import DeadTime
 from .motion_model import MotionModel
@@ -46,7 +46,6 @@ LARGEST_INFLATION = 1e4  # of variances, per period
 LARGEST_STD = (0.1, 1.0)
 # Smallest distance of the points (m, m/s, logarithm) at which differences of doubles still give a slope.
 SMALLEST_STD = (1e-8, 1e-6, 1e-5)
-LONGEST_STEP_S = 0.5e-3  # s, of the simulator, as in the environment: short against the belt modes' periods
 
 
 class StateEstimator:
@@ -77,9 +76,9 @@ class StateEstimator:
         self.channels = self.measurements.channels
         self._dead_time = DeadTime(machine, period)
         # The delay line applies the dead time, and the measurement equation the effects of the sensors.
-        prompt = self._dead_time.machine_without_delay
-        remaining_effects = tuple(e for e in prompt.effects if e.definition.site != "sensor")
-        self._simulated = dataclasses.replace(prompt, effects=remaining_effects)
+        machine_without_delay = self._dead_time.machine_without_delay
+        remaining_effects = tuple(e for e in machine_without_delay.effects if e.definition.site != "sensor")
+        self._simulated = dataclasses.replace(machine_without_delay, effects=remaining_effects)
         self.augmented = AugmentedParameters(self._simulated)
         n, count = len(model.mass), len(self.augmented.names)
         self._scale = np.tile(machine.travel_per_unit, 2)
@@ -114,7 +113,7 @@ class StateEstimator:
         self._starts.reset(mask)
 
     def send(self, volts: Array) -> None:
-        """Record the commanded voltages of the control period that starts now; the next `update` uses them.
+        """Record the commanded voltages of the control period that starts now, from which the next `update` predicts.
 
         Args:
             volts: Commanded voltages of the drives, V, shape (B, drives) for B simulated machines.
@@ -122,7 +121,7 @@ class StateEstimator:
         self._dead_time.send(volts)
 
     def replace_last(self, volts: Array) -> None:
-        """Record the applied voltages, if they differ from those passed to `send` last.
+        """Replace the voltages that were passed to `send` last by those that were applied instead.
 
         Args:
             volts: Applied voltages of the drives, V, shape (B, drives) for B simulated machines.
@@ -185,7 +184,7 @@ class StateEstimator:
             parameters=self.augmented.parameters(flat[:, width:]),
             start=flat[:, :width] / self._scale,
             velocities=True,
-            longest_step=LONGEST_STEP_S,
+            longest_step=SIMULATION_STEP_S,
         )
         points[:, :, :width] = (states[:, -1] * self._scale).reshape(batch, count, width)
         points[:, :, width:] *= self._keep

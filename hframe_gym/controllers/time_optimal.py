@@ -53,7 +53,7 @@ IPOPT_OPTIONS: dict[str, Any] = {
 INITIAL_GUESSES = (1.0, 1.6, 0.8)  # of T, in times of the rigid stage; tried in turn until one converges
 PER_PERIOD = 4  # collocation intervals of a control period with held voltages
 LATEST_PERIODS = 4  # periods in which a motion with held voltages is sought
-HELD_GUESSES = (1.0,)
+HELD_GUESSES = (1.0,)  # one attempt, because the guess does not depend on the estimated time
 SHORTEST_PART_S = 1e-4  # s, least distance of the entry from the ends of its period
 AT_START_S = 2e-4  # s after the start of the period, within which the entry counts as at its start
 
@@ -180,7 +180,7 @@ class TimeOptimalReach:
         parameters: ArrayLike | None = None,
         guesses: Sequence[float] = INITIAL_GUESSES,
     ) -> TimeOptimalMotion:
-        """Compute the time-optimal motion from rest with unstretched belts into the band around the goal.
+        """Compute the time-optimal motion from rest with unstretched belts into the band (`band`) around the goal.
 
         Args:
             start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
@@ -268,7 +268,7 @@ class HeldVoltageReach:
     def solve(
         self, start: ArrayLike, goal: ArrayLike, parameters: ArrayLike | None, free_s: float
     ) -> TimeOptimalMotion:
-        """Compute the time-optimal motion for voltages that are constant over each control period.
+        """Compute the time-optimal motion into the band around the goal, with voltages held over each control period.
 
         Args:
             start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
@@ -280,7 +280,7 @@ class HeldVoltageReach:
 
         Returns:
             Duration, s, and commanded voltages, V, shape (intervals, drives), for the intervals between `edges_s`. The
-            attribute `solved` is False if no motion was found in `LATEST_PERIODS` control periods.
+            attribute `solved` is False if no motion arrives in the period of the time `free_s` or in the next three.
         """
         first = max(1, int(np.ceil(free_s / self.period)))
         for last in range(first, first + LATEST_PERIODS):
@@ -332,7 +332,7 @@ class _HeldProblem(TimeOptimalReach):
         return k % PER_PERIOD != 0 or k == self._last * PER_PERIOD
 
     def _guess(self, start: Array, goal: Array, time_s: float) -> Array:
-        """Return an initial guess with T in the middle of its period; `time_s` selects how fast the guess moves."""
+        """Return an initial guess with T in the middle of its period, which `time_s` therefore does not change."""
         if self.warm_start is not None:
             return self.warm_start
         guess = super()._guess(start, goal, self._window[1])

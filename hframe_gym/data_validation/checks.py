@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
-from ..identification.initial_rest import InitialRest, initial_rest, without_moving_start
+from ..identification.initial_rest import InitialRest, initial_rest, peak_to_peak, without_moving_start
+from ..identification.sensor_properties import MIN_RESTING_ROWS
 from ..machine import Machine
 from ..recordings import Recording, only_measurements, without_repetitions
-from .excitation import check_excitation, constant_inputs
+from .excitation import TOP_PERCENTILE, check_excitation, constant_inputs
 from .findings import Finding, Severity
 from .identifiability import check_parameters
 from .sampling import check_sampling, overlapping_clocks, sampling_rate, slow_sensors, times_in_milliseconds
-from .stuck_outputs import stuck_outputs
+from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
 
 Array = NDArray[np.float64]
@@ -24,8 +25,6 @@ _MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and th
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
 _MOVES = 0.1  # fraction of a channel's span in all runs; a run without input that moves by more has lost its input
 _START_S, _START_SPEED = 0.02, 0.1  # s, and fraction of the top speed; a run that begins faster begins in motion
-_NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations
-_MIN_RESTING_ROWS = 30  # rows of all runs; with fewer, noise is estimated from rows in motion
 _ROUNDED = 1.01  # times the rounding error; a sensor with less noise has none beside it
 _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise is reported as advice
 
@@ -46,9 +45,7 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     """
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
-    cleaned = [only_measurements(recording, machine) for recording in recordings]
-    data = prepare([without_moving_start(recording, machine) for recording in cleaned], machine)
-    moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
+    cleaned, data, moving = _prepared(recordings, machine)
     findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
     findings += _faults_and_advice(recordings, cleaned, data, moving, machine)
     for recording in cleaned:
@@ -79,11 +76,17 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     """
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
+    cleaned, data, moving = _prepared(recordings, machine)
+    findings = _faults_and_advice(recordings, cleaned, data, moving, machine) + constant_inputs(recordings, machine)
+    return _by_severity([finding for finding in findings if finding.severity != "note"])
+
+
+def _prepared(recordings: Sequence[Recording], machine: Machine) -> tuple[list[Recording], Dataset, list[str]]:
+    """Return the runs without outliers, the same runs prepared for a fit, and the names of those that move."""
     cleaned = [only_measurements(recording, machine) for recording in recordings]
     data = prepare([without_moving_start(recording, machine) for recording in cleaned], machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
-    findings = _faults_and_advice(recordings, cleaned, data, moving, machine) + constant_inputs(recordings, machine)
-    return _by_severity([finding for finding in findings if finding.severity != "note"])
+    return cleaned, data, moving
 
 
 def _faults_and_advice(
@@ -98,8 +101,9 @@ def _faults_and_advice(
     The runs are given as recorded, without outliers (`cleaned`), and prepared for a fit (`data`).
     """
     findings = slow_sensors(recordings, machine)
-    for recording, without in zip(recordings, cleaned, strict=True):
-        findings += check_sampling(recording) + _outliers(without_repetitions(recording), without, machine)
+    for recording, cleaned_recording in zip(recordings, cleaned, strict=True):
+        findings += check_sampling(recording)
+        findings += _outliers(without_repetitions(recording), cleaned_recording, machine)
     findings += _motion_without_input(cleaned, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
@@ -116,7 +120,7 @@ def _by_severity(findings: Sequence[Finding]) -> list[Finding]:
 
 def _motion_without_input(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report runs in which the machine moves before the first input, or without any."""
-    spans = _spans(np.concatenate([recording.outputs for recording in recordings]))
+    spans = peak_to_peak(np.concatenate([recording.outputs for recording in recordings]))
     findings = []
     for recording in recordings:
         rest = initial_rest(recording, machine)
@@ -124,7 +128,7 @@ def _motion_without_input(recordings: Sequence[Recording], machine: Machine) -> 
             continue
         names = [channel for channel, moving in zip(machine.output_channels, rest.moving, strict=True) if moving]
         severity: Severity = "advice"
-        if not np.any(recording.inputs) and np.any((_spans(recording.outputs) > _MOVES * spans)[rest.moving]):
+        if not np.any(recording.inputs) and np.any((peak_to_peak(recording.outputs) > _MOVES * spans)[rest.moving]):
             severity = "fault"
         message = _describe_motion(recording, rest, names, machine)
         findings.append(Finding(severity, recording.name, "", message))
@@ -157,11 +161,6 @@ def _describe_motion(recording: Recording, rest: InitialRest, names: Sequence[st
     )
 
 
-def _spans(outputs: Array) -> Array:
-    """Return the peak-to-peak value of each channel, 0 where nothing was measured, shape (sensors,)."""
-    return np.nan_to_num(np.fmax.reduce(outputs) - np.fmin.reduce(outputs))
-
-
 def _short_rest(recording: Recording, data: Dataset, machine: Machine) -> list[Finding]:
     """Report a run that begins in motion, or whose rest is too short for the initial state and the sensors' zeros.
 
@@ -180,8 +179,9 @@ def _short_rest(recording: Recording, data: Dataset, machine: Machine) -> list[F
         return []
     message = (
         f"{rest.rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input: initial state and zeros of the "
+        "encoders are uncertain"
     )
-    return [Finding("advice", recording.name, "", f"{message}encoders are uncertain")]
+    return [Finding("advice", recording.name, "", message)]
 
 
 def _begins_in_motion(recording: Recording, data: Dataset) -> bool:
@@ -190,9 +190,9 @@ def _begins_in_motion(recording: Recording, data: Dataset) -> bool:
     if len(recording.time_s) <= rows:
         return False
     changes = np.abs(recording.outputs[rows:] - recording.outputs[:-rows])
-    top = np.percentile(np.nan_to_num(changes), 99, axis=0)
-    least = np.maximum(_NOISE_SPAN * data.noise, 2 * data.quantum)
-    return bool(np.any(changes[0] > np.maximum(_START_SPEED * top, least)))
+    top = np.percentile(np.nan_to_num(changes), TOP_PERCENTILE, axis=0)
+    without_motion = np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum)
+    return bool(np.any(changes[0] > np.maximum(_START_SPEED * top, without_motion)))
 
 
 def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
@@ -207,7 +207,7 @@ def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
         declared = max(sensor.noise, sensor.resolution / np.sqrt(12))
         message = f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, steps {sensor.resolution:.3g})"
         rounded = noise <= _ROUNDED * quantum / np.sqrt(12)
-        if not sensor.noise and not rounded and sum(run.initial.resting_rows for run in data.runs) < _MIN_RESTING_ROWS:
+        if not sensor.noise and not rounded and sum(run.initial.resting_rows for run in data.runs) < MIN_RESTING_ROWS:
             message += ", estimated during motion: too few rows are at rest"
         severity: Severity = "advice" if 0 < _MORE_NOISE * declared < noise else "note"
         findings.append(Finding(severity, "", sensor.channel, message))
@@ -228,10 +228,7 @@ def _unmeasured_outputs(recording: Recording, machine: Machine) -> list[Finding]
 
 def _moves(recording: Recording, data: Dataset) -> bool:
     """Return whether any channel moves by more than its noise and quantum."""
-    for values, noise, quantum in zip(recording.outputs.T, data.noise, data.quantum, strict=True):
-        if np.isfinite(values).any() and np.nanmax(values) - np.nanmin(values) > max(_NOISE_SPAN * noise, 2 * quantum):
-            return True
-    return False
+    return bool(np.any(peak_to_peak(recording.outputs) > np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum)))
 
 
 def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> list[Finding]:

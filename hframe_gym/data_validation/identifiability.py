@@ -21,11 +21,12 @@ from .findings import Finding, Severity
 
 Array = NDArray[np.float64]
 
-_MAX_ROWS = 20_000  # rows of a run that are simulated
+_MAX_ROWS = 20_000  # rows of a run that are simulated, to limit the time; more would lower the bounds
 _LARGE_STD = 0.1  # relative standard deviation above which a parameter is reported as poorly identifiable
 _INSEPARABLE = 0.98  # correlation above which two parameters are reported as inseparable
 _NO_INFLUENCE = 1e-12  # sensitivity relative to the largest one below which a parameter has no influence
 _SINGULAR = 1e-13  # eigenvalue of the normalized information matrix below which a combination is not determined
+_TINY = 1e-300  # avoids a division by zero, and changes no other value
 
 
 @dataclass(frozen=True)
@@ -107,11 +108,11 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     bounds = _joint_bounds(names, information)
     sums = _inseparable_damping(bounds, machine)
     rows = [i for i, name in enumerate(names) if name not in sums]
-    alone = _joint_bounds([names[i] for i in rows], information[np.ix_(rows, rows)])
-    damping = {bound.name: bound.relative_std for bound in alone}  # with a known back-EMF constant
+    with_known_ke = _joint_bounds([names[i] for i in rows], information[np.ix_(rows, rows)])
+    reported_alone = {bound.name: bound.relative_std for bound in with_known_ke}
     findings = []
     for ke, (viscous, fraction) in sums.items():
-        relative_std = damping.pop(viscous) * fraction
+        relative_std = reported_alone.pop(viscous) * fraction
         message = (
             f"only their sum can be determined, with a standard error of at least {100 * relative_std:.2g} %: viscous "
             "friction and back-EMF brake the motor alike. Neither is needed alone"
@@ -119,7 +120,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         severity: Severity = "advice" if relative_std > _LARGE_STD else "note"
         findings.append(Finding(severity, "", f"{viscous} and {ke}", message))
     for bound in bounds:
-        if bound.name not in damping:
+        if bound.name not in reported_alone:
             continue
         if not np.isfinite(bound.relative_std):
             findings.append(Finding("advice", "", bound.name, "has no influence on these runs"))
@@ -164,7 +165,7 @@ def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direc
 def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBound]:
     """Invert an information matrix (k, k) of relative changes, without the parameters that have no influence."""
     sensitivity = np.sqrt(np.diag(information))
-    influential = sensitivity > _NO_INFLUENCE * max(float(sensitivity.max(initial=0.0)), 1e-300)
+    influential = sensitivity > _NO_INFLUENCE * max(float(sensitivity.max(initial=0.0)), _TINY)
     kept = [name for name, used in zip(names, influential, strict=True) if used]
     scale = sensitivity[influential]
     normalized = information[np.ix_(influential, influential)] / np.outer(scale, scale)
@@ -174,7 +175,7 @@ def _joint_bounds(names: Sequence[str], information: Array) -> list[CramerRaoBou
     std = np.sqrt(np.diag(covariance))
     bounds = {}
     for i, name in enumerate(kept):
-        correlations = covariance[i] / np.maximum(std[i] * std, 1e-300)
+        correlations = covariance[i] / np.maximum(std[i] * std, _TINY)
         correlations[i] = 0.0
         closest = int(np.argmax(np.abs(correlations)))
         partner = kept[closest] if len(kept) > 1 else ""

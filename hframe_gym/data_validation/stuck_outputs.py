@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import stiffness_matrix
-from ..identification.initial_rest import count_resting_rows
+from ..identification.initial_rest import count_resting_rows, peak_to_peak
 from ..machine import Machine
 from ..recordings import Recording, bridge_blanks
 from .findings import Finding, Severity
@@ -20,7 +20,7 @@ _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not st
 _LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
 _MOVES = 0.1  # fraction of a channel's span in the run; a channel that should have moved by less may have been at rest
 _STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
-_NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations
+NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations; about that of 20 000 normally distributed samples
 _MIN_PAIRS, _MAX_EQUAL = 30, 0.01  # successive measurements at rest, and fraction of equal ones, of a noisy sensor
 # Multiple of the declared friction and fraction of the rated force that certainly move a coordinate, and the fraction
 # of an interval in which they act in each direction.
@@ -109,8 +109,9 @@ def _longest_stuck_interval(
         value = float(values[intervals[k, 0]])
         if prediction is not None:
             predicted, weights = prediction
-            allowed = max(_MOVES * _span(predicted), _span_at_rest(recording.inputs[rows], channel, weights, machine))
-            stuck = _span(predicted[rows]) > allowed and _consistent(inside[rows], channel, machine)
+            at_rest = _span_at_rest(recording.inputs[rows], channel, weights, machine)
+            allowed = max(_MOVES * float(peak_to_peak(predicted)), at_rest)
+            stuck = float(peak_to_peak(predicted[rows])) > allowed and _consistent(inside[rows], channel, machine)
         else:
             # An encoder has no end of its range, and nothing else shows whether it should have moved.
             at_end = value in ends and ends[0] < ends[1] and not machine.sensors[channel].incremental
@@ -147,8 +148,8 @@ def _is_driven(inputs: Array, channel: int, machine: Machine) -> bool:
     friction = machine.coordinate(sensor.coordinate).coulomb
     force = sum((machine.drives[j].gain * inputs[:, j] for j in columns), np.zeros(len(inputs)))
     rated = sum(machine.drives[j].gain * machine.drives[j].rated_voltage for j in columns)
-    least = max(_PUSH * friction, _RATED_PUSH * rated)
-    return bool(columns) and bool(min(np.mean(force > least), np.mean(force < -least)) > _MIN_PUSHED)
+    moves = max(_PUSH * friction, _RATED_PUSH * rated)  # force that certainly moves the coordinate
+    return bool(columns) and bool(min(np.mean(force > moves), np.mean(force < -moves)) > _MIN_PUSHED)
 
 
 def _consistent(outputs: Array, channel: int, machine: Machine) -> bool:
@@ -158,11 +159,6 @@ def _consistent(outputs: Array, channel: int, machine: Machine) -> bool:
     complete = np.isfinite(others) | ~np.isfinite(others).any(axis=0)
     first = int(np.argmax(complete.all(axis=1)))
     return rigid_misfit(others - others[first], machine) < _CONSISTENT
-
-
-def _span(values: Array) -> float:
-    """Return the peak-to-peak value of the measured rows, 0 if there are none."""
-    return float(np.nanmax(values) - np.nanmin(values)) if np.isfinite(values).any() else 0.0
 
 
 def _span_at_rest(inputs: Array, channel: int, weights: Array, machine: Machine) -> float:
@@ -182,11 +178,11 @@ def _span_at_rest(inputs: Array, channel: int, weights: Array, machine: Machine)
     stiffness = stiffness_matrix(machine)[index, index]
     stretch_span = abs(sensor.row[sensor.coordinate]) * force_span / stiffness if stiffness else 0.0
     noise = np.array([max(s.noise, s.resolution) for s in machine.sensors])
-    return _STRETCH_MARGIN * stretch_span + _NOISE_SPAN * float(np.linalg.norm(weights * noise))
+    return _STRETCH_MARGIN * stretch_span + NOISE_SPAN * float(np.linalg.norm(weights * noise))
 
 
 def _others_move(recording: Recording, channel: int, rows: slice) -> bool:
     """Return whether any other output moves in an interval by a fraction of its span in the run."""
-    others = [k for k in range(recording.outputs.shape[1]) if k != channel]
-    spans = [(_span(recording.outputs[rows, k]), _span(recording.outputs[:, k])) for k in others]
-    return any(in_interval > _MOVES * in_run > 0 for in_interval, in_run in spans)
+    others = np.delete(recording.outputs, channel, axis=1)
+    in_interval, in_run = peak_to_peak(others[rows]), peak_to_peak(others)
+    return bool(np.any((in_interval > _MOVES * in_run) & (in_run > 0.0)))

@@ -34,15 +34,12 @@ class InitialRest(NamedTuple):
         first: First row at rest; larger than 0 if the machine still moves when the run begins and settles before the
             first input.
         rows: Number of rows up to the end of the rest, those before `first` included; 1 if only the first row counts.
-        without_input: Number of rows at the beginning in which all inputs are 0, and the row in which one first
-            changes; 1 if an input is not 0 in the first row.
         moving: True for each sensor that moves in these rows, shape (sensors,).
         lead_s: Time by which motion begins before the first input at the latest, s; 0 if it does not.
     """
 
     first: int
     rows: int
-    without_input: int
     moving: NDArray[np.bool_]
     lead_s: float = 0.0
 
@@ -65,7 +62,7 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
         of shape (sensors,)), and the time by which a motion precedes the input, s.
     """
     rows = _rows_without_input(recording)
-    rest = InitialRest(0, rows, rows, np.zeros(recording.outputs.shape[1], np.bool_))
+    rest = InitialRest(0, rows, np.zeros(recording.outputs.shape[1], np.bool_))
     if rows < _MIN_ROWS:
         return rest
     outputs = recording.outputs[:rows]
@@ -77,9 +74,8 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     settles, settling = _departure(medians[::-1], quarter, tolerance)  # as seen from the end
     departs, departing = _departure(medians, min(quarter, _STILL_BLOCKS), tolerance)
     moving = settling | departing
-    ranges = _ranges(medians)
     if not moving.any():  # motion that neither begins nor ceases, unless it is so small that it may be slow noise
-        moving = ranges > np.maximum(tolerance, _SLOW_NOISE_SPAN * span)
+        moving = peak_to_peak(medians) > np.maximum(tolerance, _SLOW_NOISE_SPAN * span)
         return rest._replace(rows=1, moving=moving) if moving.any() else rest
     driven = rows < len(recording.time_s)
     if settles and (driven or not departs):
@@ -174,10 +170,10 @@ def _departure(medians: Array, count: int, tolerance: Array) -> tuple[int, NDArr
         and a mask of the channels that depart, shape (sensors,).
     """
     reference = medians[:count]
-    still = _ranges(reference)
-    quiet = still <= tolerance
+    variation = peak_to_peak(reference)
+    quiet = variation <= tolerance
     center = np.fmin.reduce(reference) / 2 + np.fmax.reduce(reference) / 2
-    departed = np.abs(medians - center) > np.maximum(tolerance, _STILL_RANGE * still)  # NaN: not departed
+    departed = np.abs(medians - center) > np.maximum(tolerance, _STILL_RANGE * variation)  # NaN: not departed
     departing = departed.any(axis=0) & quiet
     first = int(np.argmax(departed[:, departing].any(axis=1))) if departing.any() and quiet.all() else 0
     return first, departing
@@ -190,6 +186,13 @@ def _lead(time_s: Array, outputs: Array, still: int, tolerance: Array) -> float:
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])
 
 
-def _ranges(medians: Array) -> Array:
-    """Return the peak-to-peak values of the measured blocks, 0 without any, shape (sensors,)."""
-    return np.nan_to_num(np.fmax.reduce(medians) - np.fmin.reduce(medians))
+def peak_to_peak(outputs: Array) -> Array:
+    """Compute the difference between the largest and the smallest measurement of each channel.
+
+    Args:
+        outputs: Measurements, in the sensors' units, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
+
+    Returns:
+        Differences in the same units, 0 where nothing was measured, shape (sensors,), or a scalar for one sensor.
+    """
+    return np.nan_to_num(np.fmax.reduce(outputs) - np.fmin.reduce(outputs))

@@ -25,7 +25,7 @@ Range = tuple[float, float]
 
 UNLIMITED = 10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
 _MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
-_MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
+MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
 
 
 def quantum_of(values: Array) -> float:
@@ -91,7 +91,7 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
             rows += len(at_rest) - 3
     rounding = quantum / np.sqrt(12)
     # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
-    if rows >= _MIN_RESTING_ROWS:
+    if rows >= MIN_RESTING_ROWS:
         return max(float(np.sqrt(squares / rows)), rounding) or declared or difference_noise(channel)
     return max(rounding, declared or difference_noise(channel))
 

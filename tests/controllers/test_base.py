@@ -16,6 +16,8 @@ from hframe_gym.controllers import (
     StateEstimator,
     TextbookPID,
 )
+from hframe_gym.controllers.base import SIMULATION_STEP_S
+from hframe_gym.envs.config import LONGEST_STEP
 from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine
 
@@ -24,6 +26,10 @@ def test_shipped_controllers_are_registered() -> None:
     assert CONTROLLERS.get("pid") is ModelBasedController
     assert CONTROLLERS.get("adaptive-pid") is AdaptiveController
     assert CONTROLLERS.get("textbook-pid") is TextbookPID
+
+
+def test_controllers_simulate_with_the_step_of_the_environments() -> None:
+    assert SIMULATION_STEP_S == LONGEST_STEP
 
 
 @pytest.mark.parametrize("period", [0.0, -0.01, np.inf, np.nan])
