@@ -95,6 +95,7 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
 
     In each motion one linear coordinate leads, and others follow so that all belts keep their length: the pulleys, or
     in a machine without pulleys the other carriages. In a machine without belts each coordinate moves alone.
+    Coordinates that a spring holds, such as the yaw of a bridge, do not move.
 
     Args:
         machine: Machine with its coordinates and belts.
@@ -105,15 +106,17 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
         move without stretching a belt.
     """
     count = len(machine.coordinates)
+    movable = [i for i, name in enumerate(machine.coordinate_names) if name not in machine.spring_loaded]
     if not machine.belts:
-        return {name: np.eye(count)[i] for i, name in enumerate(machine.coordinate_names)}
+        return {machine.coordinate_names[i]: np.eye(count)[i] for i in movable}
     G = machine.belt_matrix  # extension of each belt per unit of each coordinate, (belts, coordinates)
-    rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary"]
+    rotary = [i for i in movable if machine.coordinates[i].kind == "rotary"]
     motions: dict[str, Array] = {}
-    for index, coordinate in enumerate(machine.coordinates):
+    for index in movable:
+        coordinate = machine.coordinates[index]
         if coordinate.kind == "linear":
             motion = np.eye(count)[index]  # 1 for the leading coordinate, 0 for carriages that do not follow
-            followers = rotary or [i for i in range(count) if i != index]
+            followers = rotary or [i for i in movable if i != index]
             motion[followers] = np.linalg.lstsq(G[:, followers], -G[:, index], rcond=None)[0]
             led = any(abs(earlier[index]) > _RIGID_EXTENSION for earlier in motions.values())
             if np.max(np.abs(G @ motion)) < _RIGID_EXTENSION and not led:

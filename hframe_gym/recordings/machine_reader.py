@@ -344,7 +344,7 @@ def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
             reason = f"the section would be {shortest:.3g} m long at an end of the coordinates' ranges"
             doubts.append((f"belts.{belt.name}.rest_length", f"{reason}: correct rest_length, length or the ranges"))
     for index, c in enumerate(machine.coordinates):
-        if c.kind == "linear" and not moving[index]:
+        if c.kind == "linear" and not moving[index] and c.name not in machine.spring_loaded:
             reason = "cannot move without stretching a belt: check the signs of the factors in `extension`"
             doubts.append((f"coordinates.{c.name}", reason))
     return doubts

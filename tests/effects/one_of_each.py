@@ -74,6 +74,12 @@ _CASES = (
         {"dF": 3.0, "vs": 0.04},
         {"stribeck_force": _x(3.0), "stribeck_velocity": (0.04,) * 4},
     ),
+    Case(
+        "tustin_friction",
+        "x",
+        {"dF": 2.5, "vs": 0.05},
+        {"stribeck_force": _x(2.5), "stribeck_velocity": (0.05,) * 4, "stribeck_exponent": (1.0,) * 4},
+    ),
     Case("constant_force", "phi1", {"size": 0.03}, {"constant_force": _turned(0.03)}),
     Case("asymmetric_viscous", "phi1", {"a": -0.4}, {"viscous_asymmetry": _turned(-0.4)}),
     Case("quadratic_drag", "x", {"c": 40.0}, {"quadratic_drag": _x(40.0)}),

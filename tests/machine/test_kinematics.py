@@ -52,3 +52,12 @@ def test_a_spring_loaded_coordinate_is_zero_at_rest(hframe: Machine) -> None:
     yawing = hframe.with_effects(EFFECTS["bridge_yaw"].at("machine", J=0.1, k=2e3, c=1.0, w=0.25))
     assert yawing.spring_loaded == ("yaw",)
     assert rest_state(yawing, (0.1, -0.05))[yawing.coordinate_names.index("yaw")] == 0.0
+
+
+def test_a_spring_loaded_coordinate_has_no_part_in_rigid_motions(hframe: Machine) -> None:
+    """With the yaw of a bridge, the motions along x and y remain those of the pulleys."""
+    yawing = hframe.with_effects(EFFECTS["bridge_yaw"].at("machine", J=0.1, k=2e3, c=1.0, w=0.25))
+    motions = rigid_motions(yawing)
+    assert list(motions) == ["x", "y"]
+    for name, motion in rigid_motions(hframe).items():
+        np.testing.assert_allclose(motions[name], [*motion, 0.0], rtol=1e-12)

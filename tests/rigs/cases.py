@@ -86,6 +86,7 @@ class Case:
 # Sites of each effect of the library: first the most likely one, then others, which occur at full size only.
 SITES: dict[str, tuple[str, ...]] = {
     "stribeck_friction": ("x", "y", "phi1"),
+    "tustin_friction": ("x", "phi1"),
     "constant_force": ("y", "phi2"),
     "voltage_offset": ("motor1",),
     "gain_mismatch": ("motor2",),

@@ -200,10 +200,10 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
     coordinate = partial(change_site, sites=COORDINATES, site=site)
     motor = partial(change_site, sites=MOTORS, site=site)
     match name:
-        case "stribeck_friction":
+        case "stribeck_friction" | "tustin_friction":
             force = size * {"x": 3.0, "y": 0.8, "phi1": 0.03, "phi2": 0.03}[site]
-            speed = _per_kind(site, 0.04, 2.5)
-            build = partial(coordinate, stribeck_force=force, stribeck_velocity=speed)
+            speed, exponent = _per_kind(site, 0.04, 2.5), 1.0 if name == "tustin_friction" else 2.0
+            build = partial(coordinate, stribeck_force=force, stribeck_velocity=speed, stribeck_exponent=exponent)
             return _hidden(name, site, build, {"dF": force, "vs": speed}, forces=("dF",))
         case "constant_force":
             force = size * _per_kind(site, 0.8, 0.02)
