@@ -235,7 +235,7 @@ class RuleSampler:
         return values
 
     def _limited(self, rule: RandomizeParameter, i: int, values: Array) -> Array:
-        """Return the samples (k,) of parameter i, clipped where that is allowed; raise InputError for others outside."""
+        """Return samples (k,) of parameter i, clipped where that is allowed; raise InputError for others outside."""
         if i in self._space.clipped:
             return np.clip(values, self._space.lower[i], self._space.upper[i])
         if not rule.bounded and len(values):  # bounded rules were checked when they were added
