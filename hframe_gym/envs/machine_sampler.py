@@ -88,9 +88,10 @@ def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
     """Return (lower, upper) limits of the parameters of effects and of the `rest_length` of belts, by full name."""
     bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
     for belt in machine.belts:
-        # The unstretched length is rest_length plus the sum of factor * position, which is smallest at a range's end.
-        ends = {c: machine.coordinate(c).range or (0.0, 0.0) for c in belt.length}
-        smallest_change = sum(min(factor * end for end in ends[c]) for c, factor in belt.length.items())
+        # The unstretched length is rest_length plus the sum of factor * belt travel, smallest at the end of a range.
+        coordinates = [(machine.coordinate(name), factor) for name, factor in belt.length.items()]
+        changes = [[f * c.travel_per_unit * end for end in c.range or (0.0, 0.0)] for c, f in coordinates]
+        smallest_change = sum(map(min, changes))
         smallest = SMALLEST_FRACTION * belt.rest_length - smallest_change
         # A tied rest_length is a factor times that of another belt, which must then be large enough for both.
         name = f"{belt.name}.rest_length"
@@ -192,14 +193,13 @@ class RuleSampler:
 
     def _add_identified_rule(self, rule: RandomizeIdentified, machine: Machine) -> None:
         """Add joint samples of the identified parameters; raise InputError if the machine has no covariance."""
-        uncertainty = machine.uncertainty
+        uncertainty, space = machine.uncertainty, self._space
         if uncertainty is None or not uncertainty.names:
             raise InputError(
                 f"randomize: machine {machine.name!r} has no covariance; 'identified' needs a machine.json written by "
                 "`hframe identify`"
             )
-        indices = [self._space.names.index(name) for name in uncertainty.names]
-        space = self._space
+        indices = [space.names.index(name) for name in uncertainty.names]
         nominal, lower, upper = space.nominal[indices], space.lower[indices], space.upper[indices]
         joint = CorrelatedSampler(uncertainty.covariance * rule.widen**2, nominal, lower, upper)
         self._add_step(indices, joint)
