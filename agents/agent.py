@@ -72,10 +72,11 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 def policy_class(kind: str) -> Any:
-    """Return the policy class of a training algorithm that accepts dict observations.
+    """Return the class of the policy that a training algorithm needs for observations with several keys (dict).
 
     Args:
-        kind: Algorithm of a recipe, for example "sac". The analytic policy gradient uses the policy of PPO.
+        kind: Algorithm of a recipe: "ppo", "sac", "tqc", "crossq", or "apg" (analytic policy gradient), which uses the
+            policy of PPO.
 
     Returns:
         Policy class of stable-baselines3 or sb3-contrib.
@@ -116,8 +117,8 @@ class Agent(Controller):
 
         Args:
             observation: Arrays by key as the environment returns them (`observation`, `desired_goal` and, for a moving
-                goal, `preview`), each of shape (batch, entries of the key) for a batch of environments, m, rad, m/s and
-                rad/s.
+                goal, the next goals `preview`), each of shape (batch, entries of the key) for a batch of environments,
+                m, rad, m/s and rad/s.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
@@ -144,7 +145,9 @@ class Agent(Controller):
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Record the applied actions, if they differ from those that `act` returned last.
+        """Replace the stored last action, for a caller that applied other actions than those that `act` returned.
+
+        The policy may observe the last action in the next period.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
@@ -185,9 +188,10 @@ class Agent(Controller):
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def save(self, folder: str | Path) -> None:
-        """Write weights, description and machine to policy.safetensors, agent.json and machine.json.
+        """Write the agent to a folder, from which `load` reads it.
 
-        The three files are replaced together when they are complete.
+        The files are policy.safetensors (weights), agent.json (how to build the policy) and machine.json (machine of
+        the training). They are replaced together when all three are complete.
 
         Args:
             folder: Folder for the files, which is created if necessary.

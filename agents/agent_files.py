@@ -99,7 +99,9 @@ class _Card(_Table):
 
 
 def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, Any]:
-    """Read agent.json and check it; also check that the folder holds all files of an agent.
+    """Read agent.json, which says how to build the policy of an agent, and check its values.
+
+    Also check that the folder holds all files of an agent.
 
     Args:
         folder: Folder of the agent.
@@ -132,12 +134,13 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
 
 
 def sign_checkpoint(path: Path) -> None:
-    """Append the signature of this installation to a file, so that `refuse_unsigned` accepts it.
+    """Append a signature to a checkpoint, by which `refuse_unsigned` recognizes the files of this installation.
 
-    If the secret key cannot be stored, because its folder is read-only, the file is not changed.
+    The signature is a keyed hash (HMAC-SHA256) of the file with a secret key of this installation. If the key cannot be
+    stored, because its folder is read-only, the file is not changed.
 
     Args:
-        path: Complete file; a pickle or a zip archive, which may have further bytes at its end.
+        path: Complete file; a pickle or a zip archive, because both can be loaded with further bytes at their end.
 
     Raises:
         OSError: If the file cannot be written.
@@ -152,7 +155,9 @@ def sign_checkpoint(path: Path) -> None:
 
 
 def refuse_unsigned(path: Path) -> None:
-    """Raise an error unless this installation wrote a file; for files whose loading executes code.
+    """Raise an error unless this installation wrote a checkpoint and nothing has changed it since.
+
+    Call it before a checkpoint is loaded, because loading executes code that the file contains.
 
     Args:
         path: File that `sign_checkpoint` signed.
@@ -177,7 +182,7 @@ def refuse_unsigned(path: Path) -> None:
 
 
 def key_file() -> Path:
-    """Return the path of the file with the secret key that signs the checkpoints of this installation.
+    """Return the path of the file with the secret key with which `sign_checkpoint` signs checkpoints.
 
     Returns:
         checkpoint.key in `$XDG_DATA_HOME/hframe_gym`, by default in ~/.local/share/hframe_gym.

@@ -120,7 +120,7 @@ class AnalyticPolicyGradient:
         self.generators = (self._generator, self._period.generator)
 
     def set_logger(self, logger: Any) -> None:
-        """Set the attribute `logger`, as training runs of stable-baselines3 do.
+        """Set the attribute `logger`, to which the caller writes scores, as with stable-baselines3.
 
         Args:
             logger: Logger of stable-baselines3.
@@ -128,14 +128,14 @@ class AnalyticPolicyGradient:
         self.logger = logger
 
     def learn(self, total_timesteps: int, callback: BaseCallback, reset_num_timesteps: bool = False) -> None:
-        """Train the policy for a number of environment steps, rounded up to complete updates.
+        """Train the policy for a number of further environment steps, rounded up to complete updates.
 
         An update simulates one episode in every environment and changes the weights once.
 
         Args:
-            total_timesteps: Number of environment steps, summed over all environments.
-            callback: Callback of stable-baselines3. Its methods for the start of a rollout and for a step are called
-                before and after each update.
+            total_timesteps: Number of further environment steps, summed over all environments.
+            callback: Callback of stable-baselines3. Its `on_rollout_start` is called before each update, its `on_step`
+                after it.
             reset_num_timesteps: Whether to set the attribute `num_timesteps` to zero first.
         """
         if reset_num_timesteps:

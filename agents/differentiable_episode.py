@@ -77,12 +77,14 @@ class SimulatedPeriod:
         Args:
             state: Belt travel (radius * angle if rotary) of n coordinates and its rate, m and m/s, shape (B, 2 n).
             volts: Voltages of the drives, V, shape (B, d).
-            last_volts: Voltages of the period before, V, shape (B, d); they act during a dead time only.
+            last_volts: Voltages of the period before, V, shape (B, d); they still act until a dead time has passed, and
+                have no influence without one.
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
             State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES equally spaced
-            times, the last of which is the end; shape (B, 2 n + axes * SAMPLES).
+            times, the last of which is the end (all axes of a time before those of the next); shape (B, 2 n + axes *
+            SAMPLES).
         """
         applied = np.repeat(volts[:, None], len(self._time_s), axis=1)
         if self.delayed:
@@ -101,9 +103,9 @@ class SimulatedPeriod:
         return np.hstack([states[:, -1] * self._units, tool.reshape(len(state), -1)])
 
     def differences(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> tuple[Array, Array]:
-        """Simulate one control period and estimate its derivatives by finite differences.
+        """Simulate one control period and estimate the derivatives of its result by finite differences.
 
-        For the differences, the simulation is repeated with one entry of state or voltages changed by a random step.
+        For each derivative the simulation is repeated with one entry of state or voltages changed by a random step.
 
         Args:
             state: As for `outputs`, shape (B, 2 n).
@@ -241,7 +243,7 @@ def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
 
     Args:
         tool: Tool positions within the period, m, shape (B, SAMPLES, axes); the last is its end.
-        references: Paths and goals; their present time is the end of the period.
+        references: Paths and goals of the B environments; their present time must be the end of the period.
 
     Returns:
         Two columns: mean squared distance to the path over the samples of the period, and squared distance to the goal

@@ -76,9 +76,10 @@ OBSERVATION_KEYS = (
 def feature_parameters(
     machine: Machine, period: float = 0.01, transfers: Sequence[int] = (), preview: int = 0
 ) -> dict[str, Any]:
-    """Compute what `feature_matrix` needs to know about a machine, as its keyword arguments.
+    """Compute the keyword arguments of `feature_matrix` that depend on the machine: kinematics and controller gains.
 
-    Voltages of model-based controllers can be features, too. They are linear in the observation.
+    Features are the inputs of a policy network. The voltages of model-based controllers, which are linear in the
+    observation, can be among them.
 
     Args:
         machine: Machine with a workspace.
@@ -154,7 +155,9 @@ def _as_lists(**gains: Array) -> dict[str, Any]:
 def feature_matrix(
     sizes: Mapping[str, int], radii: Array, rest: Array, gains: Mapping[str, Array] | None = None
 ) -> tuple[Array, Array]:
-    """Build the matrix M and the factors g of the features g * sign(z M) * log(1 + |z M|) of an observation z.
+    """Build the matrix M and the factors g of the inputs of a policy network, g * sign(z M) * log(1 + |z M|).
+
+    z is an observation, all its arrays joined. A network resolves such inputs (features) from meters to micrometers.
 
     Args:
         sizes: Number of entries of each array of the observation, by key, in the order in which z joins them.
@@ -232,8 +235,8 @@ class FeedbackLaws(NamedTuple):
 
     Attributes:
         volts: Voltages divided by the rated voltages, not limited, shape (batch, K, drives).
-        gains: Derivatives of the voltages by the full-state observation, per unit of an entry (m, rad, m/s or rad/s),
-            shape (batch, K, drives, entries).
+        gains: Derivatives of the voltages with respect to the entries of the full-state observation, per m, rad, m/s or
+            rad/s, shape (batch, K, drives, entries).
     """
 
     volts: Array
@@ -279,13 +282,14 @@ class TransferBank:
     def laws(
         self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
     ) -> FeedbackLaws:
-        """Compute the voltages of the first period of every transfer from the present state to the goal.
+        """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
-            last_action: Voltages of the period before, shape (batch, drives); not used, see `PlanBank`.
-            estimates: Estimates of the parameters, shape (batch, size); not used, see `PlanBank`.
+            last_action: Actions of the period before, shape (batch, drives). Not used: only `PlanBank.laws`, which is
+                called with the same arguments, needs them and the estimates.
+            estimates: Estimated parameters, shape (batch, number of estimates). Not used.
 
         Returns:
             `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
@@ -319,13 +323,14 @@ class PlanBank:
     def laws(
         self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
     ) -> FeedbackLaws:
-        """Compute the voltages of the first period of every transfer from the present state to the goal.
+        """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
-            estimates: Estimates of the parameters by the estimator, shape (batch, size of the estimates).
+            estimates: Attribute `estimates` of the estimator: logarithms of the ratios of actual to declared values,
+                dimensionless, shape (batch, number of estimates).
 
         Returns:
             `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.

@@ -47,7 +47,8 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        Costs of the B episodes as `episode_costs` returns them, s or mm, shape (B,), and the row of scores:
+        The attribute `costs` holds the result of `episode_costs`, s or mm, shape (B,) for B episodes, and `row` these
+        scores by name:
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the task's band, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, for the name of each band in `BANDS`.

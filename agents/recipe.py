@@ -74,9 +74,9 @@ class Recipe:
 
     @property
     def algorithm_keywords(self) -> dict[str, Any]:
-        """Keyword arguments of the stable-baselines3 algorithm.
+        """Keyword arguments of the training algorithm's class: the entries of `algorithm`.
 
-        They are the entries of `algorithm`, with a `LinearSchedule` in place of every pair of rates [first, last].
+        Every pair [first, last] becomes a `LinearSchedule`, a rate that changes linearly from first to last in the run.
         """
         return {k: LinearSchedule(*v) if isinstance(v, list) else v for k, v in self.algorithm.items()}
 

@@ -68,9 +68,9 @@ class Authority:
         return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
 
     def held(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the last action that the new action contains, besides the policy's output.
+        """Compute the fraction of the last action that is kept (held), and to which the policy's output is added.
 
-        Near the goal it makes the policy an integrator, which can overcome friction.
+        Near the goal, where it approaches 1, the policy thus acts as an integrator, which can overcome static friction.
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
@@ -152,7 +152,7 @@ class ResidualAction:
         """Build the space of the policy's outputs.
 
         Returns:
-            Box from -1 to 1: one entry for each drive, then one for the weight of each feedback law in `bank`, if any.
+            Box from -1 to 1: one entry for each drive; with a `bank`, then one for the weight of each of its transfers.
         """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
@@ -235,11 +235,13 @@ class ResidualAction:
             last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
                 batch of environments.
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
-            base_action: Action of the base controller, which the policy corrects, shape (batch, drives); only with a
-                base controller.
-            expected_friction: Attribute of the base controller, shape (batch, size); only of an `AdaptiveController`.
-            estimates: Attribute of an adaptive or predictive base controller, or estimates of a `ParameterFilter` if
-                the constructor's argument `estimates` is True; shape (batch, size).
+            base_action: Action of the base controller, which the policy corrects, as a fraction of the rated voltages,
+                shape (batch, drives); only with a base controller.
+            expected_friction: Voltages against friction ahead on the path, as fractions of the rated voltages, shape
+                (batch, size); only with an `AdaptiveController` as base, whose attribute it is.
+            estimates: Estimated deviations of friction, masses and belts from the model, dimensionless (0.1: about 10 %
+                above), shape (batch, size): the attribute of an adaptive or predictive base, which documents the
+                columns, or of a `ParameterFilter` if the constructor's argument `estimates` is True.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_observation, "last_action": self._last_action}
         if self.base:
@@ -271,11 +273,11 @@ class ResidualAction:
     def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, laws: Any = None) -> Any:
         """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
 
-        It works on arrays and on torch tensors, so that training can differentiate it. A feedback law is the first
+        It works on arrays and on torch tensors, so that training can differentiate it. A feedback law gives the first
         voltage of a motion to rest at the goal; the policy can weight those of several motions.
 
         Args:
-            output: Policy outputs, shape (batch, drives); with K transfers (batch, drives + K), weights last.
+            output: Policy outputs, shape (batch, drives); with K laws (batch, drives + K), those for the weights last.
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
             last_action: Actions of the previous period, shape (batch, drives).
@@ -283,9 +285,10 @@ class ResidualAction:
                 Default: no laws.
 
         Returns:
-            held * last action + authority * output + weighted mean of the laws' voltages, each limited to
-            LARGEST_WEIGHTED, with `held` and authority as `Authority` computes them; divided by the rated voltages, of
-            the type of `output`, shape (batch, drives).
+            held * last action + authority * output + weighted mean of the laws' voltages, as fractions of the rated
+            voltages, of the type of `output`, shape (batch, drives). `Authority` computes `held` and authority. The
+            last action is limited to +-LARGEST_HELD and each law to +-LARGEST_WEIGHTED; weights increase exponentially
+            with their outputs.
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         action = held + self.authority(distance, speed) * output[:, : self._drives]
@@ -297,9 +300,9 @@ class ResidualAction:
         return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
-        """Record the applied actions, if they differ from those that `action` returned last.
+        """Replace the stored last action, for a caller that applied other actions than those that `action` returned.
 
-        The next observation contains them, and the base controller receives them.
+        The next observation of the policy contains it, and the base controller receives it.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
@@ -322,6 +325,7 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
         Conversion of policy outputs to actions. None if `settings` is empty: the outputs are then the actions.
 
     Raises:
-        InputError: If no controller is registered under the name of the base.
+        InputError: If no controller is registered under the name of the base, or there are plans without estimates or
+            beside transfers.
     """
     return ResidualAction(machine, period, **settings) if settings else None

@@ -67,7 +67,7 @@ def train(
     randomize: str | None = None,
     trust: bool = False,
 ) -> dict[str, Any]:
-    """Train an agent by a recipe (settings of a training run) and write the best one to a folder.
+    """Train an agent by a recipe (settings of a training run) and write it, as of its best evaluation, to a folder.
 
     The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
     with the same number of steps gives the agent of an uninterrupted one, bit for bit; only times and logs differ.

@@ -264,7 +264,7 @@ class BatchedSimulator:
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def tool_product(self, name: str) -> tuple[int, int]:
-        """Find the two coordinates whose product is added to an axis of the tool position.
+        """Find the two coordinates whose product a machine adds to the position of the tool along an axis, if any.
 
         For example, the tool position is x + yaw * y if the bridge can yaw; the coordinates are then yaw and y.
 

@@ -69,8 +69,9 @@ class EnvConfig:
             limit 12 A), "machine" (the converters that the machine declares), or `Actuators(...)`. Dead times and
             current limits that the machine has as effects act in any case.
         privileged: Whether the observation also has the true state and the randomized parameters, for a critic.
-        normalize: Whether observations and goals are divided by the scales of `env.unwrapped.entries`, so that every
-            entry is about -1 to 1, as learning libraries with default hyperparameters need it.
+        normalize: Whether observations and goals are (value - center) / scale, with center and scale of
+            `env.unwrapped.entries`, so that every entry is about -1 to 1, as learning libraries with default
+            hyperparameters need it.
         flat: Whether the observation is one array instead of a dict of arrays.
         ends: What happens at the workspace's edge: "stops" (rubber buffers stop the tool) or "terminate" (the episode
             ends and `penalty` is subtracted from the reward).

@@ -42,8 +42,8 @@ class Distribution(Protocol):
     def bounded(self) -> bool:
         """Whether the distribution has a finite smallest and largest value.
 
-        If so, the limits of the randomized parameters are checked once, when the environment is made. Otherwise every
-        sample is checked.
+        If so, an environment checks once, when it is made, that samples stay within the limits of the parameters.
+        Otherwise it checks every sample.
         """
 
     def quantile(self, u: Array) -> Array:
@@ -206,7 +206,7 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles of the rule's distribution; uniform random numbers u give random samples.
+        """Compute quantiles of the rule's distribution; for uniform random numbers u they are random samples.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).

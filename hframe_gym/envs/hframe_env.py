@@ -39,9 +39,9 @@ class BatchProperties:
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit, bounds, center and scale of every entry of `privileged`; empty unless `privileged=True`.
+        """Name, unit, bounds, center and scale of every entry of `privileged`, the observation array for a critic.
 
-        The entries are the true state and then the randomized parameters.
+        The entries are the true state and then the randomized parameters. Empty unless `privileged=True`.
         """
         return self.batch.observations.privileged
 
@@ -138,7 +138,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     | `sensors` | `"state"` | `"state"`, `"rig"`, `"machine"`, `Sensors(...)` |
     | `drives` | `"ideal"` | `"ideal"`, `"rig"`, `"machine"`, `Actuators(...)` |
     | `privileged` | `False` | whether the observation has `privileged` |
-    | `normalize` | `False` | whether observations and goals are divided by the scales in `entries` |
+    | `normalize` | `False` | whether observations and goals are (value - center) / scale, as `entries` states them |
     | `flat` | `False` | whether the observation is one array |
     | `ends` | `"stops"` | `"stops"`, `"terminate"` |
     | `penalty` | 100 | see Rewards |
@@ -307,7 +307,7 @@ class HFrameTrackEnv(HFrameEnv):
 
 
 def require_path(batch: EnvironmentBatch) -> None:
-    """Check that a task has a path (its `metrics` is "track"), as the id `HFrameTrack-v0` requires.
+    """Check that the goal of a task moves along a path (its `metrics` is "track"), as `HFrameTrack-v0` requires.
 
     Args:
         batch: Environments with their task.

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import NamedTuple
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -27,6 +28,8 @@ from .random_numbers import SMALLEST_UNIFORM, CorrelatedSampler, episode_keys, r
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Keys = NDArray[np.uint64]
+Range = tuple[Array, Array]  # smallest and largest values
+ParameterValues = Mapping[str, float]
 # Smallest fraction of its nominal value to which a parameter that must stay positive can be randomized.
 SMALLEST_FRACTION = 0.05
 MAXIMUM_CONVERTER_BITS = 32.0
@@ -47,16 +50,17 @@ class ParameterSpace:
     clipped: frozenset[int]  # indices of parameters whose samples are clipped to the limits without an error
 
     @classmethod
-    def of(cls, machine: Machine, task_parameters: Mapping[str, float] | None = None) -> ParameterSpace:
-        """Collect the randomizable parameters of a machine and a task, with the limits of their random values.
+    def of(cls, machine: Machine, task_parameters: ParameterValues | None = None) -> ParameterSpace:
+        """Collect the parameters of a machine and a task that can be randomized, with the limits of their values.
 
-        The limits are:
+        The limits, where v is the nominal value, are (without an upper one unless it is stated):
 
-        - friction, noise and converter resolution: not negative;
-        - `rest_length` of a belt, which is its unstretched length at position 0: such that the unstretched length stays
-          above `SMALLEST_FRACTION` of the nominal `rest_length` wherever the carriage is in the workspace;
-        - parameters of effects: the bounds in the definition of the effect;
-        - any other positive parameter: at least `SMALLEST_FRACTION` of its nominal value.
+        - parameters of an effect: the bounds in its definition; `converter_bits`: 0 (not quantized) to 32;
+        - friction (`viscous`, `coulomb`), sensor `noise` and `resolution`: at least 0;
+        - `rest_length` of a belt, its unstretched length at position 0: such that the unstretched length stays above
+          `SMALLEST_FRACTION` * v wherever the carriage is in the workspace;
+        - all others, those of the task included: at least `SMALLEST_FRACTION` * v if v is positive, else (v zero or
+          negative) at least v.
 
         Args:
             machine: Machine without randomization.
@@ -69,47 +73,57 @@ class ParameterSpace:
         values = {**machine.parameters, **machine.device_parameters, **task}
         bounds = _effect_and_belt_bounds(machine)
         bounds |= {name: (0.0, MAXIMUM_CONVERTER_BITS) for name in values if name.endswith(".converter_bits")}
-        lower, upper = [], []
-        for name, value in values.items():
-            may_vanish = name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))
-            smallest = 0.0 if may_vanish else min(SMALLEST_FRACTION * value, value)
-            low, high = bounds.get(name, (smallest, math.inf))
-            lower.append(low)
-            upper.append(high)
-        # Idler pulleys divide a belt into sections of tied lengths. The shortest section can restrict the belt's length
-        # further than a rule that applies to all belts provides for, so these samples are clipped.
+        defaults = {name: min(SMALLEST_FRACTION * value, value) for name, value in values.items()}
+        defaults |= {name: 0.0 for name in values if name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))}
+        lower, upper = np.array([bounds.get(name, (low, math.inf)) for name, low in defaults.items()]).T.copy()
+        # Idler pulleys divide a belt into sections whose lengths are tied to one of them. The shortest section can need
+        # a longer belt than a rule for all belts yields. This is no mistake of the user, so the samples are clipped.
         names = tuple(values)
         clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
         nominal = np.array(list(values.values()), np.float64)
-        limits = np.array(lower), np.array(upper)
-        return cls(machine.name, names, nominal, *limits, frozenset(clipped))
+        return cls(machine.name, names, nominal, lower, upper, frozenset(clipped))
 
 
 def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
-    """Return the bounds of effect parameters, and of belt lengths wherever the carriage can be, by full name."""
+    """Return (lower, upper) limits of the parameters of effects and of the `rest_length` of belts, by full name."""
     bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
     for belt in machine.belts:
-        ranges = {c: machine.coordinate(c).range or (0.0, 0.0) for c in belt.length}
-        shortest = sum(min(factor * end for end in ranges[c]) for c, factor in belt.length.items())
-        free, factor = machine.ties.get(f"{belt.name}.rest_length", (f"{belt.name}.rest_length", 1.0))
-        smallest = (SMALLEST_FRACTION * belt.rest_length - shortest) / factor
-        bounds[free] = (max(smallest, bounds.get(free, (0.0, 0.0))[0]), math.inf)
+        # The unstretched length is rest_length plus the sum of factor * belt travel, smallest at the end of a range.
+        coordinates = [(machine.coordinate(name), factor) for name, factor in belt.length.items()]
+        changes = [[f * c.travel_per_unit * end for end in c.range or (0.0, 0.0)] for c, f in coordinates]
+        smallest_change = sum(map(min, changes))
+        smallest = SMALLEST_FRACTION * belt.rest_length - smallest_change
+        # A tied rest_length is a factor times that of another belt, which must then be large enough for both.
+        name = f"{belt.name}.rest_length"
+        free_name, factor = machine.ties.get(name, (name, 1.0))
+        other_limit, _ = bounds.get(free_name, (0.0, math.inf))
+        bounds[free_name] = (max(smallest / factor, other_limit), math.inf)
     return bounds
+
+
+class _RuleStep(NamedTuple):
+    """A rule, or a joint distribution, with the n parameters that it changes and the uniform numbers that it uses."""
+
+    parameters: list[int]  # indices in the parameter space, length n
+    columns: list[int]  # of the uniform numbers, length n; all equal if the rule shares one number
+    rule: RandomizeParameter | CorrelatedSampler
 
 
 class RuleSampler:
     """Sample parameters by the rules that apply once per seed ("startup"), or by those that apply at every reset.
+
+    The rules are applied in their order: each changes the values that the earlier ones yielded.
 
     Args:
         space: Names, nominal values and limits of all N parameters.
         rules: Randomization rules.
         machine: Machine whose identified covariance `RandomizeIdentified` uses.
         when: Rules to apply, "reset" (every episode) or "startup" (once per seed); the others are ignored.
-        before: Smallest and largest values before sampling, SI, shape (N,) each. Default: nominal values.
+        before: Smallest and largest values to which the rules are applied, SI, shape (N,) each. Default: nominal ones.
 
     Attributes:
         names: Full names of the parameters that the rules change.
-        draws: Uniform random numbers per sample of all parameters.
+        draws: Number of uniform random numbers that a sample of all parameters needs.
         low: Smallest possible value of every parameter after sampling, SI, shape (N,).
         high: Largest possible value of every parameter after sampling, SI, shape (N,).
 
@@ -118,20 +132,12 @@ class RuleSampler:
     """
 
     def __init__(
-        self,
-        space: ParameterSpace,
-        rules: Sequence[Rule],
-        machine: Machine,
-        when: When,
-        before: tuple[Array, Array] | None = None,
+        self, space: ParameterSpace, rules: Sequence[Rule], machine: Machine, when: When, before: Range | None = None
     ) -> None:
         self._space = space
         self.low, self.high = (edge.copy() for edge in (before or (space.nominal, space.nominal)))
         self.draws = 0
-        # Index of the parameter, column of its uniform number, rule.
-        self._single: list[tuple[int, int, RandomizeParameter]] = []
-        # Indices of the parameters, column of the first uniform number, joint distribution.
-        self._joint: list[tuple[list[int], int, CorrelatedSampler]] = []
+        self._steps: list[_RuleStep] = []
         for rule in rules:
             if rule.when != when:
                 continue
@@ -139,16 +145,18 @@ class RuleSampler:
                 self._add_parameter_rule(rule)
             else:
                 self._add_identified_rule(rule, machine)
-        changed = {i for i, _, _ in self._single} | {i for indices, *_ in self._joint for i in indices}
+        changed = {i for step in self._steps for i in step.parameters}
         self.names = tuple(space.names[i] for i in sorted(changed))
 
-    def _reserve(self, count: int) -> int:
-        """Reserve columns of uniform numbers and return the first."""
-        self.draws += count
-        return self.draws - count
+    def _add_step(self, parameters: list[int], rule: RandomizeParameter | CorrelatedSampler) -> None:
+        """Add a step for parameters (n,) and reserve its uniform numbers."""
+        shared = isinstance(rule, RandomizeParameter) and rule.shared
+        columns = [self.draws + (0 if shared else position) for position in range(len(parameters))]
+        self._steps.append(_RuleStep(parameters, columns, rule))
+        self.draws = columns[-1] + 1
 
     def _add_parameter_rule(self, rule: RandomizeParameter) -> None:
-        """Add a rule for single parameters; refuse one that matches none or can leave the limits."""
+        """Add a rule for single parameters; raise InputError for one that matches none or can leave the limits."""
         indices = matching(self._space.names, rule)
         if not indices:
             similar = get_close_matches(rule.parameter, self._space.names, cutoff=0.4) or self._space.names[:3]
@@ -156,26 +164,26 @@ class RuleSampler:
                 f"randomize: machine {self._space.machine_name!r} and its task have no parameter {rule.parameter!r}; "
                 f"names are, for example, {', '.join(similar)}"
             )
-        first = self._reserve(1 if rule.shared else len(indices))
-        for position, i in enumerate(indices):
-            self._single.append((i, first if rule.shared else first + position, rule))
-            self._widen(i, rule)
+        self._add_step(indices, rule)
+        for i in indices:
+            self._update_range(i, rule)
 
-    def _widen(self, i: int, rule: RandomizeParameter) -> None:
-        """Extend the range of parameter i by a rule; all four corners count, because a scale may be negative."""
-        extremes = rule.quantile(np.array([SMALLEST_UNIFORM, 1.0 - SMALLEST_UNIFORM]))
+    def _update_range(self, i: int, rule: RandomizeParameter) -> None:
+        """Set `low` and `high` of parameter i to the extreme results of a rule for values in their present range."""
+        samples = rule.quantile(np.array([SMALLEST_UNIFORM, 1.0 - SMALLEST_UNIFORM]))
         before = np.array([self.low[i], self.high[i]])
-        corners = np.concatenate([rule.apply(before, np.full(2, extreme)) for extreme in extremes])
+        # Both samples with both ends: a negative scale turns the smallest value into the largest.
+        results = np.concatenate([rule.apply(before, np.full(2, sample)) for sample in samples])
         if rule.bounded and i not in self._space.clipped:
-            self._check_limits(rule, i, corners, "can yield")
+            self._check_limits(rule, i, results, "can yield")
         lower, upper = self._space.lower[i], self._space.upper[i]
-        self.low[i], self.high[i] = np.clip([corners.min(), corners.max()], lower, upper)
+        self.low[i], self.high[i] = np.clip([results.min(), results.max()], lower, upper)
 
     def _check_limits(self, rule: RandomizeParameter, i: int, values: Array, verb: str) -> None:
-        """Raise InputError for values (k,) of parameter i outside its limits (with room for two roundings)."""
+        """Raise InputError if values (k,) of parameter i are outside its limits; `verb` is part of the message."""
         lower, upper = self._space.lower[i], self._space.upper[i]
         for value in (float(values.min()), float(values.max())):
-            tolerance = 1e-12 * max(abs(lower), abs(value))
+            tolerance = 1e-12 * max(abs(lower), abs(value))  # room for two roundings
             if not lower - tolerance <= value <= upper + tolerance:
                 advice = "" if rule.bounded else "; choose a bounded distribution"
                 name = self._space.names[i]
@@ -184,19 +192,17 @@ class RuleSampler:
                 )
 
     def _add_identified_rule(self, rule: RandomizeIdentified, machine: Machine) -> None:
-        """Add joint samples of the identified parameters."""
-        uncertainty = machine.uncertainty
+        """Add joint samples of the identified parameters; raise InputError if the machine has no covariance."""
+        uncertainty, space = machine.uncertainty, self._space
         if uncertainty is None or not uncertainty.names:
             raise InputError(
                 f"randomize: machine {machine.name!r} has no covariance; 'identified' needs a machine.json written by "
                 "`hframe identify`"
             )
-        indices = [self._space.names.index(name) for name in uncertainty.names]
-        nominal, lower, upper = (
-            values[indices] for values in (self._space.nominal, self._space.lower, self._space.upper)
-        )
+        indices = [space.names.index(name) for name in uncertainty.names]
+        nominal, lower, upper = space.nominal[indices], space.lower[indices], space.upper[indices]
         joint = CorrelatedSampler(uncertainty.covariance * rule.widen**2, nominal, lower, upper)
-        self._joint.append((indices, self._reserve(len(indices)), joint))
+        self._add_step(indices, joint)
         self.low[indices] = np.maximum(self.low[indices] - joint.reach, lower)
         self.high[indices] = np.minimum(self.high[indices] + joint.reach, upper)
 
@@ -209,29 +215,30 @@ class RuleSampler:
             uniforms: Uniform random numbers in (0, 1), shape (k, draws); see the attribute `draws`.
 
         Returns:
-            All parameters after sampling, SI, shape (k, N). Parameters with the lower limit 0, such as friction and
-            noise, are set to 0 where an unbounded distribution yields a negative value.
+            All parameters after sampling, SI, shape (k, N). Identified parameters, and those in the attribute `clipped`
+            of the space, are clipped to their limits. A parameter with the lower limit 0, such as friction or noise, is
+            set to 0 where an unbounded distribution yields a negative value.
 
         Raises:
-            InputError: If an unbounded distribution yields a value outside the limits of a parameter.
+            InputError: If an unbounded distribution yields another value outside the limits of a parameter.
         """
         values = np.empty((len(uniforms), base.shape[1]))
         values[:] = base
-        samples: dict[int, Array] = {}  # by column of the uniform number, because a shared one is used several times
-        for i, column, rule in self._single:
-            if column not in samples:
-                samples[column] = rule.quantile(uniforms[:, column])
-            values[:, i] = self._limited(rule, i, rule.apply(values[:, i], samples[column]))
-        for indices, first, joint in self._joint:
-            values[:, indices] += joint.deviations(uniforms[:, first : first + len(indices)])
-            values[:, indices] = np.clip(values[:, indices], self._space.lower[indices], self._space.upper[indices])
+        for parameters, columns, rule in self._steps:
+            if isinstance(rule, CorrelatedSampler):
+                moved = values[:, parameters] + rule.deviations(uniforms[:, columns])
+                values[:, parameters] = np.clip(moved, self._space.lower[parameters], self._space.upper[parameters])
+                continue
+            samples = {column: rule.quantile(uniforms[:, column]) for column in set(columns)}
+            for i, column in zip(parameters, columns, strict=True):
+                values[:, i] = self._limited(rule, i, rule.apply(values[:, i], samples[column]))
         return values
 
     def _limited(self, rule: RandomizeParameter, i: int, values: Array) -> Array:
-        """Return values (k,) of parameter i, clipped where that is allowed; raise InputError outside the limits."""
+        """Return samples (k,) of parameter i, clipped where that is allowed; raise InputError for others outside."""
         if i in self._space.clipped:
             return np.clip(values, self._space.lower[i], self._space.upper[i])
-        if not rule.bounded and len(values):
+        if not rule.bounded and len(values):  # bounded rules were checked when they were added
             if self._space.lower[i] == 0.0:
                 values = np.maximum(values, 0.0)
             self._check_limits(rule, i, values, "yielded")
@@ -242,7 +249,8 @@ class MachineSampler:
     """Sample the parameters of `count` environments, and the keys (seeds) of their episodes.
 
     Each environment takes one number from its generator when it is seeded. The key of every episode is derived from
-    that number and the number of episodes before.
+    that number and the number of episodes before. Rules for "startup" change the nominal values once per seed, those
+    for "reset" change the result in every episode.
 
     Args:
         machine: Machine without randomization.
@@ -259,11 +267,7 @@ class MachineSampler:
     """
 
     def __init__(
-        self,
-        machine: Machine,
-        randomize: RandomizationLike,
-        count: int,
-        task_parameters: Mapping[str, float] | None = None,
+        self, machine: Machine, randomize: RandomizationLike, count: int, task_parameters: ParameterValues | None = None
     ) -> None:
         self.space = ParameterSpace.of(machine, task_parameters)
         rules = as_rules(randomize, self.space.names)
@@ -275,7 +279,7 @@ class MachineSampler:
         self.names = [self.space.names[i] for i in self.columns]
         self._integers = [i for i in self.columns if self.space.names[i].endswith(".converter_bits")]
         self._base = np.tile(self.space.nominal, (count if self._startup.names else 1, 1))
-        # An environment needs startup samples if it was not seeded, or not sampled since.
+        # An environment needs startup samples from its seeding to the next reset.
         self._seeded, self._needs_startup = np.zeros(count, np.bool_), np.ones(count, np.bool_)
         self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
 
@@ -297,7 +301,8 @@ class MachineSampler:
             values: All N parameters of k environments in the order of `space.names`, SI, shape (k, N).
 
         Returns:
-            Randomized parameters in the order of the attribute `names`, dimensionless, shape (k, len(names)).
+            Randomized parameters in the order of the attribute `names`, dimensionless (SI if the nominal value is 0),
+            shape (k, len(names)).
         """
         nominal = self.space.nominal[self.columns]
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
@@ -306,7 +311,7 @@ class MachineSampler:
         """Compute the bounds of the randomized parameters divided by their nominal values.
 
         Returns:
-            (Smallest, largest) result of `normalized`, dimensionless, by full name of the parameter.
+            Smallest and largest result of `normalized` by full name of the parameter, dimensionless.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
@@ -316,7 +321,7 @@ class MachineSampler:
 
         Args:
             index: Indices of the environments, shape (k,).
-            task_draws: Number n of uniform random numbers per episode for the task.
+            task_draws: Number n of uniform random numbers per episode that the task needs for start and goal.
 
         Returns:
             keys: Keys of the episodes, from which all their random numbers follow, uint64, shape (k,).
@@ -332,9 +337,8 @@ class MachineSampler:
         if self._startup.names:
             fresh = index[self._needs_startup[index]]
             keys = episode_keys(self._keys[fresh], np.full(len(fresh), -1))
-            self._base[fresh] = self._startup.sample(
-                self.space.nominal[None], reset_uniforms(keys, self._startup.draws)
-            )
+            uniforms = reset_uniforms(keys, self._startup.draws)
+            self._base[fresh] = self._startup.sample(self.space.nominal[None], uniforms)
             self._needs_startup[fresh] = False
         keys = episode_keys(self._keys[index], self._episodes[index])
         self._episodes[index] += 1

@@ -53,8 +53,8 @@ class StateView(NamedTuple):
             signals: Specifications of the entries, positions and velocities; those of the tool's axes come first.
 
         Returns:
-            View of the entries: indices into the state, shape (n, 4), and bounds rounded to float32, in the units of
-            the entries, shape (2, n).
+            View of the entries with `rows`, shape (n, 4), and `box`, shape (2, n), as the class documents them; the
+            bounds are rounded to float32, in which observations are written.
         """
         names = simulator.machine.coordinate_names
         rows = np.full((len(signals), 4), -1)

@@ -175,7 +175,7 @@ class Renderer:
         return surface
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """Draw a scene.
+        """Draw the machine of a scene from above, with its belts, the goal and the past path of the tool.
 
         Args:
             scene: Positions, tensions and goal of an environment.

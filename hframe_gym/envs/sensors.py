@@ -308,15 +308,15 @@ class PositionFromSensors:
 
     @classmethod
     def of(cls, machine: Machine, sensors: tuple[Sensor, ...]) -> PositionFromSensors:
-        """Derive the map from the nominal kinematics of a machine, with unstretched belts.
+        """Derive the map from measurements to the tool position from a machine's kinematics with unstretched belts.
 
         Args:
             machine: Machine that declares the sensors.
             sensors: The n observed sensors.
 
         Returns:
-            Linear map from the n measurements, in the sensors' units (m or rad), to the tool position, m. Its matrix
-            `belts` has shape (axes, n).
+            Map from the n measurements, in the sensors' units (m or rad), to the tool position, m: its matrix `belts`
+            has shape (axes, n); `direct` and `scale` name the sensor of each axis itself, if there is one.
 
         Raises:
             InputError: If the sensors do not determine every axis.

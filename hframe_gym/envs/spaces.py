@@ -132,7 +132,7 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
 
 
 def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float]]) -> tuple[SignalSpec, ...]:
-    """Specify the entries of `privileged`: the true state of all coordinates, then the randomized parameters.
+    """Specify the entries of `privileged`, the observation array for a critic: true state, randomized parameters.
 
     Args:
         machine: Machine with its coordinates.
@@ -140,7 +140,7 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
             divided by its nominal value, dimensionless.
 
     Returns:
-        Specifications (name, unit, bounds) of all positions, all velocities, then all parameters.
+        Specifications (name, unit, bounds) of the positions of all coordinates, their velocities, then the parameters.
 
     Raises:
         InputError: If the machine has no workspace; see `workspace_of`.
@@ -170,7 +170,7 @@ def observation_signals(
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.
-        privileged: Entries of the array `privileged`; empty: there is no such array.
+        privileged: Entries of the array `privileged` for a critic, see `privileged_signals`. Default: no such array.
 
     Returns:
         Specifications (name, unit, bounds) by key, in alphabetical order of the keys as in a space of Gymnasium:
@@ -209,7 +209,7 @@ def observation_space(
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.
-        privileged: Entries of the array `privileged`; empty: there is no such array.
+        privileged: Entries of the array `privileged` for a critic, see `privileged_signals`. Default: no such array.
 
     Returns:
         Bounded float32 boxes by key: `observation`, shape (entries,), `achieved_goal` and `desired_goal`, shape
@@ -305,8 +305,8 @@ class ObservationFormat:
             observation: Arrays by key, SI, float32, shape (n, entries of the key).
 
         Returns:
-            Arrays by key of the same shapes, or one array of shape (n, all entries), float32; dimensionless if
-            normalized, else SI.
+            Arrays by key of the same shapes, or with `flat` one array of shape (n, all entries), float32; dimensionless
+            with `normalize`, (value - center) / scale, else SI.
         """
         if not self.active:
             return observation

@@ -100,7 +100,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @property
     def parameters(self) -> Array:
-        """Parameter values of the running episodes, SI, shape (num_envs, n), n being those of `machine.parameters`."""
+        """Values of the n `machine.parameters`, in their order, in the running episodes, SI, shape (num_envs, n)."""
         return self.batch.values[:, : len(self.machine.parameters)].copy()
 
     @property
@@ -115,7 +115,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
     def reset(  # type: ignore[override]
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin episodes in all environments, or in those of a mask.
+        """Begin episodes in all environments, or in those that the option `reset_mask` selects.
 
         Args:
             seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: the present
@@ -129,7 +129,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
                 reset. As usual in Gymnasium, for each key the mask "_" + key tells which environments have a value.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, or the task has no target.
+            InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
+                without one, such as "track".
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing.
         """

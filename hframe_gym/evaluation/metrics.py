@@ -133,8 +133,8 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
     Returns:
         `success`: fraction of episodes whose contour error never exceeds a limit, 0 to 1, by limit (`BANDS`).
-        `contour_mm`, `tracking_mm`: `rms` and `max` of the error over an episode, mm, with `mean` and `ci95` each.
-        `delay_ms`: delay of the tool behind its goal, ms, `mean` and `ci95` (95 % interval) over the episodes.
+        `contour_mm`, `tracking_mm`: `rms` and `max` of the error in an episode, mm. `delay_ms`: delay of the tool, ms.
+        Each has the `mean` over the episodes and `ci95`, its 95 % confidence interval.
 
     Raises:
         ValueError: If the episodes have no path.
@@ -184,7 +184,7 @@ def overshoot(position: Array, goal: Array) -> Array:
     Returns:
         Overshoot, m, shape (B,), not negative. If start and goal coincide: the largest distance from them.
     """
-    way = goal - position[:, 0]  # from start to goal, m, (B, 2)
+    way = goal - position[:, 0]  # from start to goal, m, (B, axes)
     length = np.linalg.norm(way, axis=1)
     direction = way / np.where(length > 0.0, length, 1.0)[:, None]
     beyond = np.einsum("bni,bi->bn", position - goal[:, None], direction).max(axis=1)
@@ -195,7 +195,7 @@ def overshoot(position: Array, goal: Array) -> Array:
 def tracking_delay(episodes: Episodes) -> Array:
     """Compute the mean delay of the tool behind its moving goal in each of B episodes.
 
-    The delay T minimizes the sum of |g - T g' - p|^2 over the samples of goal g and tool position p (least squares).
+    The delay T minimizes the sum over the samples of |g - T g' - p|^2: goal g, its velocity g', tool position p.
 
     Args:
         episodes: B recorded episodes.
@@ -292,7 +292,7 @@ class StoredBounds(NamedTuple):
 
 
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
-    """Compute a hash of the machine, start and goal of each episode, by which stored bounds are looked up.
+    """Compute a hash of the machine, start and goal of each episode, by which stored settling times are looked up.
 
     Numbers enter with nine significant digits. The seed, the control period and the sensors do not affect it.
 

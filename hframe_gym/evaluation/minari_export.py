@@ -74,8 +74,8 @@ def export_dataset(
         name: Name of the controller as for `make_controller`, or the folder of a trained agent.
         scenario: Machine, task, randomization, sensors, number of episodes, seed, period and duration.
         out: Folder for data sets; created if it does not exist.
-        normalize: Whether the stored observations and goals are divided by their scales. The controller always receives
-            SI units.
+        normalize: Whether observations and goals are stored as (value - center) / scale, see `SignalSpec`, about -1 to
+            1. The controller always receives SI units.
         flat: Whether a stored observation is one array instead of a dict of arrays, as of `HFrameFlat-v0`.
         author: Author in the metadata. Default: none.
 

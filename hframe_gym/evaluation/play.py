@@ -49,7 +49,7 @@ class _StageView(Renderer):
 
 
 class PlayedStage:
-    """A stage in the window with what drives it: a controller, or the user.
+    """One simulated machine (stage) in the window of the game, driven by a controller or by the user.
 
     Args:
         scenario: Machine, task, randomization, sensors and control period.
@@ -136,7 +136,7 @@ class PlayedStage:
         self._trail.append(self.position)
 
     def draw(self) -> Any:
-        """Draw the present state of this stage.
+        """Draw this stage from above in its present state, with goal and trail of the tool.
 
         Returns:
             Pygame surface of `WIDTH` x `HEIGHT` pixels, which the next call overwrites.
@@ -146,7 +146,7 @@ class PlayedStage:
 
 
 class Game:
-    """Window in which the user drives a stage, and a controller the same one beside it.
+    """Window in which the user drives a simulated machine (stage), and a controller the same one beside it.
 
     Args:
         scenario: Machine, task, randomization, sensors, control period and seed.
@@ -208,7 +208,7 @@ class Game:
         self._due = 0.0
 
     def handle(self, event: Any) -> None:
-        """React to a pygame event: keys and mouse set voltages and targets, pause or end the game.
+        """React to a pygame event: keys and mouse set voltages or targets, and restart, pause or end the game.
 
         Args:
             event: Event of keyboard, mouse or window.
@@ -258,7 +258,7 @@ class Game:
     def action(self) -> Array:
         """Voltages that the user applies with keys and mouse, as fractions of the rated voltages, shape (drives,).
 
-        They push the tool in the direction of the arrow keys, or from its position in the left view to the pointer.
+        They push the tool in the direction of the arrow keys or, while the left button is held, toward the pointer.
         """
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:

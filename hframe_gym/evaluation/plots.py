@@ -131,7 +131,7 @@ def _point(position: NDArray[np.float64]) -> str:
 
 
 def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Panel]:
-    """Describe the three plots of an episode for a page: tool path, distance over time, voltages.
+    """Describe the three plots of an episode for the scorecard (HTML page): tool path, distance over time, voltages.
 
     Args:
         name: Name of the controller.
@@ -169,7 +169,7 @@ def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Pane
 
 
 def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
-    """Describe the plot of the distances to the goal in the first episode, one curve per controller.
+    """Describe a plot for the scorecard: distances to the goal in the first episode, one curve per controller.
 
     Args:
         recorded: Recorded episodes by name of the controller, at least one.
@@ -191,7 +191,7 @@ def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
 
 
 def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any] | None]) -> Panel:
-    """Describe the plot of one metric: a dot for the mean of each controller, and its 95 % confidence interval.
+    """Describe a plot for the scorecard: mean of one metric for each controller, with 95 % confidence intervals.
 
     Args:
         title: Caption, the name of the metric.
@@ -223,7 +223,7 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
 
 
 def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Panel:
-    """Describe the bar chart of the fraction of successful episodes by band and controller.
+    """Describe a bar chart for the scorecard: fraction of successful episodes by settling band and controller.
 
     Args:
         title: Caption.

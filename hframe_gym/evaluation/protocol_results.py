@@ -116,7 +116,7 @@ def installed_versions(packages: Iterable[str]) -> dict[str, str]:
 
 
 def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
-    """Compute the scores of one part of a protocol (a task) from the values of its draws (episodes).
+    """Compute the scores of one part of a protocol (a task) from the metrics of its single draws (episodes).
 
     Args:
         values: Values of the B draws by metric, as `draw_values` returns them; None for a draw that does not settle.
@@ -152,7 +152,7 @@ def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
 
 
 def result_file_name(content: Mapping[str, Any]) -> str:
-    """Return the name of a result file: the names of the protocol and of the controller or agent.
+    """Return the name of a result file, made of the names of the protocol and of the controller or agent.
 
     Args:
         content: Content of the file, as `result_content` returns it.
@@ -165,7 +165,9 @@ def result_file_name(content: Mapping[str, Any]) -> str:
 
 
 def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
-    """Write a result file; if this fails, an existing file stays unchanged.
+    """Write the scores of a controller or agent in a protocol (fixed benchmark) to a result file.
+
+    If this fails, an existing file stays unchanged.
 
     Args:
         folder: Folder, which is created if necessary.
@@ -191,7 +193,7 @@ def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
 
 
 def read_result(path: str | Path) -> ResultFile:
-    """Read and validate a result file.
+    """Read a result file (scores of a controller or agent in a protocol) and check that its scores are consistent.
 
     Args:
         path: File that `write_result` wrote.
@@ -200,8 +202,8 @@ def read_result(path: str | Path) -> ResultFile:
         Content of the file.
 
     Raises:
-        InputError: If the file is not a result file, names an unknown protocol, or does not have the parts, metrics
-            and draws (episodes) of that protocol. Also if its scores differ from those computed from its draws.
+        InputError: If the file is not a result file, names an unknown protocol, or does not have the digest, parts,
+            metrics and draws (episodes) of that protocol. Also if its scores differ from those computed from its draws.
         OSError: If the file cannot be read.
     """
     try:
@@ -291,16 +293,16 @@ def protocol_bounds(name: str) -> dict[str, Array]:
 
 
 def paired_ratio(values: Array, others: Array) -> dict[str, Any] | None:
-    """Compute the ratio of the means of two metrics over the same draws (episodes), with a 95 % interval.
+    """Compute the ratio of the means of two quantities over the same draws (episodes), with a 95 % interval.
 
     Args:
-        values: Values of the numerator in B draws, shape (B,); for S agents that differ in the seed of their training,
-            shape (S, B).
+        values: Values of the numerator in B draws, all known, shape (B,); for S agents that differ in the seed of their
+            training, shape (S, B).
         others: Values of the denominator in the same draws, for example shortest possible times, in the same unit,
             shape (B,), NaN where unknown.
 
     Returns:
-        `mean`: mean of `values` divided by mean of `others`, over the draws in which both are known; `ci95`: [lower,
+        `mean`: mean of `values` divided by mean of `others`, over the draws in which `others` is known; `ci95`: [lower,
         upper limit] of its 95 % interval, by a bootstrap over draws and agents; `draws`: number of these draws. None
         if there are none.
     """

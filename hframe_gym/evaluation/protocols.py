@@ -116,9 +116,9 @@ class Protocol:
         )
 
     def declared_scenario(self, part: str) -> Scenario:
-        """Return the settings for which a controller is designed that will run in a part (task).
+        """Return the settings from which a controller is designed that will run in a part (task).
 
-        It does not know undeclared effects of the simulated machine, and is designed for the full state.
+        They differ from `scenario`: the machine lacks undeclared effects, and the full state is observed.
 
         Args:
             part: Name of the part, a key of `parts`.
@@ -134,7 +134,7 @@ class Protocol:
         )
 
     def compute_digest(self) -> str:
-        """Compute the digest of the settings and of all draws (starts, goals, parameters); this takes about a second.
+        """Compute a hash of the settings and of all draws (starts, goals, parameters); this takes about a second.
 
         Returns:
             16 hexadecimal digits, equal to `digest` unless the installed packages give other settings or draws.
@@ -151,7 +151,7 @@ class Protocol:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def check(self) -> None:
-        """Check that the installed packages give the settings and draws of the protocol's definition.
+        """Check that this installation gives the same settings and draws, so that its scores are comparable.
 
         Raises:
             InputError: If the computed digest differs from `digest`.

@@ -35,7 +35,7 @@ class Evaluation(NamedTuple):
 
     Attributes:
         scores: Contents of scores.json: the scenario (`schema`, `machine`, `task`, `randomize`, `episodes`, `seed`,
-            `sensors`, `period_s`) and `controllers`, the result of `score_episodes` by name of the controller.
+            `sensors`, `drives`, `period_s`) and `controllers`: results of `score_episodes` by name of the controller.
         episodes: Recorded episodes by name of the controller.
     """
 
@@ -58,7 +58,7 @@ def evaluate(
     """Simulate controllers on identical episodes and score them.
 
     Args:
-        controllers: One or several names as for `make_controller`, or controllers by the names for the scores.
+        controllers: One or several names as for `make_controller`, or controllers by the names that results show.
         machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
         task: "reach", "track", the name of another registered task, or a task object.
         randomize: Preset name or list of randomization rules for the machine's parameters.

@@ -166,8 +166,8 @@ def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrame
     """Build the environments of a scenario, one per episode, without a limit on the number of steps.
 
     Args:
-        scenario: Machine, task, randomization and drives of the environments.
-        **options: Further options of the environments, for example `sensors` and `period`.
+        scenario: Machine, task, randomization, drives and number of the environments; not their sensors and period.
+        **options: Further options of the environments, such as `sensors` and `period`, or others in place of these.
 
     Returns:
         Vector environment, not reset yet.
@@ -325,9 +325,9 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
 
 
 def period_concern(machine: Machine, period: float) -> str | None:
-    """Return a warning if the slowest belt mode of a machine lies above the Nyquist frequency of a control period.
+    """Return a warning if the slowest vibration of a machine on its belts is too fast for a control period.
 
-    A sampled controller cannot observe or damp a vibration above half its rate.
+    A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
 
     Args:
         machine: Machine model.

@@ -66,6 +66,9 @@ class Sometimes(Distribution):
     def quantile(self, u: Array) -> Array:
         """Compute quantiles: the values below which a sample lies with the probabilities u.
 
+        They increase with u: the constant `otherwise` comes after the log-uniform numbers if it is larger, else before
+        them; with `signed` it is 0 and comes between the negative and the positive ones.
+
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
@@ -111,13 +114,13 @@ class EffectFamily:
     fixed: Mapping[str, float] = field(default_factory=dict)
 
     def distributions(self, site: str) -> Mapping[str, Distribution]:
-        """Return the distributions of the parameters other than `size` at a site.
+        """Return the distributions of the effect's random parameters other than its size, such as a wavelength.
 
         Args:
             site: Place where the effect acts, a key of `ranges`, for example "motor1".
 
         Returns:
-            Distributions by name of the parameter.
+            Distributions by name of the parameter, in SI units: for pulleys ("phi1") `rotary`, if given; else `others`.
         """
         return self.rotary if self.rotary and site.startswith("phi") else self.others
 
@@ -170,11 +173,15 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
 def with_absent_effects(machine: Machine) -> Machine:
     """Return a copy of a machine that has all effects of `EFFECT_FAMILIES`, switched off.
 
+    Switched off means that the parameters of an effect are such that it has no influence. Only `current_limit` acts
+    even so, with the limit of the drives "rig".
+
     Args:
-        machine: The H-frame as its controllers know it.
+        machine: The H-frame without these effects.
 
     Returns:
-        Copy with the effects. It moves like `machine` until the rules of `effect_rules` switch effects on.
+        Copy with the effects. It moves like `machine` with limited currents until the rules of `effect_rules` switch
+        effects on.
     """
     effects = []
     for family in EFFECT_FAMILIES:
@@ -188,11 +195,11 @@ def with_absent_effects(machine: Machine) -> Machine:
 
 
 def effect_rules() -> tuple[RandomizeParameter, ...]:
-    """Return the randomization rules that switch on some effects of a machine of `with_absent_effects`.
+    """Return the randomization rules that switch on, in every episode, some effects of `with_absent_effects`.
 
     Returns:
-        One rule per parameter of each effect: a rule with the distribution `Sometimes` for its size, which leaves most
-        effects off, and a rule with the distribution of `EFFECT_FAMILIES` for each other parameter.
+        For each effect at each of its sites, one rule for its size with the distribution `Sometimes`, which leaves most
+        effects off, and one rule for each other parameter that varies, with its distribution in `EFFECT_FAMILIES`.
     """
     rules = []
     for family in EFFECT_FAMILIES:
@@ -214,7 +221,8 @@ def acting_effects(machine: Machine, parameters: Array) -> Machine:
         parameters: Values of the P `Machine.parameters` in the episode, SI, shape (P,).
 
     Returns:
-        Machine that moves exactly as the one in the episode. It keeps `current_limit`, which acts in every episode.
+        Machine that moves exactly as the one in the episode. It keeps `current_limit`, which acts in every episode,
+        with the sampled limit or that of the drives.
     """
     values = dict(zip(machine.parameters, np.asarray(parameters, np.float64).tolist(), strict=True))
     sampled = machine.replace(values)

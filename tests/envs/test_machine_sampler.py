@@ -86,6 +86,31 @@ def test_a_belt_keeps_a_length_wherever_the_carriage_is():
         HFrameEnv(randomize=[RandomizeParameter("*.rest_length", Uniform(0.4, 1.0))])
 
 
+def test_limits_follow_from_the_sign_of_the_nominal_value():
+    space = ParameterSpace.of(MACHINE, {"speed": 0.3, "offset": 0.0, "slope": -1.0})
+    limits = dict(zip(space.names, zip(space.lower.tolist(), space.upper.tolist(), strict=True), strict=True))
+    assert limits["task.speed"] == (pytest.approx(0.015), np.inf)
+    assert limits["task.offset"] == (0.0, np.inf)
+    assert limits["task.slope"] == (-1.0, np.inf)
+    assert limits["x.coulomb"] == (0.0, np.inf)
+    assert limits["motor1.converter_bits"] == (0.0, 32.0)
+
+
+def test_the_range_of_a_rotary_coordinate_limits_a_belt_by_its_travel():
+    coordinates = [dataclasses.replace(c, range=(-10.0, 10.0)) if c.name == "phi1" else c for c in MACHINE.coordinates]
+    belts = [dataclasses.replace(b, length={"phi1": 1.0}) if b.name == "left" else b for b in MACHINE.belts]
+    space = ParameterSpace.of(MACHINE.replace(coordinates=tuple(coordinates), belts=tuple(belts)))
+    rest_length, radius = MACHINE.parameters["left.rest_length"], MACHINE.parameters["phi1.radius"]
+    assert space.lower[space.names.index("left.rest_length")] == pytest.approx(0.05 * rest_length + 10.0 * radius)
+
+
+def test_rules_are_applied_in_their_order():
+    rules = [RandomizeIdentified(), RandomizeParameter("x.coulomb", Uniform(0.1, 0.2))]
+    values, sampler = sample(rules, machine=identified_machine())
+    i = list(values).index("x.coulomb")
+    assert sampler.low[i] <= values["x.coulomb"].min() <= values["x.coulomb"].max() <= sampler.high[i]
+
+
 def test_low_and_high_enclose_the_samples():
     rules = [
         RandomizeParameter("*.mass", Normal(1.0, 0.05)),

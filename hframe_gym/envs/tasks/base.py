@@ -58,13 +58,15 @@ class Task(ABC):
         return {}
 
     def check(self, workspace: Array) -> None:  # noqa: B027  (optional)
-        """Check that the task fits into the workspace.
+        """Check that starts and goals of the task lie in the workspace; an environment calls it when it is made.
+
+        This default checks nothing.
 
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
         Raises:
-            InputError: If it does not fit.
+            InputError: If the task does not fit into the workspace.
         """
 
     @abstractmethod

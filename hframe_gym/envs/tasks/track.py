@@ -161,7 +161,7 @@ class Track(Task):
     def begin(
         self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
-        """Choose path, center, direction and phase of k episodes.
+        """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
