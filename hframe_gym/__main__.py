@@ -38,10 +38,11 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def main() -> None:
-    """Run the `hframe` command.
+    """Run the `hframe` command; let SIGINT (Ctrl-C) and SIGTERM end it with one line of text.
 
     Raises:
-        SystemExit: With the exit code of `hframe_gym.cli.main`. After a signal the process ends without it.
+        SystemExit: With the exit code of `hframe_gym.cli.main`: 0, 1 or 2. After a signal, the process ends with the
+            exit code 130 (SIGINT) or 143 (SIGTERM) instead, without an exception.
     """
     for number in _LINES:
         if signal.getsignal(number) is not signal.SIG_IGN:  # ignored by nohup, or in the background of a script

@@ -51,7 +51,7 @@ def load_plugins() -> None:
 
 
 def import_plugin(name: str) -> None:
-    """Import a plugin by the name of its module or the path of its file.
+    """Import a plugin, a module that registers effects, controllers, ..., by its name or the path of its file.
 
     Args:
         name: Name of a module, or path of a Python file. The file's folder is added to `sys.path`, so that other
@@ -109,7 +109,8 @@ class Registry(Generic[T]):
             The decorator, which returns the class or function unchanged.
 
         Raises:
-            ValueError: When the decorator is applied, if another class or function has the name.
+            ValueError: When the decorator is applied, if a class or function of another `__qualname__` has the name.
+                The same one may be registered again, for example by a reloaded module, and replaces the earlier one.
         """
 
         def add(part: P) -> P:

@@ -192,7 +192,7 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
 
 
 def legend_above(axes: Any) -> None:
-    """Add a legend in one row above the axes, where it hides no curve.
+    """Add a legend above the axes, where it hides no curve, with up to four entries in a row.
 
     Args:
         axes: Matplotlib axes with labeled curves.
@@ -239,14 +239,13 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
     write_text(path, environment.get_template(template).render(values))
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Format a number for tables and texts.
+def number(value: float) -> str:
+    """Format a number for tables and texts, with three significant digits; large ones are rounded to an integer.
 
     Args:
         value: Number to format, in any unit.
-        digits: Number of significant digits. A number from 1000 to 1e6 is rounded to an integer instead.
 
     Returns:
-        Text, for example "0.0312", "18.3" or "12400".
+        Text, for example "0.0312", "18.3" or "12413"; from 1e6 on with an exponent, "1.24e+06".
     """
-    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.{digits}g}"
+    return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"

@@ -231,7 +231,16 @@ def test_a_panel_has_a_label_and_identifiers_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(0.03124, "0.0312"), (18.34, "18.3"), (1234.5, "1234"), (2e6, "2e+06"), (-0.5, "-0.5")]
+    ("value", "text"),
+    [
+        (0.03124, "0.0312"),
+        (18.34, "18.3"),
+        (999.4, "999"),
+        (999.7, "1000"),
+        (1234.5, "1234"),
+        (2e6, "2e+06"),
+        (-0.5, "-0.5"),
+    ],
 )
 def test_numbers_are_written_without_exponent_where_that_is_short(value: float, text: str) -> None:
     assert number(value) == text

@@ -50,8 +50,8 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> None:
             raised and not printed.
 
     Raises:
-        SystemExit: With exit code 0 (success), 1 (internal error, or a fault that `hframe check` found) or 2 (faulty
-            input or arguments).
+        SystemExit: With exit code 0 (success), 1 (internal error, a fault that `hframe check` found, or a question that
+            the user ended) or 2 (faulty input or arguments).
     """
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

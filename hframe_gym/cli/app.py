@@ -110,7 +110,8 @@ def registered_choices() -> dict[str, str]:
 
     Returns:
         Names separated by commas, by the placeholder that stands for them in the help texts, for example {"tasks":
-        "reach, track"}. There are agents, algorithms, controllers, protocols, randomizations, sensors and tasks.
+        "reach, track"}. The placeholders are agents, algorithms, controllers, protocols, randomizations, sensors and
+        tasks.
     """
     from ..agents import recipe_names, shipped_agent_names
     from ..controllers import CONTROLLERS

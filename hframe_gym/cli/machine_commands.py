@@ -26,6 +26,8 @@ def simulate(
 ) -> None:
     """Simulate a machine with the voltages of a recording; write a recording with the same times and columns.
 
+    Its measurements, if it has any, give the state at the beginning; they do not correct the simulation afterwards.
+
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """
     from ..identification import simulate_recording
@@ -144,7 +146,9 @@ def new_machine_file(
 
 @effects_app.callback(invoke_without_command=True)
 def effects(context: typer.Context) -> None:
-    """List the effects that identification can find; a force is in N at x or y and in Nm at a motor.
+    """List the effects (friction, delay, ...) that identification can add to a machine's model, with their formulas.
+
+    Forces are in N at x or y and in Nm at a motor.
 
     Example:  hframe effects
     """
@@ -179,7 +183,7 @@ def new_effect(
 def kernel(
     machine: Annotated[str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")],
 ) -> None:
-    """Print the source of the integrator that is generated for a machine.
+    """Print the source of the integrator that is generated for a machine: its compiled form runs all simulations.
 
     Example:  hframe kernel hframe
     """

@@ -153,7 +153,7 @@ def ask(answers: MachineAnswers, log: Callable[[str], None]) -> MachineAnswers:
 
 
 def template_value(template: Machine, option: str) -> str | float | int:
-    """Return the value of a template for an option of `hframe machines new`, the default of its question.
+    """Return the value that a template has for an option of `hframe machines new`: the default answer to its question.
 
     Args:
         template: Machine that `new_machine` made from the template without options.

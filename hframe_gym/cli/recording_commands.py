@@ -183,7 +183,7 @@ def identify(
     max_rows: MaxRowsOption = 1_000_000,
     ray: RayOption = None,
 ) -> None:
-    """Fit a machine to its recordings, find the effects that its model lacks, and verify them on held-out runs.
+    """Fit a machine to recordings; find effects (friction, ...) that its model lacks, and verify them on held-out runs.
 
     The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted. A held-out
     run is not used for fitting; the errors in the report are those on held-out runs. Every fourth run is held out

@@ -153,7 +153,8 @@ def describe_failure(error: Exception) -> tuple[int, str]:
         error: Exception that a command raised.
 
     Returns:
-        code: `INPUT_AT_FAULT` (2) for errors in input, files or installation, else `INTERNAL_ERROR` (1).
+        code: Exit code of the process: `INPUT_AT_FAULT` (2) for errors in input, files or installation, else
+            `INTERNAL_ERROR` (1).
         message: Text for the user, without a line break.
     """
     from ..dynamics import NotFiniteError
@@ -175,10 +176,10 @@ def describe_failure(error: Exception) -> tuple[int, str]:
 
 
 def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None:
-    """Print a warning of the library as one line on standard error.
+    """Print a warning of the library as one line on standard error (assigned to `warnings.showwarning`).
 
     Args:
-        message: The warning.
+        message: The warning; the other arguments of `warnings.showwarning` (category, file, line) are ignored.
     """
     print(f"hframe: warning: {plain_text(' '.join(str(message).split()))}", file=sys.stderr)
 
@@ -208,7 +209,7 @@ def repeat_warnings() -> Iterator[list[str]]:
 def check_recordings_before_fit(
     recordings: Sequence[Recording], machine: Machine, refuse: Path | None, log: Callable[[str], None]
 ) -> list[str]:
-    """Check recordings, print the findings, and stop if there is a fault.
+    """Check recordings before an identification, print the findings, and stop if there is a fault.
 
     A fault is a finding that is certainly an error in the data, for example a stuck sensor or a wrong sign.
 

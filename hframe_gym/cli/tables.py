@@ -31,8 +31,8 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     Returns:
         Table (rich) with one row per channel and three columns: errors of the machine as declared, with refitted
         parameters, and with the identified effects as well. An error is the root mean square in the channel's unit and,
-        in parentheses, as a multiple of the sensor noise. If the report contains it, a last row has the relative error
-        of the drives' forces, %.
+        in parentheses, as a multiple of the sensor noise. If the report contains it, a last row has the root mean
+        square error of the drives' force relative to the root mean square of this force, %.
     """
     title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
@@ -106,7 +106,7 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Format the results of controllers in a protocol, one of the fixed benchmarks of the leaderboard.
 
     Args:
-        results: Contents of result files of one protocol, one per controller.
+        results: Contents of the result files that `hframe evaluate --protocol` writes, one per controller.
 
     Returns:
         One table (rich) per part of the protocol, with one row per controller. For moves to a goal: the fractions of
@@ -202,8 +202,8 @@ def machine_tables(machine: Machine) -> list[Table]:
         machine: Machine to print, with its effects (deviations from the nominal model).
 
     Returns:
-        Tables (rich), without those that would be empty. The last one has force, acceleration and speed at rated
-        voltage.
+        Tables (rich), without those that would be empty. The last one has moved mass, force at rest, acceleration and
+        top speed along each axis at rated voltage; implausible values there show wrong units.
     """
     tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
     effects = _titled("effects", "effect@site", "parameters")

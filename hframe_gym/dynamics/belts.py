@@ -48,9 +48,9 @@ class BeltEquations(ParameterizedMachine):
                 the states of effects: lists of floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
-            One `BeltState` per belt, in the machine's order: extension (m), its rate (m/s), stiffness (N/m), tension
-            (N), the force due to the change of stiffness with length (N), and the tension minus this force (N), each of
-            shape (...).
+            One `BeltState` per belt, in the machine's order: extension s (m), its rate (m/s), stiffness k (N/m),
+            tension T beyond the pretension (N), the force e = -(1/2) s^2 dk/dl (N) due to the change of k with the
+            length l, and T - e (N), each of shape (...).
         """
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
@@ -165,7 +165,7 @@ class BeltEquations(ParameterizedMachine):
 
 
 def combination(row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return the weighted sum of some values: row[i] * values[i] for every index i in `row`.
+    """Return the weighted sum of some values: the sum of row[i] * values[i] over the indices i in `row`.
 
     Terms with positive factors come first, because generated code with a minus at the beginning costs an instruction.
 
@@ -186,11 +186,11 @@ def combination(row: IndexRow, values: Sequence[Value]) -> Value:
 
 
 def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return total + the weighted sum of some values: row[i] * values[i] for every index i in `row`.
+    """Add a weighted sum to a value: return total + the sum of row[i] * values[i] over the indices i in `row`.
 
     Args:
         total: First summand, in the unit of row[i] * values[i]: a float, an array of shape (...) or an expression.
-        row: Factor by index.
+        row: Factor by index, for example the extension of a belt per travel of each coordinate.
         values: Values that `row` indexes, of the same kind and shape (...) as `total`.
 
     Returns:

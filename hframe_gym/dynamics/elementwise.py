@@ -178,7 +178,7 @@ def rint(x: Any) -> Any:
     """Return the nearest integer, ties to even.
 
     Args:
-        x: Operand, dimensionless: number, array of any shape, or symbolic expression.
+        x: Operand, dimensionless: number, array of any shape, or traced expression (CasADi has no such function).
 
     Returns:
         Nearest integer, as a floating-point value, in the shape of x.
@@ -211,7 +211,7 @@ def pow2(n: Any) -> Any:
 
 
 def any_of(condition: Any) -> Any:
-    """Return whether the condition holds in at least one element.
+    """Return whether a condition holds in at least one element (for SIMD registers: for at least one machine).
 
     Args:
         condition: Truth value, array of truth values of any shape, or SIMD mask (one truth value per machine).

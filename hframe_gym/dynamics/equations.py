@@ -129,8 +129,8 @@ class Equations(BeltEquations, SignalEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
             coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
-            arguments: What the states of effects need to advance (see `next_state`), by index in `instances`: the
-                Coulomb friction force `level`, N or Nm, or the current `i` of the drive, A.
+            arguments: Inputs of the formula `next_state`, which advances the state of an effect, by the effect's index
+                in `instances`: the Coulomb friction force `level`, N or Nm, or the current `i` of the drive, A.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -247,7 +247,7 @@ class Equations(BeltEquations, SignalEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
             coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
-            arguments: Quantities with which the states of effects advance, see `force_balance`.
+            arguments: Inputs of the formula `next_state` of effects with a state, see `force_balance`.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -281,7 +281,7 @@ class Equations(BeltEquations, SignalEquations):
     def accelerations(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return the acceleration of each coordinate.
+        """Return the acceleration of each coordinate along its belt travel: net force divided by mass.
 
         Effects (deviations from the nominal model) are included. Values are floats, arrays of one common shape (...) or
         symbolic expressions.
@@ -307,7 +307,7 @@ class Equations(BeltEquations, SignalEquations):
         time_s: Any = 0.0,
         effect_states: Mapping[int, Value] | None = None,
     ) -> MotionPoint:
-        """Convert arrays of positions and velocities to the belt travel that the equations use.
+        """Convert arrays of positions and velocities to a point of the motion at which forces are evaluated.
 
         Args:
             positions: Positions, m or rad, real or complex, shape (..., coordinates).

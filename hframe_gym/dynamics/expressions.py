@@ -196,7 +196,7 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 
 def function_source(trace: Trace) -> str:
-    """Return the source text of a function that a trace has recorded.
+    """Write the source text of a function from its recorded operations, for compilation by Numba.
 
     Args:
         trace: Record of the statements and expressions of the function.

@@ -251,14 +251,14 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
 
 
 def is_generated(machine: Machine, *, forced: bool) -> bool:
-    """Return whether `kernel_for` has already generated the simulation functions of a machine in this process.
+    """Return whether the simulation functions of a machine exist in this process, so that none must be generated.
 
     Args:
         machine: The machine.
         forced: Whether the functions take an external force on every coordinate.
 
     Returns:
-        True if the functions exist.
+        True if `kernel_for` has generated them for a machine of the same structure.
     """
     return (machine.shape, forced) in _KERNELS
 

@@ -88,14 +88,17 @@ class KernelSource:
         self.text = "\n\n".join(f"@inlined\n{function_source(trace)}" for trace in traces)
 
     def directions(self, i: int) -> tuple[str, ...]:
-        """Return the name suffixes of those constants of a coordinate that depend on viscous friction.
+        """Return the suffixes by which names of step constants distinguish the directions of motion of a coordinate.
+
+        The constants in `PER_DIRECTION`, for example the factor by which viscous friction reduces the speed in a step,
+        have two values where the viscous friction of the coordinate depends on the direction.
 
         Args:
             i: Index of the coordinate, from 0.
 
         Returns:
-            ("_forward", "_backward") if an effect makes viscous friction depend on the direction of motion, so that
-            there are two values of each constant; else ("",).
+            ("_forward", "_backward") if an effect makes viscous friction depend on the direction of motion; else
+            ("",), one value for both.
         """
         return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 

@@ -31,8 +31,9 @@ def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` per belt, in the machine's order: extension (m), its rate (m/s), stiffness (N/m), tension beyond
-        the pretension (N) and further forces (N); arrays of shape (...).
+        One `BeltState` per belt, in the machine's order: extension s (m), its rate (m/s), stiffness k (N/m), tension T
+        beyond the pretension (N), the force e = -(1/2) s^2 dk/dl (N) due to the change of k with the length l, and
+        T - e (N); arrays of shape (...).
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
@@ -47,7 +48,8 @@ def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        Forces, N, on linear and torques, Nm, on rotary coordinates, shape (..., coordinates).
+        Forces, N, on linear and torques, Nm, on rotary coordinates, positive in the direction of positive motion, shape
+        (..., coordinates).
     """
     equations = Equations(machine)
     point = equations.point(positions, velocities)

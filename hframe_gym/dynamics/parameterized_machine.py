@@ -67,7 +67,7 @@ class ParameterizedMachine:
     # -- parameters ------------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> Value:
-        """Return the value of a parameter.
+        """Return the value that a parameter of the machine has in this object.
 
         Args:
             name: Full name, for example "x.mass".
@@ -112,7 +112,7 @@ class ParameterizedMachine:
         return self._coordinates[i].travel_per_unit
 
     def per_radius(self, i: int) -> Value:
-        """Return the reciprocal of `radius`.
+        """Return the position of a coordinate per belt travel, the reciprocal of `radius`.
 
         Args:
             i: Index of the coordinate in the machine, from 0.
@@ -182,7 +182,7 @@ class ParameterizedMachine:
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield the effects (deviations from the nominal model) on a component that have a certain formula.
+        """Yield those effects (deviations from the nominal model) on a component that define a certain formula.
 
         Args:
             hook: Name of the formula, for example "voltage"; `hframe_gym.machine.Effect` lists these formulas
@@ -197,7 +197,7 @@ class ParameterizedMachine:
                 yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield the effects (deviations from the nominal model) on a coordinate that have a certain formula.
+        """Yield those effects (deviations from the nominal model) on a coordinate that define a certain formula.
 
         Args:
             hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists these formulas ("hooks").
@@ -232,7 +232,7 @@ class ParameterizedMachine:
         )
 
     def position(self, point: MotionPoint, i: int) -> Value:
-        """Return the position of a coordinate.
+        """Return the position of a coordinate at a point of the motion: belt travel divided by radius.
 
         Args:
             point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
@@ -244,7 +244,7 @@ class ParameterizedMachine:
         return point.travel[i] * self.per_radius(i)
 
     def speed(self, point: MotionPoint, i: int) -> Value:
-        """Return the speed of a coordinate.
+        """Return the speed of a coordinate at a point of the motion: rate of the belt travel divided by radius.
 
         Args:
             point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.

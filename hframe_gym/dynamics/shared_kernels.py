@@ -120,7 +120,7 @@ def rollout_kernel(
         parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P) for B variants of the machine.
         start: Belt travel (position, or radius * angle of a pulley), m, its rate, m/s, and states of effects at the
             first sample, shape (B, 2 * coordinates + effect states).
-        forced: Whether an external force must be possible.
+        forced: Whether an external force acts on the coordinates.
 
     Returns:
         kernel: Functions generated for this machine if they exist, else shared ones, else newly generated ones.

@@ -24,7 +24,6 @@ LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (
 _DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
 
 Array = NDArray[np.float64]
-_NOTHING = np.zeros((0, 0))
 _NO_SERIES = np.zeros((0, 0, 0))
 
 
@@ -146,7 +145,7 @@ def simulate_batch(
         measured: Measurements that correct the simulation (observer), in the channels' units, shape (n, sensors) or (B,
             n, sensors), NaN where not measured.
         gains: Observer gains, in the coordinates' units per unit of the channel, shape (2 * coordinates, sensors): at
-            every sample the correction of positions and velocities is gains @ (measured - reading). None: zero.
+            every sample gains @ (measured - reading) is added to positions and velocities. None: no correction.
         longest_step: Largest step of the integrator, s.
         states: Whether to return positions and velocities.
         readings: Whether to return sensor readings.
@@ -167,7 +166,8 @@ def simulate_batch(
     parameters = _rows(parameters, batch)
     travel = _rows(start, batch)
     force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time_s), count))
-    travel_gains = gains * np.tile(radii, 2)[:, None] if gains is not None else _NOTHING
+    gains = np.zeros((2 * count, len(machine.sensors))) if gains is None else gains
+    travel_gains = gains * np.tile(radii, 2)[:, None]
     grid = np.ascontiguousarray(time_s, float)
     out = np.empty((batch, len(grid), 2 * count)) if states else _NO_SERIES
     outputs = np.empty((batch, len(grid), len(machine.sensors))) if readings else _NO_SERIES

@@ -29,15 +29,17 @@ if TYPE_CHECKING:
 
 
 def row_name(component: str, index: int, key: str) -> str:
-    """Return the key under which `Layout.derived` holds the array row of a constant of the integrator step.
+    """Return the name of a step constant: a quantity that depends on the parameters and the step length only.
+
+    The constants are computed before the integration; `Layout.derived` maps these names to rows of their array.
 
     Args:
         component: "coordinate", "drive" or "belt".
         index: Index of the coordinate, drive or belt in the machine, from 0.
-        key: Name of the constant, for example "decay", the factor exp(-b h / m).
+        key: Quantity, for example "decay", the factor exp(-b h / m).
 
     Returns:
-        Key, for example "coordinate_0.decay".
+        Name, for example "coordinate_0.decay".
     """
     return f"{component}_{index}.{key}"
 

@@ -26,7 +26,7 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
         values: Input at the samples, any unit, shape (n,); before the first sample its value acts.
         start: Start of the interval, s.
         end: End of the interval, s.
-        hint: Index of a sample that is not before the start of the interval, where the search begins.
+        hint: Index of the sample at which the search for the start of the interval begins; any index is allowed.
 
     Returns:
         Mean value, in the unit of `values`.
@@ -58,7 +58,7 @@ def interpolated(rows, i: int, lane: int, j: int, back: float) -> float:
         back: Time before the present sample, as a multiple of the sampling period, >= 0.
 
     Returns:
-        Reading, m or rad; before the first sample that of the first.
+        Reading, m or rad; that of the first sample for times before it, and while there are only two samples (i < 2).
     """
     position = max(0.0, i - back)
     k = min(max(1, int(position + 0.5)), i - 1)
@@ -113,13 +113,13 @@ def start_block(block: int, start_time: float, parameters, start, state, block_p
 
 
 def copy_lanes(block: int, i: int, rows, table) -> None:
-    """Copy the first k rows of a block of LANES machines to one sample of a table, unless the table is empty.
+    """Copy values of a block (LANES machines, simulated side by side) to one sample of a table over all samples.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
         i: Index of the sample.
-        rows: Values of the block (states or readings, any unit), shape (k or more, LANES), one machine per column.
-        table: Output for B machines and n samples, in the unit of the rows, shape (B, n, k), or empty.
+        rows: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k rows are copied.
+        table: Output for B machines and n samples, in the unit of the rows, shape (B, n, k); if empty, nothing is done.
     """
     for lane in range(min(LANES, table.shape[0] - block * LANES)):
         for k in range(table.shape[2]):
@@ -127,7 +127,7 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
 
 
 def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
-    """Delay the readings of one sample by each sensor's delay, for a block of LANES machines.
+    """Delay the readings of one sample by each sensor's delay, for a block (LANES machines, simulated side by side).
 
     The readings are stored for later samples. Those of sensors with a delay are replaced by earlier ones, interpolated
     between samples. SENSORS is the number of sensors of a machine.
@@ -148,9 +148,10 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 
 
 def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
-    """Correct the states of LANES machines by the measurements of a sample: state += gains @ (measured - reading).
+    """Correct the states of a block (LANES machines, simulated side by side) by measurements, as an observer does.
 
-    This is output injection, as in an observer. COORDINATES, SENSORS and STATES are the numbers of these per machine.
+    The correction gains @ (measured - reading) is added to the state (output injection). COORDINATES, SENSORS and
+    STATES are the numbers of these per machine.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
@@ -173,7 +174,7 @@ def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, 
 def hold_inputs(
     block: int, parameters, time, i: int, steps: int, h: float, inputs, extra, drive_delays, voltages, external_forces
 ) -> None:
-    """Set the voltages and external forces of a block of LANES machines from a sample until the next.
+    """Set voltages and external forces of a block (LANES machines, simulated side by side) until the next sample.
 
     COORDINATES, INPUTS and PARAMETERS are the numbers of coordinates, drives and parameters per machine.
 
@@ -212,7 +213,7 @@ def hold_inputs(
 def rollout(
     time, inputs, parameters, start, measured, gains, extra, longest_step: float, first: int, last: int, out, readings
 ) -> None:
-    """Simulate the machines of blocks first..last-1 over a recording; a block has LANES of the B machines.
+    """Simulate blocks first..last-1 over a recording; a block is LANES of the B machines, simulated side by side.
 
     COORDINATES, INPUTS, PARAMETERS and SENSORS are the numbers of coordinates, drives and so on per machine.
 
@@ -221,13 +222,12 @@ def rollout(
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
         parameters: Machine parameters, SI, shape (B, PARAMETERS).
         start: Belt travel (radius * angle), m, its rate, m/s, and effect states at first, shape (B, STATES - 1).
-        measured: Measurements for output injection, m or rad, shape (1 or B, n, SENSORS), NaN where not measured; empty
-            for a simulation without injection.
+        measured: Measurements for `inject_outputs`, m or rad, shape (1 or B, n, SENSORS), NaN where missing; or empty.
         gains: Gains of the output injection (m and m/s per m or rad), shape (2 * COORDINATES, SENSORS).
         extra: External forces, N, shape (1 or B, n, COORDINATES), held, if the kernel is `FORCED`.
         longest_step: Largest step of the integrator, s.
-        first: First block.
-        last: Block after the last one.
+        first: Index of the first block.
+        last: Index after the last block.
         out: Output, the first k rows of the state (travel, m; its rate, m/s) at every sample, shape (B, n, k), or
             empty.
         readings: Output, sensor readings, m or rad, shape (B, n, SENSORS); empty if not needed.
@@ -272,9 +272,10 @@ def rollout(
 
 
 def prepare_blocks(parameters, h: float, first: int, last: int, derived) -> None:
-    """Compute the constants of a step (decay factors, reciprocals, ...) for blocks first..last-1 of LANES machines.
+    """Compute the constants that a step needs (decay factors, reciprocals, ...) for the machines of some blocks.
 
-    PARAMETERS and DERIVED are the numbers of parameters and of such constants per machine.
+    A block is LANES machines, simulated side by side. PARAMETERS and DERIVED are the numbers of parameters and of such
+    constants per machine.
 
     Args:
         parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
@@ -288,9 +289,10 @@ def prepare_blocks(parameters, h: float, first: int, last: int, derived) -> None
 
 
 def advance_blocks(state, parameters, derived, inputs, h: float, steps: int, first: int, last: int) -> None:
-    """Advance blocks first..last-1 of LANES machines in place, with constant inputs.
+    """Advance the machines of blocks first..last-1 by some steps with constant voltages, in place.
 
-    DERIVED, INPUTS, PARAMETERS and STATES are the numbers of constants, drives and so on per machine.
+    A block is LANES machines, simulated side by side. DERIVED, INPUTS, PARAMETERS and STATES are the numbers of
+    constants, drives and so on per machine.
 
     Args:
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, STATES, LANES).
@@ -309,7 +311,7 @@ def advance_blocks(state, parameters, derived, inputs, h: float, steps: int, fir
 
 
 def read_blocks(state, parameters, first: int, last: int, readings) -> None:
-    """Evaluate every sensor of blocks first..last-1 of LANES machines at the present state, without its delay.
+    """Compute the readings of blocks first..last-1 (LANES machines each, simulated side by side), without delay.
 
     Args:
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, STATES, LANES).
@@ -323,7 +325,7 @@ def read_blocks(state, parameters, first: int, last: int, readings) -> None:
 
 
 def sensor_delay_blocks(parameters, first: int, last: int, sensor_delays) -> None:
-    """Evaluate the delay of every sensor of blocks first..last-1 of LANES machines.
+    """Compute the sensors' delays for blocks first..last-1 (LANES machines each, simulated side by side).
 
     Args:
         parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.
@@ -336,7 +338,7 @@ def sensor_delay_blocks(parameters, first: int, last: int, sensor_delays) -> Non
 
 
 def drive_delay_blocks(parameters, first: int, last: int, drive_delays) -> None:
-    """Evaluate the delay of every drive of blocks first..last-1 of LANES machines.
+    """Compute the drives' delays for blocks first..last-1 (LANES machines each, simulated side by side).
 
     Args:
         parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.

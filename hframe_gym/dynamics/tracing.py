@@ -41,7 +41,7 @@ class Trace:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation in the generated function.
+        """Return the expression of an operation, such as a + b or sin(a), in the generated function.
 
         The operation is simplified if the result is exactly the same, for example x * 1 to x.
 
@@ -235,7 +235,8 @@ class Trace:
         Args:
             head: First line, for example "if any_of({}):", with "{}" in place of each value.
             *values: Expressions in that line.
-            loop: Whether values that are the same in all steps may be computed before the statement.
+            loop: Whether this is the loop over the steps of the integrator; values in its body that are the same in all
+                steps are then computed before it.
 
         Yields:
             None.

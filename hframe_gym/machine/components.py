@@ -86,12 +86,12 @@ class Coordinate:
         return self.radius if self.kind == "rotary" else 1.0
 
     def unit(self, quantity: str) -> str:
-        """Return the unit of a quantity that refers to this coordinate; it depends on the kind, linear or rotary.
+        """Return the unit of a quantity at this coordinate: m, N, ... at a linear one, rad, Nm, ... at a rotary one.
 
         Args:
-            quantity: A parameter of the coordinate ("mass", "viscous", "coulomb" or "radius"), or a key of `UNITS`:
-                "position", "speed", "force", "stiffness", "drag" (force per squared speed), "rad/position" (of a gear
-                ratio).
+            quantity: A parameter of the coordinate ("mass", "viscous", "coulomb" or "radius"), or a key of `UNITS`,
+                such as "position", "speed", "force", "stiffness", "drag" (force per squared speed) or "rad/position"
+                (of a gear ratio).
 
         Returns:
             The unit, for example "kg m^2" for the mass of a rotary coordinate.
@@ -180,10 +180,10 @@ class Drive:
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Parameters of the digital-to-analog converter by name.
+        """Parameters of the digital-to-analog converter by name; they do not enter the equations of motion.
 
-        `converter_bits` (number of bits, 0 for a continuous voltage) and `voltage_range` (V; by default the rated
-        voltage).
+        `converter_bits` (number of bits, 0 for a continuous voltage) and `voltage_range` (largest voltage in either
+        direction, V; by default the rated voltage).
         """
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return {"converter_bits": self.converter_bits, "voltage_range": limit}
@@ -262,17 +262,20 @@ class Sensor:
 
     @property
     def incremental(self) -> bool:
-        """Whether the sensor counts increments from where it was switched on; its zero is then unknown."""
+        """Whether the sensor counts increments from its position at power-on; its reading at position 0 is unknown."""
         return SENSOR_KINDS.get(self.kind).incremental
 
     @property
     def coordinate(self) -> str:
-        """Name of the coordinate with the largest absolute coefficient in `row`; products ("y*yaw") are ignored."""
+        """Name of the coordinate that the sensor mainly measures: the one with the largest coefficient in `row`.
+
+        The sign of a coefficient does not matter, and products of coordinates ("y*yaw") are ignored.
+        """
         return max((name for name in self.row if "*" not in name), key=lambda name: abs(self.row[name]))
 
     @property
     def device_parameters(self) -> dict[str, float]:
-        """Noise and resolution of the sensor by name.
+        """Noise and resolution of the sensor by name; they do not enter the equations of motion.
 
         `noise` (standard deviation) and `resolution` (quantization step, 0 for a continuous sensor), in the channel's
         unit.

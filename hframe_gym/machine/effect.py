@@ -189,7 +189,7 @@ class Effect:
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
         """Return the sites, components of a machine, at which an effect of this kind could act.
 
-        The list follows from the attribute `site` alone; `fits` and `fits_site` are not evaluated.
+        The kind of component (attribute `site`) decides alone; the conditions `fits` and `fits_site` are not checked.
 
         Args:
             machine: Machine whose components are listed.
@@ -339,12 +339,12 @@ class AppliedEffect:
 
 @lru_cache(maxsize=1024)
 def argument_names(function: Hook) -> tuple[str, ...]:
-    """Return the names of the arguments of a hook, a formula of an effect that the simulation calls.
+    """Return the names of the quantities that a hook, a formula of an effect, takes as arguments.
 
     Args:
-        function: The hook, for example `force(q, k)`.
+        function: The hook, a function that the simulation calls with these quantities, for example `force(q, k)`.
 
     Returns:
-        Names in the order of the signature, for example ("q", "k").
+        Names in the order of the signature, for example ("q", "k") for position and stiffness.
     """
     return tuple(inspect.signature(function).parameters)

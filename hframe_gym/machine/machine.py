@@ -117,7 +117,7 @@ class Machine:
         return self.sensors[self.output_channels.index(channel)]
 
     def coefficients(self, row: Row) -> Array:
-        """Convert coefficients by coordinate name to an array over all coordinates.
+        """Convert the coefficients of a belt or sensor from a dictionary to an array over all coordinates.
 
         Args:
             row: Coefficients by coordinate name: `extension` or `length` of a belt, or `row` of a sensor. Keys that are
@@ -141,7 +141,7 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Linear coefficients of the sensors' readings per unit of each coordinate, shape (sensors, coordinates)."""
+        """Reading of each sensor per unit of each coordinate (its linear part), SI, shape (sensors, coordinates)."""
         # Without the products of coordinates that a reading may contain.
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
@@ -153,8 +153,8 @@ class Machine:
             kind: Kind of the site (`Effect.site`). It is needed because different components may have the same name.
 
         Returns:
-            The coordinate itself, that of the drive, or the main one of the sensor. None for several (belts, drives,
-            machine).
+            Its name: the site itself, the coordinate that the drive moves, or the one that the sensor mainly measures.
+            None for belts, and for the sites "drives" and "machine", which have several.
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
@@ -228,7 +228,7 @@ class Machine:
             The unit, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
 
         Raises:
-            KeyError: If no component or effect of the machine has such a parameter.
+            KeyError: If the part behind the dot names no parameter; the component's name is not checked.
         """
         owner, _, key = parameter.rpartition(".")
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
@@ -305,7 +305,7 @@ class Machine:
             The extended machine.
 
         Raises:
-            ValueError: If the machine lacks the site of an effect or components that it needs, or has it already.
+            ValueError: If the machine lacks the site of an effect or components that it needs, or has it there already.
         """
         machine = self
         for effect in effects:

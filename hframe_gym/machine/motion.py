@@ -142,7 +142,8 @@ class MotionLimits:
 def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
     """Compute inertia, maximum force and steady speed along each rigid motion with every drive at its rated voltage.
 
-    A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y.
+    A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y. The values show whether
+    a description of a machine is plausible, for example whether its units are right.
 
     Args:
         machine: Machine; its effects (deviations from the nominal model) are ignored.

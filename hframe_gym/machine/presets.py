@@ -83,7 +83,7 @@ def hframe() -> Machine:
 
 
 def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Machine:
-    """Return a copy of a machine whose belt stiffness does not depend on the position.
+    """Return a copy of a machine whose belt stiffness does not depend on the position, as in a linear model.
 
     Args:
         machine: Machine with belts.
@@ -123,7 +123,8 @@ def hframe_linear() -> Machine:
 def hframe_literal() -> Machine:
     """Return the preset `hframe` with eq. 17 of Sollmann et al. (2010) as printed, that is, without the gear ratio.
 
-    Its simulated motion contradicts Fig. 7 of the paper, which shows that the printed equation lacks the gear ratio.
+    It documents an error of the paper: with the equation as printed, the simulated motion contradicts Fig. 7, and with
+    the gear ratio of 5.9 (preset `hframe`) it agrees.
 
     Returns:
         The preset `hframe-literal`: `hframe` with gear ratio 1.

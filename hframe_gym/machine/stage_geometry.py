@@ -1,8 +1,8 @@
 """Plan views of stages: rails, bridge, pulleys and the path of the belts, for pictures of a machine from above.
 
-Positions are points (x, y) in m. Which axis the bridge moves along follows from the masses: the bridge carries the
-carriage, so that the mass of its axis is larger. Sizes that a machine.json does not declare (frame, bridge, pulleys)
-are chosen for a readable picture.
+Points are (x, y) in m along the axes of the tool. Which axis the bridge moves along follows from the masses: the bridge
+carries the carriage, so that the mass of its axis is larger. Sizes that a machine.json does not declare (frame, bridge,
+pulleys) are chosen for a readable picture.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class StageGeometry:
         self.belts: dict[str, str] = {}
 
     def rails(self) -> list[Box]:
-        """Compute the rails on which the bridge, or the carriage of a single axis, runs.
+        """Compute where to draw the rails, on which the bridge or the carriage of a single axis runs, from above.
 
         Returns:
             Rectangles: two rails, or one for a single axis. Each is (x, y) of one corner, then of the opposite one, m.
@@ -73,7 +73,7 @@ class StageGeometry:
         return [(x - 0.03, self.y0 - 0.03, x + 0.03, self.y1 + 0.03) for x in (self.x0, self.x1)]
 
     def bridge(self, x: float, y: float) -> list[Box]:
-        """Compute the parts of the bridge: two end plates and the beam between them.
+        """Compute where to draw the bridge, seen from above: two end plates and the beam between them.
 
         Args:
             x: Tool position along x, m.
@@ -91,20 +91,20 @@ class StageGeometry:
         return [*plates, (self.x0, y - 0.012, self.x1, y + 0.012)]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers of the pulleys; a stage of this base class has none, because its belts are not drawn.
+        """Compute where to draw the pulleys; this base class draws neither belts nor pulleys.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Points (x, y), m: an empty list here.
+            Centers (x, y) of the pulleys, m: an empty list here.
         """
         del x, y
         return []
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the lines along which the belt sections are drawn; this base class draws none.
+        """Compute where to draw the belt sections, seen from above; this base class draws none.
 
         Args:
             x: Tool position along x, m.
@@ -140,7 +140,7 @@ class BeltGeometry(StageGeometry):
             self.belts |= {section: name for section, name in drawn.items() if name in names}
 
     def bridge(self, x: float, y: float) -> list[Box]:
-        """Compute the parts of the bridge: two end plates, which carry two pulleys each, and the beam between them.
+        """Compute where to draw the bridge: two end plates, which carry two pulleys each, and the beam between them.
 
         Args:
             x: Tool position along x, m.
@@ -156,14 +156,14 @@ class BeltGeometry(StageGeometry):
         return [*boxes, (x - 0.025, self.y0, x + 0.025, self.y1)]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers of the eight pulleys of an H-frame.
+        """Compute where to draw the eight pulleys of an H-frame, seen from above: at the corners and on the bridge.
 
         Args:
-            x: Position of the bridge, m.
+            x: Tool position along x, m, which is the position of the bridge.
             y: Tool position along y, m; the result does not depend on it.
 
         Returns:
-            Points (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this
+            Centers (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this
             order.
         """
         d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
@@ -171,7 +171,7 @@ class BeltGeometry(StageGeometry):
         return [*self._corners, *bridge]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the lines along which the nine belt sections of an H-frame are drawn.
+        """Compute where to draw the nine belt sections of an H-frame, seen from above.
 
         Args:
             x: Tool position along x, m.
@@ -232,21 +232,21 @@ class CoreXYGeometry(StageGeometry):
                     self.belts[section + label] = b.name
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers of the ten pulleys of a CoreXY stage, seen from the front, where the motors are.
+        """Compute where to draw the ten pulleys of a CoreXY stage, seen from above with the motors in front.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
 
         Returns:
-            Points (x, y), m, in this order: left and right motor; left and right idler at the rear of the first belt
+            Centers (x, y), m, in this order: left and right motor; left and right idler at the rear of the first belt
             (that of the left motor), then of the second belt; on the bridge: left and right in front, left and right
             behind.
         """
         return [self._swap(point) for point in self._pulleys(*self._swap((x, y)))]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the lines along which the four belt sections of a CoreXY stage are drawn.
+        """Compute where to draw the four belt sections of a CoreXY stage, seen from above with the motors in front.
 
         Args:
             x: Tool position along x, m.
@@ -299,7 +299,7 @@ def _arc(center: Point, start: float, end: float, radius: float = PULLEY_RADIUS)
 
 
 def stage_geometry(machine: Machine) -> StageGeometry:
-    """Choose the plan view for a machine by its kinematics; names of belts do not matter.
+    """Choose how to draw a machine from above (plan view) by its kinematics; names of belts do not matter.
 
     Args:
         machine: Machine with one or two tool axes; an axis without a range is drawn with `DEFAULT_RANGE`.

@@ -69,7 +69,7 @@ def fill_gaps(recording: Recording) -> Recording:
 
 
 def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
-    """Interpolate the measurements of a sensor that measures less often than the log has rows.
+    """Interpolate the measurements of sensors that measure less often than the recording has rows.
 
     Channels that never measure in the same row could not be compared otherwise. The result serves these comparisons
     only: noise, resolution and everything that a fit uses are taken from the measured cells.
@@ -77,10 +77,11 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     Args:
         outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
-        longest_gap: Longest time between two measurements over which is interpolated, s.
+        longest_gap: Longest time between two measurements of a sensor over which is interpolated, s.
 
     Returns:
-        Copy with linearly interpolated values in these gaps, shape (n, sensors).
+        Copy with linearly interpolated values in these gaps, shape (n, sensors); still NaN in longer gaps, before the
+        first and after the last measurement.
     """
     bridged = outputs.copy()
     rows = np.arange(len(time_s))
@@ -104,7 +105,8 @@ def repetitions(values: Array) -> int:
         values: Measurements of one channel, in the sensor's unit, shape (n,), NaN where not measured.
 
     Returns:
-        Number of rows per measurement, the median during motion; 1 for a sensor that measures in every row.
+        Number of rows per measurement, the median during motion; 1 for a sensor that measures in every row, or whose
+        measurements change too seldom to tell.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
     if np.count_nonzero(changes) < _MIN_CHANGES:
@@ -147,7 +149,8 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     before and of the two after them. Kinks and steps of a real motion (a shock at an end stop, a stop by Coulomb
     friction) agree with one of the extrapolations, so they are kept. The departure must be large relative to three
     quantities: the departures of all samples of the run, the distance that the change of speed around it explains, and
-    the noise and resolution that the machine declares. Empty cells are skipped.
+    the noise and resolution that the machine declares. Empty cells are skipped, and sensors with fewer than 30
+    measurements have no outliers.
 
     Args:
         recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
@@ -167,7 +170,9 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 
 
 def only_measurements(recording: Recording, machine: Machine) -> Recording:
-    """Replace repeated values of slow sensors (see `repetitions`) and outliers (see `outlier_mask`) by NaN.
+    """Keep only what sensors measured: replace repetitions of slow sensors, then outliers, by NaN (not measured).
+
+    `repetitions` and `outlier_mask` say how these are recognized.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).

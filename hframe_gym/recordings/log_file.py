@@ -87,7 +87,7 @@ class Log:
 
 
 def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
-    """List the logs at a path.
+    """List the logs at a path: files that a controller or data logger wrote, not yet recordings of this package.
 
     Args:
         path: A log, or a folder of logs.
@@ -128,7 +128,7 @@ def log_name(path: Path) -> str:
 
 
 def open_log(path: Path) -> Log:
-    """Open a log: a text file, a MATLAB file or a Parquet file.
+    """Open a log of a controller or data logger (text, MATLAB or Parquet file), and determine its columns.
 
     The kind is detected from the content of the file; the ending of its name matters only for MATLAB files.
 

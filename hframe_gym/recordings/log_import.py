@@ -56,7 +56,7 @@ def import_logs(
     say: Say = print,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Convert logs to recordings of a machine.
+    """Convert logs, which a controller or data logger wrote, to recordings of a machine, the input of identification.
 
     The recordings appear in the folder together after all logs have been converted, so that a faulty log leaves it
     unchanged.

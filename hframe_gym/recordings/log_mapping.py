@@ -83,7 +83,7 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
         path: File ending in .toml or .json.
 
     Returns:
-        Columns, units and factors by channel.
+        Columns, units and factors by channel, for `map_columns`.
 
     Raises:
         InputError: If the file cannot be read or has other tables or values. The message names file and field.

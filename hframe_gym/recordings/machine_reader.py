@@ -67,8 +67,8 @@ class MachineReader:
             The machine.
 
         Raises:
-            InputError: If a name, unit, sign or the site of an effect is wrong. The message names the file and the
-                field.
+            InputError: If a name, unit, sign, reference or covariance is wrong, or an effect cannot act at its site.
+                The message names the file and the field.
         """
         machine = self._convert()
         for field, doubt in implausible_values(machine):
@@ -290,10 +290,10 @@ class MachineReader:
 
 
 def implausible_values(machine: Machine) -> list[tuple[str, str]]:
-    """List values of a machine that are probably mistakes.
+    """List values of a machine that are possible but probably mistakes, so that the user is warned of them.
 
-    They are lengths in millimeters, implausible signs and factors of belts, and sensors whose names end in a unit other
-    than m or rad.
+    They are lengths in millimeters, implausible signs and factors of belts, y listed before x, and sensors whose names
+    end in a unit other than m or rad.
 
     Args:
         machine: Machine as its file declares it.

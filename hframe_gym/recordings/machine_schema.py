@@ -266,7 +266,8 @@ TABLES: tuple[type[Table], ...] = (
 def field_descriptions(table: type[Table]) -> dict[str, str]:
     """Return the descriptions of the fields of one kind of object in machine.json, for example of a drive.
 
-    They are read from the `Attributes` sections of the docstrings of the object's class and of `Table`.
+    The JSON Schema and docs/machine.md quote them. They are read from the `Attributes` sections of the docstrings of
+    the object's class and of `Table`.
 
     Args:
         table: Class of the object, one of `TABLES`.
@@ -283,7 +284,7 @@ def field_descriptions(table: type[Table]) -> dict[str, str]:
 
 
 def table_summary(table: type[Table]) -> str:
-    """Return what one kind of object in machine.json describes, from the docstring of its class.
+    """Return the description of one kind of object in machine.json, such as a drive, for the JSON Schema and the docs.
 
     Args:
         table: Class of the object, one of `TABLES`.

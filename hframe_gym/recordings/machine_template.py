@@ -161,7 +161,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
 
 
 def compact_json(value: Any, indent: int = 0) -> str:
-    """Format JSON for people: an object or list is written on one line if it fits there.
+    """Format JSON for people: an object or list is written on one line if it fits there (100 characters).
 
     Args:
         value: Dictionaries, lists, strings and numbers.

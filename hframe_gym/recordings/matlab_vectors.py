@@ -44,7 +44,8 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
 def main() -> None:
     """Read a MATLAB file and write its vectors and their names to an .npz file.
 
-    The command line gives the two paths. If the file cannot be read, the process ends with exit code 2.
+    The command line gives the two paths. The program runs in a process of its own, because SciPy's reader can crash on
+    a damaged file. If the file cannot be read, the process ends with exit code 2.
     """
     source, target = sys.argv[1:]
     try:

@@ -129,7 +129,7 @@ class Conversion:
 
 
 def parse_factor(where: str, factor: object) -> float:
-    """Convert a factor that a user wrote to a number.
+    """Read a factor that a user gave for a column of a log, by which the values of the column are multiplied.
 
     Args:
         where: File and field, or option, that has the factor, for the message.
@@ -179,7 +179,7 @@ def normalize_unit(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is a unit, to recognize a row of units below the header of a table.
+    """Return whether a text is a unit; a row of such texts below the header of a table is a row of units.
 
     Args:
         text: Cell of the row.
@@ -200,7 +200,7 @@ def split_unit(header: str) -> tuple[str, str]:
     Returns:
         name: Name without the unit.
         unit: Unit as `normalize_unit` spells it, "" if the header has none. Any text in brackets is a unit. Without
-            brackets, only the units of `UNITS` and `SPEED_UNITS` and percent are recognized.
+            brackets, only the units of `UNITS`, `SPEED_UNITS` and `DUTY_UNITS` are recognized.
     """
     match = _BRACKETED.fullmatch(header)
     if match and match["name"]:

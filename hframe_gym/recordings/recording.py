@@ -77,7 +77,7 @@ def load_recordings(
     max_rows: int | None = None,
     log: Callable[[str], None] = print,
 ) -> list[Recording]:
-    """Load and check all recordings of a folder.
+    """Load and check all recordings of a folder, one run of a machine per file.
 
     Args:
         folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
@@ -136,7 +136,7 @@ def load_recording(
     progress: Progress | None = None,
     max_rows: int | None = None,
 ) -> Recording:
-    """Load and check one recording.
+    """Load and check one recording: the voltages and measurements of one run of a machine.
 
     Args:
         path: File of the recording, .csv, .csv.gz or .parquet.
@@ -217,7 +217,7 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
-    """Write a simulated run as a recording that `load_recording` can read.
+    """Write a simulated run as a recording that `load_recording` can read, with nine significant digits.
 
     If writing fails, an existing file is unchanged.
 

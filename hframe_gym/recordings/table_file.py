@@ -71,13 +71,13 @@ def recording_files(folder: Path) -> list[Path]:
 
 
 def import_command(path: Path) -> str:
-    """Return the command that converts a log to recordings, for messages.
+    """Return the command line `hframe import ...` that converts a log to recordings, for error messages.
 
     Args:
         path: File of the log.
 
     Returns:
-        Command line for a shell.
+        Command line for a shell; its output folder RUNS is a placeholder.
     """
     return f"hframe import {shlex.quote(str(path))} --out RUNS"
 
@@ -235,7 +235,7 @@ def parquet_numbers(path: Path, name: str, column: Any) -> Array:
         Numbers, shape (rows,); NaN where the column has no value.
 
     Raises:
-        InputError: If an integer is so large that floating-point numbers cannot represent it.
+        InputError: If a value cannot be converted, such as an integer beyond the exact range of floating-point numbers.
     """
     try:
         return np.asarray(column.cast("double").to_numpy(), np.float64)

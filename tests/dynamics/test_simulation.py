@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics import NotFiniteError, rollout, simulate
+from hframe_gym.dynamics import NotFiniteError, rollout, simulate, simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, rest_state
 from tests import reference_simulator as reference
@@ -154,6 +154,15 @@ def test_invalid_input_is_refused(time: list[float], inputs: np.ndarray, message
     """The message names the fault."""
     with pytest.raises(ValueError, match=message):
         simulate(hframe, time, inputs)
+
+
+@UNIT
+def test_measurements_without_gains_correct_nothing() -> None:
+    """Without observer gains, measurements leave the simulation unchanged."""
+    machine = BUILTIN_MACHINES["axis"]()
+    inputs, measured = np.full((len(TIME), 1), 6.0), np.full((len(TIME), 1), 0.1)
+    free, observed = (simulate_batch(machine, TIME, inputs, measured=m).positions for m in (None, measured))
+    assert np.array_equal(free, observed)
 
 
 @UNIT
