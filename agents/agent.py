@@ -137,7 +137,7 @@ class Agent(Controller):
             if key in observation and observation[key].shape[1:] != space.shape:
                 raise InputError(
                     f"agent {self.card['name']}: {key} has shape {observation[key].shape}, but the agent was trained "
-                    f"on (batch, {space.shape[0]}); evaluate it with the sensors of its training"
+                    f"on (batch, {space.shape[0]}); evaluate it with the machine and the sensors of its training"
                 )
         policy_input = self.mapping.augment(observation) if self.mapping else dict(observation)
         with single_threaded_torch():
@@ -166,6 +166,23 @@ class Agent(Controller):
         if self.mapping:
             self.mapping.reset(mask)
 
+    def structural_mismatch(self, machine: Machine) -> str | None:
+        """Return why the agent cannot run on a machine, because the machine has other numbers of axes or drives.
+
+        Args:
+            machine: Machine on which the agent is to run or to be trained further.
+
+        Returns:
+            A clause about the agent, for example "was trained on a machine with 2 axes, 2 drives, but 'stage' has
+            1 axis, 1 drive"; None if the numbers of axes, coordinates and drives are equal.
+        """
+        counts, trained = _part_counts(machine), _part_counts(self.machine)
+        differing = [part for part in counts if counts[part] != trained[part]]
+        if not differing:
+            return None
+        present, former = (", ".join(_counted(c[part], part) for part in differing) for c in (counts, trained))
+        return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
+
     def mismatch(self, machine: Machine, period: float) -> str | None:
         """Return a warning if machine or control period of an evaluation differ from those of the agent's training.
 
@@ -179,7 +196,7 @@ class Agent(Controller):
         differences = []
         if machine.name != self.machine.name:
             differences.append(f"trained on machine {self.machine.name!r}, evaluated on {machine.name!r}")
-        elif not _same_parameters(machine, self.machine):
+        elif not same_parameters(machine, self.machine):
             differences.append(f"trained on a machine {machine.name!r} with other parameters")
         if not np.isclose(period, self.period):
             differences.append(f"trained with a control period of {self.period:g} s, evaluated at {period:g} s")
@@ -279,8 +296,26 @@ def _shape(values: list[Any]) -> list[int]:
     return [len(values), *(len(row) for row in values if isinstance(row, list))]
 
 
-def _same_parameters(machine: Machine, other: Machine) -> bool:
-    """Tell whether two machines have the same parameters with equal values."""
+def _part_counts(machine: Machine) -> dict[str, int]:
+    """Return the numbers of parts that determine the shapes of observations and actions."""
+    return {"axis": len(machine.tool_axes), "coordinate": len(machine.coordinates), "drive": len(machine.drives)}
+
+
+def _counted(count: int, noun: str) -> str:
+    """Return a number with its noun, for example "2 axes"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {'axes' if noun == 'axis' else noun + 's'}"
+
+
+def same_parameters(machine: Machine, other: Machine) -> bool:
+    """Return whether two machines have the same parameters with equal values.
+
+    Args:
+        machine: A machine.
+        other: Another one.
+
+    Returns:
+        True if the names are equal and the values differ by rounding at most.
+    """
     if list(machine.parameters) != list(other.parameters):
         return False
     values, other_values = (list(m.parameters.values()) for m in (machine, other))

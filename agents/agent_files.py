@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ..errors import InputError
 from ..file_limits import read_json
+from ..locked_folders import complete_commit
 
 KEY_BYTES = 32
 _MARK = b"\nhframe_gym checkpoint signature "
@@ -131,6 +132,56 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
         first = error.errors()[0]
         raise InputError(f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
     return dict(card)
+
+
+def refuse_to_replace(folder: Path) -> None:
+    """Raise an error if a folder holds an agent or the checkpoint of a training run, which new files would replace.
+
+    Args:
+        folder: Folder for the files of a training run; it need not exist.
+
+    Raises:
+        InputError: If the folder holds such files. The message says what they are and which options continue or replace
+            the run.
+    """
+    complete_commit(folder)
+    present = [name for name in ("agent.json", "policy.safetensors", "checkpoint.zip") if (folder / name).exists()]
+    if not present:
+        return
+    try:
+        card = read_json(folder / "card.json")
+        steps = f", {card['curve'][-1]['steps']} steps" if card["curve"] else ""
+        described = f"the agent {card['name']} of machine {card['machine']!r}, seed {card['seed']}{steps}"
+    except (InputError, OSError, KeyError, TypeError, IndexError):  # damaged, or of another version
+        described = ", ".join(present)
+    raise InputError(
+        f"{folder}: holds {described}, which training would replace; choose another folder, continue the run with "
+        "--resume, or replace it with --force"
+    )
+
+
+def read_previous_card(file: Path) -> dict[str, Any]:
+    """Read the card of a training run that is to be resumed, and check the entries that are used.
+
+    Args:
+        file: Its card.json.
+
+    Returns:
+        Content of the file; learning curve, recipe and seed have the right form.
+
+    Raises:
+        InputError: If the file is damaged.
+    """
+    card = read_json(file)
+    try:
+        columns = {tuple(row) for row in card["curve"]}
+        numbers = [card["kept"], *(value for row in card["curve"] for value in row.values())]
+        is_valid = all(isinstance(value, int | float) and abs(value) < 1e15 for value in numbers) and len(columns) == 1
+        if is_valid and {"steps", "seconds", "cpu_s"} <= set(*columns) and {"recipe", "seed"} <= set(card):
+            return dict(card)
+    except (KeyError, TypeError, IndexError, AttributeError):
+        pass
+    raise InputError(f"nothing to resume: {file} is damaged")
 
 
 def sign_checkpoint(path: Path) -> None:

@@ -12,8 +12,10 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
+from ..machine import Machine
 from .agent import AGENT_FILES, SCHEMA, Agent
 from .agent_files import read_card
+from .recipe import Recipe
 
 
 @CONTROLLER_SOURCES.register("agents")
@@ -33,13 +35,21 @@ class AgentSource(ControllerSource):
             The agent, or None if the name is neither a folder nor that of an agent that comes with the package.
 
         Raises:
-            InputError: If the folder holds no agent or its files are damaged.
+            InputError: If the folder holds no agent, its files are damaged, or the machine has other numbers of axes
+                or drives than that of the training.
             ImportError: If the extra `agents` is not installed.
         """
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None
         agent = Agent.load(folder)
+        obstacle = agent.structural_mismatch(scenario.declared_machine)
+        if obstacle:
+            trained_on = folder / "machine.json" if Path(name).is_dir() else agent.machine.name
+            raise InputError(
+                f"agent {name}: {obstacle}. Leave it out, evaluate it on its own (--machine {trained_on}), or train "
+                "an agent for this one (hframe train ppo)"
+            )
         mismatch = agent.mismatch(scenario.declared_machine, scenario.period)
         if mismatch:
             warnings.warn(mismatch, stacklevel=2)
@@ -96,6 +106,30 @@ def shipped_agent_folder(name: str, task: str) -> Path:
     folder = _find_shipped(name, task)
     if folder is None:
         raise InputError(f"no shipped agent {name!r} for the task {task}; choose one of: {_shipped_names(task)}")
+    return folder
+
+
+def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
+    """Find the folder of the shipped agent from which a recipe continues, for example "adapt".
+
+    Args:
+        recipe: Recipe with a `start`.
+        task: Name of the task, "reach" or "track".
+        machine: Machine on which training continues.
+
+    Returns:
+        Folder of the agent, for `load_weights`.
+
+    Raises:
+        InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes or drives.
+    """
+    folder = shipped_agent_folder(recipe.start, task)
+    obstacle = Agent.load(folder).structural_mismatch(machine)
+    if obstacle:
+        raise InputError(
+            f"recipe {recipe.name}: continues the shipped agent {folder.name}, which {obstacle}. Train an agent from "
+            f"random weights instead: hframe train {recipe.start}, with the other options unchanged"
+        )
     return folder
 
 

@@ -137,6 +137,8 @@ def progress_line(row: Mapping[str, Any]) -> str:
     if "contour_rms_mm" in row:
         return f"{prefix}  contour {row['contour_rms_mm']:.3f} mm rms  tracking {row['tracking_rms_mm']:.3f} mm rms"
     fractions = ", ".join(f"{100 * row[f'success_{band}']:.1f} % within {band}" for band in BANDS)
+    if not row["success_0.2mm"]:  # the mean is then the length of the episodes
+        return f"{prefix}  {fractions}; none settles to 0.2mm"
     return f"{prefix}  {fractions}; settles to 0.2mm in {row['settling_s_0.2mm']:.3f} s"
 
 

@@ -22,13 +22,12 @@ from ..atomic_files import atomic_file, newest, output_batch
 from ..envs import TASKS, Task
 from ..errors import InputError
 from ..evaluation import Scenario, period_concern
-from ..file_limits import read_json
 from ..locked_folders import complete_commit, locked_folder
 from ..machine import Machine
 from ..recordings import load_machine
-from .agent import SCHEMA, Agent, load_weights, policy_class, policy_keywords
-from .agent_files import refuse_unsigned, sign_checkpoint
-from .controller_source import shipped_agent_folder
+from .agent import SCHEMA, Agent, load_weights, policy_class, policy_keywords, same_parameters
+from .agent_files import read_previous_card, refuse_to_replace, refuse_unsigned, sign_checkpoint
+from .controller_source import start_agent_folder
 from .features import feature_parameters
 from .model_card import improves, progress_line, score_agent, versions, write_card
 from .optional_dependencies import (
@@ -66,6 +65,7 @@ def train(
     progress: Progress = lambda done, total: None,
     randomize: str | None = None,
     trust: bool = False,
+    force: bool = False,
 ) -> dict[str, Any]:
     """Train an agent by a recipe (settings of a training run) and write it, as of its best evaluation, to a folder.
 
@@ -87,13 +87,15 @@ def train(
             machine.json with standard deviations.
         trust: Resume also from a checkpoint that this installation did not write. Loading it executes code that it may
             contain.
+        force: Replace an agent or checkpoint that `out` holds. Without it and `resume`, such a folder is refused.
 
     Returns:
         Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
 
     Raises:
-        InputError: If the recipe or task is unknown, `out` has no checkpoint of this recipe and seed to resume or one
-            that this installation did not write, or another process writes to `out`.
+        InputError: If the recipe or task is unknown or unfit for the machine, `out` holds a run that is not to be
+            replaced, no checkpoint of this recipe, machine and seed to resume or one that this installation did not
+            write, or another process writes to `out`.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
@@ -104,6 +106,8 @@ def train(
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
     # In all of it: the decomposition that draws the first weights has other last bits with more threads.
     with locked_folder(out), single_threaded_torch():
+        if not (resume or force):
+            refuse_to_replace(Path(out))
         run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
         run.trust = trust
         return run.execute(recipe.steps if steps is None else steps, resume)
@@ -148,12 +152,12 @@ class _Run:
 
     def execute(self, steps: int, resume: bool) -> dict[str, Any]:
         """Train up to a total number of steps and return the card."""
-        recipe = self.recipe
+        recipe, task = self.recipe, self.card["task"]
         self.total_steps = steps
         self.evaluation_interval = max(SHORTEST_INTERVAL, steps // EVALUATIONS_PER_RUN)
         self.model = self._load_checkpoint() if resume else self._new_model()
         if recipe.start and not resume:
-            load_weights(self.model.policy, shipped_agent_folder(recipe.start, self.card["task"]))
+            load_weights(self.model.policy, start_agent_folder(recipe, task, self.machine))
         logger = import_optional("stable_baselines3.common.logger")
         self.model.set_logger(logger.configure(str(self.folder / "tensorboard"), ["tensorboard"]))
         if not resume:
@@ -202,11 +206,18 @@ class _Run:
         for file in (card_file, checkpoint, environment):
             if not file.is_file():
                 raise InputError(f"nothing to resume: {file} does not exist")
-        previous = _read_previous_card(card_file)
+        previous = read_previous_card(card_file)
         if (previous["recipe"], previous["seed"]) != (self.card["recipe"], self.card["seed"]):
             raise InputError(
                 f"nothing to resume: {self.folder} holds a run of {previous['recipe']} with seed {previous['seed']}, "
                 f"not of {self.card['recipe']} with seed {self.card['seed']}"
+            )
+        kept_agent = Agent.load(self.folder)
+        if not same_parameters(kept_agent.machine, self.machine):
+            raise InputError(
+                f"nothing to resume: {self.folder} holds a run on the machine {kept_agent.machine.name!r}, whose "
+                f"parameters are not those of {self.machine.name!r}; resume it with --machine "
+                f"{self.folder / 'machine.json'}"
             )
         for file in (checkpoint, environment, replay) if not self.trust else ():
             if file.is_file():
@@ -223,7 +234,7 @@ class _Run:
             model.load_replay_buffer(replay, truncate_last_traj=False)
         self.card["curve"] = [row for row in previous["curve"] if row["steps"] <= model.num_timesteps]
         self.card["kept"] = previous["kept"]
-        self.kept_costs = score_agent(Agent.load(self.folder), self.scenario).costs
+        self.kept_costs = score_agent(kept_agent, self.scenario).costs
         adapters = import_module("hframe_gym.agents.sb3_adapters")
         adapters.set_random_state(model, state["random"])  # last: what is above may draw random numbers
         return model
@@ -283,20 +294,6 @@ class _Run:
                 sign_checkpoint(newest(self.folder / name))
             write_card(self.folder, self.card)
         self.improved_agent, self.evaluated = None, False
-
-
-def _read_previous_card(file: Path) -> dict[str, Any]:
-    """Read the card of the run that is resumed and check the entries that are used."""
-    card = read_json(file)
-    try:
-        columns = {tuple(row) for row in card["curve"]}
-        numbers = [card["kept"], *(value for row in card["curve"] for value in row.values())]
-        is_valid = all(isinstance(value, int | float) and abs(value) < 1e15 for value in numbers) and len(columns) == 1
-        if is_valid and {"steps", "seconds", "cpu_s"} <= set(*columns) and {"recipe", "seed"} <= set(card):
-            return dict(card)
-    except (KeyError, TypeError, IndexError, AttributeError):
-        pass
-    raise InputError(f"nothing to resume: {file} is damaged")
 
 
 def _algorithm(kind: str) -> Any:

@@ -12,7 +12,7 @@ from ..distributed import files_of, map_tasks, write_files
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import load_machine
-from .agent_files import sign_checkpoint
+from .agent_files import refuse_to_replace, sign_checkpoint
 from .optional_dependencies import require_training_packages
 from .recipe import Recipe, load_recipe
 from .training import RESUME_FILES, Log, Progress, train
@@ -32,6 +32,7 @@ def train_seeds(
     jobs: int = 1,
     ray: str | None = None,
     show_curves: bool = True,
+    force: bool = False,
 ) -> dict[int, dict[str, Any]]:
     """Train one agent per seed, several at a time; each equals, bit for bit, the agent that `train` gives.
 
@@ -51,12 +52,14 @@ def train_seeds(
         jobs: Number of local worker processes, as for `map_tasks`.
         ray: Address of a Ray cluster that runs the workers instead, as for `map_tasks`.
         show_curves: Whether the workers print a line after each evaluation.
+        force: Replace agents or checkpoints that these folders hold. Without it, such folders are refused.
 
     Returns:
         Contents of each agent's card.json, by seed; see `train`.
 
     Raises:
-        InputError: If an argument is wrong, the cluster cannot be reached, or another process writes to `out`.
+        InputError: If an argument is wrong, a folder holds a run that is not to be replaced, the cluster cannot be
+            reached, or another process writes to `out`.
         ImportError: If the extra `agents`, or `ray` where it is needed, is not installed.
     """
     if len(set(seeds)) < len(seeds):
@@ -64,6 +67,8 @@ def train_seeds(
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
     folders, done = [Path(out) / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [Path(out)], 0
+    for folder in folders if not force else ():
+        refuse_to_replace(folder)
 
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:
         nonlocal done

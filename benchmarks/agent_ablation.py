@@ -128,7 +128,7 @@ def run(variant: str, steps: int, seed: int, out: Path | None) -> dict[str, Any]
     began = time.process_time()
     with tempfile.TemporaryDirectory() as temporary:
         folder = out / f"{variant.replace(', ', '_').replace(' ', '_')}-seed{seed}" if out else temporary
-        card = train(recipe, seed=seed, out=folder, log=lambda line: None)
+        card = train(recipe, seed=seed, out=folder, log=lambda line: None, force=True)
         cpu_s = time.process_time() - began
         scores = score(Agent.load(folder))
     return {"seed": seed, "steps": card["curve"][-1]["steps"], "kept": card["kept"], "cpu_s": round(cpu_s, 1), **scores}

@@ -130,7 +130,7 @@ def trained(training: Training, machine: Machine, randomize: str, folder: Path, 
     recipe = replace(recipe, steps=training.steps, env=environment, start=training.start.format(seed=seed))
     present = json.loads(card.read_text()) if card.is_file() else None
     if present is None or present["settings"] != recipe.as_dict() or present["curve"][-1]["steps"] < training.steps:
-        train(recipe, machine, seed=seed, out=folder, log=lambda line: None)
+        train(recipe, machine, seed=seed, out=folder, log=lambda line: None, force=True)
     return Agent.load(folder)
 
 

@@ -394,6 +394,19 @@ def test_scores_are_not_cut(metric: str, width: int) -> None:
         assert text.count(number) >= len(names)
 
 
+def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
+    """The mean is then the length of the episodes, which is no settling time."""
+    bands = {"1mm": 0.5, "0.2mm": 0.0, "0.05mm": 0.0}
+    score = {"success": bands, "settling_s": {band: {"mean": 1.5} for band in bands}}
+    scores = {"task": "reach", "episodes": 512, "machine": "hframe", "randomize": "none", "sensors": "state", "seed": 0}
+    text = printed(cli_tables.score_table({**scores, "controllers": {"idle": score}}), 80)
+    assert text.split()[-7:] == ["50.0", "0.0", "0.0", "1.500", "-", "-", "-"]
+    part = {f"settling_s.{band}": {"success": bands[band], "mean": 1.5, "ci95": (1.4, 1.5)} for band in bands}
+    result = {"protocol": "reach-v1", "entry": {"name": "idle"}, "scores": {"reach": {"final_error_mm": 1.0, **part}}}
+    (table,) = cli_tables.protocol_tables([result])
+    assert printed(table, 80).split()[-5:] == ["idle", "50.0", "0.0", "0.0", "-"]
+
+
 def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:
     code, out, _ = hframe_command("machines")
     assert code == 0
@@ -562,7 +575,21 @@ def test_a_scorecard_of_one_axis_has_its_positions(hframe_command: Command, tmp_
     assert re.search(
         r"Path of the tool under pid, from -?\d+ mm to the goal at -?\d+ mm", (tmp_path / "scorecard.html").read_text()
     )
-    assert "Next: hframe train ppo --machine axis --task reach" in out
+    assert "Next: hframe train ppo --machine axis --task reach --out FOLDER, then evaluate FOLDER too\n" in out
+
+
+@pytest.mark.train
+def test_the_proposed_commands_repeat_randomization_and_period(hframe_command: Command, tmp_path: Path) -> None:
+    options = ("--machine", "axis", "--randomize", "wide")
+    words = ("evaluate", "pid", *options, "--period", 0.005, "--episodes", 2, "--out", tmp_path / "scores")
+    proposed = "hframe train ppo --machine axis --task reach --randomize wide --out FOLDER, then evaluate FOLDER too"
+    assert f"Next: {proposed} with --period 0.01, the control period of the recipes\n" in hframe_command(*words)[1]
+    out = hframe_command("train", "ppo", *options, "--steps", 1, "--out", tmp_path / "agent")[1]
+    folder = tmp_path / "agent"
+    assert f"Next: hframe evaluate {folder} pid --machine axis --task reach --randomize wide --html" in out
+    again = hframe_command("train", "ppo", *options, "--steps", 1, "--out", folder)
+    assert_refused(again, "holds the agent ppo of machine 'axis', seed 0", "--resume", "--force")
+    assert hframe_command("train", "ppo", *options, "--steps", 1, "--force", "--out", folder)[0] == 0
 
 
 def test_the_estimate_of_the_duration_does_not_refuse_a_machine_that_diverges(hframe: Machine) -> None:

@@ -217,6 +217,7 @@ def test_a_controller_that_never_settles_is_not_praised(tmp_path: Path) -> None:
     scores = {"controllers": {"idle": score_episodes(slow)}}
     text = scorecard_page("reach", tmp_path, **scores).read_text()
     assert "No controller succeeds" in text
+    assert text.count("<td>–<small>") == 4  # no settling time to the three bands, and no bound
 
 
 def test_a_panel_has_a_label_and_identifiers_of_its_own() -> None:

@@ -31,10 +31,12 @@ from .app import (
     log,
 )
 from .support import (
+    option_words,
     progress_bar,
     repeat_warnings,
     require_folder,
     task_with_path,
+    training_period_note,
     value_errors_as_input_errors,
 )
 
@@ -64,15 +66,16 @@ def train(
     trust: Annotated[
         bool, typer.Option("--trust", help="Resume from a checkpoint of another installation; it can execute code.")
     ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the agent and checkpoint in the folder.")] = False,
     jobs: Annotated[int, typer.Option(min=1, max=1024, help="Number of seeds to train at a time.")] = 1,
     ray: RayOption = None,
 ) -> None:
     """Train an agent by a recipe: the settings of an algorithm for a task.
 
     The folder receives the best agent so far, its description (card.json) with the learning curve, TensorBoard logs and
-    a checkpoint. A run may be killed at any time and continued with --resume. Several seeds become the folders seed_0,
-    seed_1, ..., each complete when its training ends; to resume such a run, train its seed alone with --out
-    FOLDER/seed_N.
+    a checkpoint. A run may be killed at any time and continued with --resume; the run in a folder is replaced only with
+    --force. Several seeds become the folders seed_0, seed_1, ..., each complete when its training ends; to resume such
+    a run, train its seed alone with --out FOLDER/seed_N.
 
     Example:  hframe train ppo --out out/ppo
     """
@@ -86,7 +89,7 @@ def train(
         if resume:
             raise InputError("--resume: continues one seed in this process; leave out --ray and all but one --seed")
         recipe: dict[str, Any] = {"algorithm": algorithm, "machine": declared, "task": task, "steps": steps}
-        _train_seeds(out, seeds=seeds, randomize=randomize, jobs=jobs, ray=ray, **recipe)
+        _train_seeds(out, seeds=seeds, randomize=randomize, jobs=jobs, ray=ray, force=force, **recipe)
         return
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
@@ -96,8 +99,9 @@ def train(
         def progress(done: int, total: int) -> None:
             bar.update(bar_task, completed=done, total=total)
 
-        run_training(algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust)
-    log(f"wrote {out}. Next: hframe evaluate {out} pid --machine {machine} --task {task} --html --out {out / 'scores'}")
+        run_training(algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust, force)
+    options = option_words(machine=machine, task=task, randomize=randomize)
+    log(f"wrote {out}. Next: hframe evaluate {out} pid{options} --html --out {out / 'scores'}")
 
 
 def _train_seeds(out: Path, **options: Any) -> None:
@@ -161,7 +165,8 @@ def evaluate(
         for file in _write_evaluation(out, scores, recorded, warned if html else None, declared.name):
             log(f"wrote {file}")
     if all(name in CONTROLLERS for name in scores["controllers"]):  # no agent among them
-        log(f"Next: hframe train ppo --machine {machine} --task {task} --out FOLDER, then evaluate FOLDER too")
+        words = option_words(machine=machine, task=task, randomize=None if randomize == "default" else randomize)
+        log(f"Next: hframe train ppo{words} --out FOLDER, then evaluate FOLDER too{training_period_note(period)}")
 
 
 def _evaluate_all(
@@ -278,8 +283,7 @@ def export(
     """
     from ..evaluation import Scenario, export_dataset, make_controller
 
-    # Registers the agents as controllers, also where the package is used without its installed entry points.
-    import_module("hframe_gym.agents")
+    import_module("hframe_gym.agents")  # registers the agents as controllers
     with value_errors_as_input_errors():
         options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
         scenario = Scenario(machine, task, period=period, **options)
@@ -329,8 +333,7 @@ def play(
     from ..evaluation.play import Game
     from ..recordings import load_machine
 
-    # Registers the agents as controllers, also where the package is used without its installed entry points.
-    import_module("hframe_gym.agents")
+    import_module("hframe_gym.agents")  # registers the agents as controllers
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "seed": seed, "period": period}
     with value_errors_as_input_errors():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import shlex
 import sys
 import time
 import warnings
@@ -108,6 +109,34 @@ def task_with_path(name: str, path: str | None) -> Any:
     if not follows_path:
         return name
     return task_class() if path is None else task_class(path=path)
+
+
+def option_words(**values: str | None) -> str:
+    """Write options as the words of a command that a message proposes.
+
+    Args:
+        **values: Value by name of the option; None for an option that is left out.
+
+    Returns:
+        Text that follows the command, for example " --machine axis --task reach".
+    """
+    return "".join(f" --{name} {shlex.quote(value)}" for name, value in values.items() if value is not None)
+
+
+def training_period_note(period: float) -> str:
+    """Return a note for a message that proposes training, if an evaluation had another control period than training.
+
+    Args:
+        period: Control period of the evaluation, s.
+
+    Returns:
+        Words that follow "evaluate FOLDER too"; empty if the recipes have this control period.
+    """
+    from ..envs import EnvConfig
+
+    if period == EnvConfig.period:
+        return ""
+    return f" with --period {EnvConfig.period:g}, the control period of the recipes"
 
 
 @contextmanager

@@ -91,10 +91,15 @@ def score_table(scores: Mapping[str, Any]) -> Table:
 
 def _settling_cells(score: Mapping[str, Any]) -> list[str]:
     """Return the mean settling times, s, and the ratio of the mean settling time to the mean time-optimal bound."""
-    times = [f"{score['settling_s'][band]['mean']:.3f}" for band in BANDS]
+    times = [_settling_text(score["success"][band], score["settling_s"][band]["mean"]) for band in BANDS]
     over_bound = (score.get("over_bound") or {}).get(BOUND_BAND) or {}
     ratio = (over_bound.get("ratio_of_means") or {}).get("mean")
     return [*times, f"{ratio:.3f}" if ratio else "-"]
+
+
+def _settling_text(success: float, mean_s: float) -> str:
+    """Return a mean settling time, s, or "-" if no episode settles: the mean is then the length of the episodes."""
+    return f"{mean_s:.3f}" if success else "-"
 
 
 def _path_cells(score: Mapping[str, Any]) -> list[str]:
@@ -126,7 +131,12 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
             settling = [scores[f"settling_s.{band}"] for band in BANDS] if moves else []
             means = [scores[f"settling_s.{BOUND_BAND}"]] if moves else scores.values()
             cells = [f"{100 * score['success']:.1f}" for score in settling]
-            cells += ["{mean:.4f} ({0:.4f} to {1:.4f})".format(*score["ci95"], mean=score["mean"]) for score in means]
+            cells += [
+                "{mean:.4f} ({0:.4f} to {1:.4f})".format(*score["ci95"], mean=score["mean"])
+                if score.get("success", 1.0)
+                else "-"
+                for score in means
+            ]
             table.add_row(escape(result["entry"]["name"]), *cells)
         tables.append(table)
     return tables

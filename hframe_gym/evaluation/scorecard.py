@@ -155,7 +155,9 @@ def _cell(value: Mapping[str, Any] | None, form: str = ".3g", factor: float = 1.
 def _row(name: str, score: Mapping[str, Any], reaches: bool) -> dict[str, Any]:
     """Return one controller's row of the main table."""
     if reaches:
-        cells = [_cell(score["settling_s"][band], ".3f") for band in BANDS] + [_cell(_bound_ratio(score), ".3f")]
+        # Without a success the mean is the length of the episodes.
+        times = [score["settling_s"][band] if score["success"][band] else None for band in BANDS]
+        cells = [_cell(value, ".3f") for value in (*times, _bound_ratio(score))]
     else:
         cells = [
             _cell(score[key][kind]) if key in score else _cell(None) for key in _PATH_ERRORS for kind in ("rms", "max")

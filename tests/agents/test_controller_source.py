@@ -94,3 +94,11 @@ def test_files_state_the_sensors_of_the_training():
     files = AgentSource.files("ppo", Scenario())
     assert (files.name, files.sensors) == ("ppo-seed0", "state")
     assert {file.name for file in files.files} == {"agent.json", "machine.json", "policy.safetensors"}
+
+
+def test_a_machine_of_another_number_of_axes_is_refused_with_the_machine_of_the_training(tmp_path):
+    with pytest.raises(InputError, match=r"ppo: was trained on .* 2 axes.*'axis' has 1 axis.*--machine hframe\)"):
+        make_controller("ppo", Scenario(machine="axis"))
+    copy = shutil.copytree(shipped_agent_folder("ppo", "reach"), tmp_path / "copy")
+    with pytest.raises(InputError, match=r"--machine \S+/copy/machine\.json\)"):
+        make_controller(str(copy), Scenario(machine="axis"))

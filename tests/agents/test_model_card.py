@@ -77,6 +77,11 @@ def test_progress_line_names_the_bands():
     assert "100.0 % within 1mm, 50.0 % within 0.2mm, 0.0 % within 0.05mm; settles to 0.2mm in 0.900 s" in line
 
 
+def test_progress_line_has_no_time_where_nothing_settles():
+    line = progress_line(reaching_row(256, 0, 0.2))
+    assert line.endswith("0.0 % within 0.2mm, 0.0 % within 0.05mm; none settles to 0.2mm")
+
+
 @pytest.mark.parametrize(("name", "task"), [("ppo-seed0", "reach"), ("residual-seed2", "track")])
 def test_the_page_of_a_shipped_agent_is_what_its_card_gives(name, task):
     folder = shipped_agent_folder(name, task)

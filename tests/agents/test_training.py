@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from hframe_gym.agents import Agent, train
+from hframe_gym.agents import Agent, train, train_seeds
 from hframe_gym.agents.model_card import score_agent
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv
@@ -177,6 +177,37 @@ def test_resuming_an_empty_folder_is_refused(tmp_path):
 def test_resuming_another_run_is_refused(untrained_agent):
     with pytest.raises(InputError, match=r"holds a run of ppo_reach with seed 0, not of ppo_reach with seed 1"):
         train("ppo", steps=10, seed=1, out=untrained_agent, resume=True)
+
+
+def test_resuming_on_another_machine_is_refused(untrained_agent):
+    with pytest.raises(InputError, match=r"holds a run on the machine 'hframe', .* --machine \S+/machine\.json"):
+        train("ppo", "hframe-linear", steps=10, out=untrained_agent, resume=True)
+
+
+def test_a_run_is_replaced_only_by_force(untrained_agent):
+    before = (untrained_agent / "policy.safetensors").read_bytes()
+    with pytest.raises(InputError, match=r"holds the agent ppo of machine 'hframe', seed 0, \d+ steps, .* --force"):
+        train("ppo", "axis", steps=1, out=untrained_agent, log=ignore)
+    (untrained_agent / "card.json").write_text("{}")
+    with pytest.raises(InputError, match=r"holds agent\.json, policy\.safetensors, checkpoint\.zip, .* --force"):
+        train("ppo", "axis", steps=1, out=untrained_agent, log=ignore)
+    assert (untrained_agent / "policy.safetensors").read_bytes() == before
+    train("ppo", "axis", steps=1, out=untrained_agent, log=ignore, force=True)
+    assert Agent.load(untrained_agent).machine.name == "axis"
+
+
+def test_several_seeds_replace_no_run_without_force(untrained_agent):
+    folder = untrained_agent.rename(untrained_agent.parent / "seed_1").parent
+    with pytest.raises(InputError, match=r"seed_1: holds the agent ppo"):
+        train_seeds("ppo", steps=1, seeds=(0, 1), out=folder, log=ignore)
+    assert not (folder / "seed_0").exists()
+
+
+def test_a_recipe_that_continues_an_agent_of_two_axes_refuses_one_axis(tmp_path):
+    message = "recipe adapt_reach: .* ppo-seed0, which was trained on a machine with 2 axes.* has 1 axis.*train ppo"
+    with pytest.raises(InputError, match=message):
+        train("adapt", "axis", steps=1, out=tmp_path, log=ignore)
+    assert not list(tmp_path.rglob("*.json"))
 
 
 def test_an_unknown_task_is_refused(tmp_path):
