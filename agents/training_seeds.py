@@ -73,16 +73,21 @@ def train_seeds(
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:
         nonlocal done
         done += 1
-        with output_batch(folders[index]):
-            write_files(folders[index], trained[1])
-            for name in trained[1].keys() & RESUME_FILES[1:]:  # another installation signs with another key
-                sign_checkpoint(newest(folders[index] / name))
+        _write_run(folders[index], trained[1])
         log(f"seed {seeds[index]}: wrote {folders[index]} ({done} of {len(seeds)})")
         progress(done, len(seeds))
 
     run = partial(_train_in_worker, recipe, load_machine(machine), task, steps, randomize, show_curves)
     results = map_tasks(run, seeds, jobs=jobs, ray=ray, completed=write)
     return {seed: card for seed, (card, _) in zip(seeds, results, strict=True)}
+
+
+def _write_run(folder: Path, files: dict[str, bytes]) -> None:
+    """Write the files of a run that a worker trained."""
+    with output_batch(folder):
+        write_files(folder, files)
+        for name in files.keys() & RESUME_FILES[1:]:  # another installation signs with another key
+            sign_checkpoint(newest(folder / name))
 
 
 def _train_in_worker(
