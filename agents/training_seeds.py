@@ -58,17 +58,14 @@ def train_seeds(
         Contents of each agent's card.json, by seed; see `train`.
 
     Raises:
-        InputError: If an argument is wrong, a folder holds a run that is not to be replaced, the cluster cannot be
-            reached, or another process writes to `out`.
+        InputError: If an argument is wrong, a folder holds a run or is being written, or the cluster is out of reach.
         ImportError: If the extra `agents`, or `ray` where it is needed, is not installed.
     """
     if len(set(seeds)) < len(seeds):
         raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
-    folders, done = [Path(out) / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [Path(out)], 0
-    for folder in folders if not force else ():
-        refuse_to_replace(folder)
+    folders, done = _run_folders(Path(out), seeds, force), 0
 
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:
         nonlocal done
@@ -80,6 +77,14 @@ def train_seeds(
     run = partial(_train_in_worker, recipe, load_machine(machine), task, steps, randomize, show_curves)
     results = map_tasks(run, seeds, jobs=jobs, ray=ray, completed=write)
     return {seed: card for seed, (card, _) in zip(seeds, results, strict=True)}
+
+
+def _run_folders(out: Path, seeds: Sequence[int], force: bool) -> list[Path]:
+    """Return the folder of each seed's run; refuse one that holds a run, unless it may be replaced."""
+    folders = [out / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [out]
+    for folder in folders if not force else ():
+        refuse_to_replace(folder)
+    return folders
 
 
 def _write_run(folder: Path, files: dict[str, bytes]) -> None:

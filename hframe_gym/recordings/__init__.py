@@ -11,8 +11,8 @@ from .cleaning import (
     without_repetitions,
 )
 from .examples import copy_examples, examples_folder
-from .log_import import ImportSettings, import_logs, write_recording
-from .log_mapping import MappingOptions, read_mapping_file
+from .log_import import ImportSettings, import_logs, read_mapping_file, write_recording
+from .log_mapping import MappingOptions
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..machine import Machine
 from .log_file import ROW_NUMBER, Log
 from .log_mapping import TIME, ChannelSource
+from .measurement_units import WrongUnitError
 from .recording import Recording, recording_from_columns
 from .table_file import Array, refuse_decreasing_times
 from .text_reader import Progress
@@ -79,12 +80,12 @@ class LogConverter:
         try:
             time_s, columns = self._columns(log, sources, by_header, remarks)
             return recording_from_columns(log.path, {TIME: time_s, **columns}, self.machine), remarks
+        except WrongUnitError as error:
+            raise InputError(_unit_advice(error, sources)) from None
         except InputError as error:
             text = str(error)
             origin = {s.channel: s.column.header for s in sources if s.column and s.column.header != s.channel}
             named = [f"{channel} is the column {header!r}" for channel, header in origin.items() if channel in text]
-            if "is the column in" in text:
-                text += " State it by --unit CHANNEL=UNIT"
             if "goes back" in text:
                 text += "; did the clock restart? Cut the file there"
             raise InputError("; ".join([text, *named])) from None
@@ -137,6 +138,20 @@ class LogConverter:
                 f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
             )
         return time_s
+
+
+def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str:
+    """Return the message about a wrong unit: what the user has stated about it, or how to state it."""
+    wrong = [source for source in sources if source.channel in error.channels]
+    columns = "; ".join(
+        f"{source.channel} is the column {source.column.header!r}" + (f" ({source.remark})" if source.remark else "")
+        for source in wrong
+        if source.column is not None
+    )
+    stated = next((source.channel for source in wrong if source.stated), None)
+    if stated is not None:
+        return f"{error.problem}. Correct --unit {stated}=UNIT or --scale {stated}=FACTOR: {columns}"
+    return f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in error.channels)}: {columns}"
 
 
 def _integrate(time_s: Array, speed: Array) -> Array:

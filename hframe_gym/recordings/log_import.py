@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
+import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -14,11 +15,13 @@ import numpy as np
 
 from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
+from ..file_limits import read_document, read_json
 from ..machine import Machine
 from .cleaning import GAP_PERIODS
 from .log_conversion import LogConverter, split_at_rests
 from .log_file import Log, find_logs, log_name, open_log
 from .log_mapping import TIME, ChannelSource, MappingOptions, map_columns
+from .measurement_units import parse_factor
 from .recording import Recording, run_name
 from .table_file import SUFFIXES, Array
 from .text_reader import Progress
@@ -103,6 +106,36 @@ def import_logs(
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
     return written
+
+
+def read_mapping_file(path: str | Path) -> MappingOptions:
+    """Read a mapping file, which assigns a column of a log and its unit to each channel of the machine.
+
+    It is TOML or JSON with up to three tables: `map` (column of each channel), `unit` and `scale` (factor).
+
+    Args:
+        path: File ending in .toml or .json.
+
+    Returns:
+        Columns, units and factors by channel, for `map_columns`.
+
+    Raises:
+        InputError: If the file cannot be read or has other tables or values. The message names file and field.
+    """
+    path = Path(path)
+    try:
+        is_json = path.suffix.lower() == ".json"
+        content = read_json(path) if is_json else tomllib.loads(read_document(path, "utf-8-sig"))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is not a valid TOML file: {error}") from None
+    tables: dict[str, dict[str, str | float]] = {"map": {}, "unit": {}, "scale": {}}
+    for name, table in content.items() if isinstance(content, dict) else ():
+        if name not in tables or not isinstance(table, dict):
+            raise InputError(f"{path}, {name}: a mapping has the tables {', '.join(tables)}")
+        tables[name] = table
+    scales = {channel: parse_factor(f"{path}, scale.{channel}", factor) for channel, factor in tables["scale"].items()}
+    columns, units = ({c: str(value) for c, value in tables[name].items()} for name in ("map", "unit"))
+    return MappingOptions(columns, units, scales)
 
 
 def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:

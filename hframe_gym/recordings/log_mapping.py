@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from ..errors import InputError
-from ..file_limits import read_document, read_json
 from ..machine import Machine
 from .log_file import ROW_NUMBER, Log, LogColumn
 from .measurement_units import (
@@ -20,10 +17,13 @@ from .measurement_units import (
     UNITS,
     Conversion,
     Dimension,
+    channel_dimensions,
     normalize_unit,
-    parse_factor,
     parse_rate,
+    shaft_drive,
     split_unit,
+    units_of,
+    unknown_unit_text,
 )
 
 TIME = "time_s"
@@ -63,6 +63,7 @@ class ChannelSource:
         remark: What is converted or assumed, in words; "" if there is nothing to say.
         assumed: Whether neither the log nor the user states the unit.
         is_speed: Whether the column is a speed, whose integral is the channel.
+        stated: Whether the user states the unit or a factor.
     """
 
     channel: str
@@ -72,36 +73,7 @@ class ChannelSource:
     remark: str
     assumed: bool = False
     is_speed: bool = False
-
-
-def read_mapping_file(path: str | Path) -> MappingOptions:
-    """Read a mapping file, which assigns a column of a log and its unit to each channel of the machine.
-
-    It is TOML or JSON with up to three tables: `map` (column of each channel), `unit` and `scale` (factor).
-
-    Args:
-        path: File ending in .toml or .json.
-
-    Returns:
-        Columns, units and factors by channel, for `map_columns`.
-
-    Raises:
-        InputError: If the file cannot be read or has other tables or values. The message names file and field.
-    """
-    path = Path(path)
-    try:
-        is_json = path.suffix.lower() == ".json"
-        content = read_json(path) if is_json else tomllib.loads(read_document(path, "utf-8-sig"))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: is not a valid TOML file: {error}") from None
-    tables: dict[str, dict[str, str | float]] = {"map": {}, "unit": {}, "scale": {}}
-    for name, table in content.items() if isinstance(content, dict) else ():
-        if name not in tables or not isinstance(table, dict):
-            raise InputError(f"{path}, {name}: a mapping has the tables {', '.join(tables)}")
-        tables[name] = table
-    scales = {channel: parse_factor(f"{path}, scale.{channel}", factor) for channel, factor in tables["scale"].items()}
-    columns, units = ({c: str(value) for c, value in tables[name].items()} for name in ("map", "unit"))
-    return MappingOptions(columns, units, scales)
+    stated: bool = False
 
 
 def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[ChannelSource]:
@@ -135,6 +107,7 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
         for channel in dimensions
         if channel in options.columns
     }
+    _refuse_repeated_columns(log, machine, assigned)
     _assign_by_name(log, machine, times, assigned)
     time_sources = {time.header: _source(log, TIME, time, None, "time", machine, options) for time in times}
     sources = []
@@ -168,20 +141,14 @@ def _assign_by_name(
     assigned |= dict.fromkeys(missing)  # no column is left that these outputs could be
 
 
-def channel_dimensions(machine: Machine) -> dict[str, Dimension]:
-    """Return whether each channel of a machine is a voltage, a length or an angle.
-
-    Args:
-        machine: Machine with its drives and sensors.
-
-    Returns:
-        "voltage", "length" or "angle" by name of the channel, inputs before outputs.
-    """
-    dimensions: dict[str, Dimension] = dict.fromkeys(machine.input_channels, "voltage")
-    for sensor in machine.sensors:
-        linear = machine.coordinate(sensor.coordinate).kind == "linear"
-        dimensions[sensor.channel] = "length" if linear else "angle"
-    return dimensions
+def _refuse_repeated_columns(log: Log, machine: Machine, assigned: Mapping[str, LogColumn | None]) -> None:
+    """Refuse a column that the user assigns to two measurements; one voltage may supply two drives."""
+    used: dict[str, str] = {}
+    for channel in machine.output_channels:
+        column = assigned.get(channel)
+        if column is not None and used.setdefault(column.header, channel) != channel:
+            options = f"--map {used[column.header]}={column.header} --map {channel}={column.header}"
+            raise InputError(f"{log.path}: {options}: one column cannot be two measurements; correct one of them")
 
 
 def _matching_columns(log: Log, channel: str) -> list[LogColumn]:
@@ -246,7 +213,13 @@ def _time_of(log: Log, column: LogColumn, times: Sequence[LogColumn]) -> LogColu
         same = [time for time in times if time.rows == column.rows]
         if not same:
             lengths = ", ".join(f"{time.header} {time.rows}" for time in times)
-            raise InputError(f"{log.path}, {column.header}: has {column.rows} values, but the times have: {lengths}")
+            others = [c.header for c in log.columns if c.rows == column.rows and c != column]
+            names = ",".join([*(time.header for time in times), *(others if len(others) == 1 else ["COLUMN"])])
+            advice = f"call its time t or time, or name all times: --map {shlex.quote(f'{TIME}={names}')}"
+            advice += f" (of this length: {', '.join(others)})" if len(others) > 1 else ""
+            advice = advice if others else "the log needs a time of this length"
+            problem = f"has {column.rows} values, but the times have: {lengths}"
+            raise InputError(f"{log.path}, {column.header}: {problem}; {advice}")
         times = same
         if len(same) > 1:
             choices = " or ".join(f"--map {TIME}={time.header}" for time in same)
@@ -278,7 +251,8 @@ def _source(
     if stated is None and scale is not None and column.unit in speeds:
         advice = f"add --unit {channel}={column.unit}, and it is integrated to {channel}"
         raise InputError(f"{log.path}, column {column.header}: a speed is no {dimension}; {advice}")
-    conversion, remarks = Conversion(), []
+    conversion, remarks = Conversion(), list[str]()
+    shaft = shaft_drive(machine, channel)
     if column.kind == "stamp" and dimension != "time":
         raise InputError(f"{log.path}, column {column.header}: has dates or times, which cannot be {channel}")
     if column.kind == "stamp":
@@ -293,50 +267,63 @@ def _source(
         drive = next(drive for drive in machine.drives if drive.channel == channel)
         conversion = Conversion(drive.rated_voltage, DUTY_UNITS[unit])
         remarks.append(f"duty cycle, 100 % is {drive.rated_voltage:.6g} V, the rated voltage of {drive.name}")
+    elif unit in UNITS["angle"] and shaft is not None:
+        conversion = Conversion(*UNITS["angle"][unit]).scaled(1.0 / shaft.gear_ratio)
+        remarks.append(f"angle of {shaft.name}, {unit} to rad, divided by its gear ratio, {shaft.gear_ratio:.6g} rad/m")
     elif unit:
-        known = ", ".join(_units_of(dimension))
-        advice = f"state it by --unit {channel}=UNIT ({known}), or a factor to {si_unit} by --scale {channel}=FACTOR"
-        raise InputError(f"{log.path}, column {column.header}: {unit!r} is not a unit of {channel}; {advice}")
+        raise InputError(f"{log.path}, column {column.header}: {unknown_unit_text(machine, channel, unit)}")
     elif scale is None:
         remarks.append(f"no unit, taken as {si_unit}")
     if scale is not None:
         conversion = conversion.scaled(scale)
         remarks.append(f"times {scale:.9g}")
     assumed = scale is None and not unit and column.kind != "stamp"
-    return ChannelSource(channel, column, time, conversion, ", ".join(remarks), assumed, unit in speeds)
-
-
-def _units_of(dimension: Dimension) -> list[str]:
-    """Return the units that a column of a dimension may have."""
-    return [*UNITS[dimension], *SPEED_UNITS.get(dimension, ()), *(DUTY_UNITS if dimension == "voltage" else ())]
+    by_user = stated is not None or scale is not None
+    return ChannelSource(channel, column, time, conversion, ", ".join(remarks), assumed, unit in speeds, by_user)
 
 
 def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
     """Return the message about channels without a column, with options to complete."""
-    pool = list(unused)
-    options = []
-    for channel in missing:
-        dimension: Dimension = "time" if channel == TIME else channel_dimensions(machine)[channel]
-        units = _units_of(dimension)
-        candidates = [column for column in pool if column.unit in units] or [
-            column for column in pool if not column.unit and _bare(column.name)[:1] in _FIRST_LETTERS[dimension]
-        ]
-        if not candidates and len(pool) == 1 and not pool[0].unit and channel != TIME:
-            candidates = pool[:]
-        if candidates:
-            pool.remove(candidates[0])
-        name = candidates[0].header if candidates else "COLUMN"
-        options.append(f"--map {shlex.quote(f'{channel}={name}')}")
+    proposals = _proposed_columns(machine, missing, unused)
+    options = [f"--map {shlex.quote(f'{channel}={name}')}" for channel, name in proposals.items()]
     several = {channel: _matching_columns(log, channel) for channel in missing if channel != TIME}
     ambiguous = [f"{channel} may be {_list(columns)}" for channel, columns in several.items() if len(columns) > 1]
     problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
     absent = [channel for channel in missing if channel in machine.output_channels]
     none = f" (or {absent[0]}={NOT_MEASURED}, if it was not measured)" if absent else ""
     none += f"; {TIME}=200Hz stands for 200 rows per second without a column of time" if TIME in missing else ""
+    advice = f"Check and add: {' '.join(options)}{none}"
+    if not unused and TIME not in missing:
+        advice = "No column is left for a voltage: it must be recorded (a drive at rest has a column of zeros)"
     return (
         f"{log.path}: {problem}. Columns of the log: {_list(log.columns)}. Not assigned: {_list(unused) or 'none'}. "
-        f"{_channels_text(machine)}. Check and add: {' '.join(options)}{none}"
+        f"{_channels_text(machine)}. {advice}"
     )
+
+
+def _proposed_columns(machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
+    """Propose a column for each channel without one, by unit and first letter; "COLUMN" where there is none or doubt.
+
+    A channel with few candidates is served first. Of fewer columns than channels that can only be them, none is
+    proposed.
+    """
+    candidates: dict[str, list[LogColumn]] = {}
+    for channel in missing:
+        letters = _FIRST_LETTERS[channel_dimensions(machine).get(channel, "time")]
+        candidates[channel] = [column for column in unused if column.unit in units_of(machine, channel)] or [
+            column for column in unused if not column.unit and _bare(column.name)[:1] in letters
+        ]
+        if not candidates[channel] and len(unused) == 1 and not unused[0].unit and channel != TIME:
+            candidates[channel] = list(unused)
+    proposed = dict.fromkeys(missing, "COLUMN")
+    taken: list[LogColumn] = []
+    for channel in sorted(missing, key=lambda channel: len(candidates[channel])):
+        free = [column for column in candidates[channel] if column not in taken]
+        rivals = [c for c in missing if proposed[c] == "COLUMN" and all(column in free for column in candidates[c])]
+        if len(free) >= len([c for c in rivals if candidates[c]]) and free:
+            proposed[channel] = free[0].header
+            taken.append(free[0])
+    return proposed
 
 
 def _channels_text(machine: Machine) -> str:

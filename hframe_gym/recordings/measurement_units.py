@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..machine import Drive, Machine
 
 Array = NDArray[np.float64]
 Dimension = Literal["time", "voltage", "length", "angle"]
@@ -78,9 +79,12 @@ _SPELLINGS = {
 }
 _KNOWN = {unit.lower(): unit for table in (UNITS, SPEED_UNITS) for units in table.values() for unit in units}
 _KNOWN |= {unit: unit for unit in DUTY_UNITS}
+COUNT_UNITS = ("counts", "count", "cts", "inc", "incr")  # steps of an encoder
 # Units of quantities that no channel has; they mark a row of units.
-_OTHER = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k"}
-_OTHER |= {"m/s^2", "m/s²", "g", "bar", "counts", "count", "cts", "inc", "incr", "bit", "lsb", "bool", "-", "1", "#"}
+_OTHER = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k", *COUNT_UNITS}
+_OTHER |= {"m/s^2", "m/s²", "g", "bar", "bit", "lsb", "bool", "-", "1", "#"}
+# Units that recordings do not use, in words.
+UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
 _RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)
 _BRACKETED = re.compile(r"(?P<name>.*?)[\s_]*[\[(<{]\s*(?P<unit>[^\])>}]*?)\s*[\])>}]\s*")
 _SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./]+)")
@@ -126,6 +130,37 @@ class Conversion:
         if abs(inverse) > 1 and abs(inverse * factor - 1.0) < 1e-12:
             return Conversion(self.numerator, self.denominator * inverse)
         return Conversion(self.numerator * factor, self.denominator)
+
+
+class WrongUnitError(InputError):
+    """Values of channels are probably in another unit than that of the channel.
+
+    Attributes:
+        problem: File, columns and values, in words.
+        channels: Names of the channels.
+        unit: Unit that the values probably have.
+    """
+
+    problem: str
+    channels: tuple[str, ...]
+    unit: str
+
+
+def wrong_unit_error(problem: str, channels: tuple[str, ...], unit: str) -> WrongUnitError:
+    """Build the error about channels whose values are probably in another unit.
+
+    Args:
+        problem: File, columns and values, in words.
+        channels: Names of the channels.
+        unit: Unit that the values probably have, a key of `UNIT_WORDS`.
+
+    Returns:
+        The error; its message ends with a question about the unit.
+    """
+    question = "is the column" if len(channels) == 1 else "are they"
+    error = WrongUnitError(f"{problem}; {question} in {UNIT_WORDS[unit]}?")
+    error.problem, error.channels, error.unit = problem, channels, unit
+    return error
 
 
 def parse_factor(where: str, factor: object) -> float:
@@ -209,3 +244,76 @@ def split_unit(header: str) -> tuple[str, str]:
     if match and normalize_unit(match["unit"]).lower() in _KNOWN:
         return re.sub(r"\s+in$", "", match["name"]).strip(), normalize_unit(match["unit"])
     return header.strip(), ""
+
+
+def channel_dimensions(machine: Machine) -> dict[str, Dimension]:
+    """Return whether each channel of a machine is a voltage, a length or an angle.
+
+    Args:
+        machine: Machine with its drives and sensors.
+
+    Returns:
+        "voltage", "length" or "angle" by name of the channel, inputs before outputs.
+    """
+    dimensions: dict[str, Dimension] = dict.fromkeys(machine.input_channels, "voltage")
+    for sensor in machine.sensors:
+        linear = machine.coordinate(sensor.coordinate).kind == "linear"
+        dimensions[sensor.channel] = "length" if linear else "angle"
+    return dimensions
+
+
+def shaft_drive(machine: Machine, channel: str) -> Drive | None:
+    """Return the drive whose shaft an encoder measures, where the encoder's channel is the travel of a carriage.
+
+    A log may have the angle of such a shaft in place of the travel.
+
+    Args:
+        machine: Machine with its drives and sensors.
+        channel: Name of a channel.
+
+    Returns:
+        The drive; None if the channel is none of an encoder, or of an angle.
+    """
+    sensor = next((sensor for sensor in machine.sensors if sensor.channel == channel), None)
+    if sensor is None or sensor.kind != "encoder" or sensor.row != {sensor.coordinate: 1.0}:
+        return None
+    if machine.coordinate(sensor.coordinate).kind != "linear":
+        return None
+    return next((drive for drive in machine.drives if drive.coordinate == sensor.coordinate), None)
+
+
+def units_of(machine: Machine, channel: str) -> list[str]:
+    """List the units that the column of a channel may have in a log.
+
+    Args:
+        machine: Machine with its drives and sensors.
+        channel: Name of a channel, or "time_s".
+
+    Returns:
+        Units, those of the channel's quantity first.
+    """
+    dimension: Dimension = channel_dimensions(machine).get(channel, "time")
+    angles = UNITS["angle"] if shaft_drive(machine, channel) is not None else ()
+    duty = DUTY_UNITS if dimension == "voltage" else ()
+    return [*UNITS[dimension], *angles, *SPEED_UNITS.get(dimension, ()), *duty]
+
+
+def unknown_unit_text(machine: Machine, channel: str, unit: str) -> str:
+    """Write the message about a unit that a channel cannot have.
+
+    Args:
+        machine: Machine with its drives and sensors.
+        channel: Name of the channel, or "time_s".
+        unit: The unit.
+
+    Returns:
+        Text without file and column, with the options that state the unit; for counts also the factor of the encoder's
+        declared resolution.
+    """
+    dimension: Dimension = channel_dimensions(machine).get(channel, "time")
+    factor = f"a factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
+    sensor = next((sensor for sensor in machine.sensors if sensor.channel == channel), None)
+    if sensor is not None and unit.lower() in COUNT_UNITS and sensor.resolution > 0.0:
+        factor += f" (FACTOR is {sensor.resolution:.6g} if a count is the declared resolution)"
+    units = ", ".join(units_of(machine, channel))
+    return f"{unit!r} is not a unit of {channel}; state it by --unit {channel}=UNIT ({units}), or {factor}"

@@ -18,7 +18,7 @@ import numpy as np
 from ..atomic_files import atomic_file
 from ..errors import InputError
 from ..machine import Machine, Trajectory
-from .measurement_units import split_unit
+from .measurement_units import UNIT_WORDS, split_unit, wrong_unit_error
 from .table_file import (
     SUFFIXES,
     Array,
@@ -32,11 +32,9 @@ from .table_file import (
 from .text_reader import Progress
 
 MIN_ROWS = 20_000  # rows that are read of each run; typical runs have fewer
-# Units that recordings do not use, in words.
-_UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
 # The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
 # if it is larger.
-_LARGEST = {"_m": (20.0, "millimeters"), "_rad": (2000 * 2 * np.pi, "degrees")}
+_LARGEST = {"_m": (20.0, "mm"), "_rad": (2000 * 2 * np.pi, "deg")}
 # A channel that spans more than this multiple of its coordinate's range is in another unit.
 _MAX_SPAN = 3.0
 # Ratios of measured to plausible travel that suggest degrees (57.3) and millimeters (1000); the limits leave room for
@@ -47,6 +45,7 @@ _MILLIMETERS = (300.0, 2000.0)
 LONGEST_GAP = 600.0  # s
 LONGEST_RUN = 86_400.0  # s
 MOST_LOST_ROWS = 20_000_000  # rows that `fill_gaps` may insert, 1 GB
+_MACHINE_QUESTION = "Is this the machine of the recordings (--machine)?"
 _OUTLIERS = 0.01  # of the samples of a channel; single wrong samples are no evidence of a wrong unit
 _MOVED = 1e-3  # m, standard deviation of the carriage's travel below which the ratio is not evaluated
 
@@ -187,7 +186,9 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     for name, column in columns.items():
         refuse_rows(path, name, column, np.isinf(column), "is infinite")
     for name in ("time_s", *machine.input_channels):
-        refuse_rows(path, name, columns[name], np.isnan(columns[name]), "is empty. Times and inputs must have no gaps")
+        reason = "is empty. Times and inputs must have no gaps"
+        reason += "" if name == "time_s" else "; hframe import keeps the value before it"
+        refuse_rows(path, name, columns[name], np.isnan(columns[name]), reason)
     refuse_decreasing_times(path, time_s)
     _refuse_gaps(path, time_s)
     inputs = np.column_stack([columns[c] for c in machine.input_channels])
@@ -266,16 +267,17 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
         plain_name, unit = split_unit(name)
         wanted = [c for c in expected if split_unit(c)[0].lower() == plain_name.lower()]
         if unit and wanted and unit != split_unit(wanted[0])[1]:
-            wrong = f"is in {_UNIT_WORDS.get(unit, unit)}; recordings have {wanted[0]}"
+            wrong = f"is in {UNIT_WORDS.get(unit, unit)}; recordings have {wanted[0]}"
             raise InputError(f"{path}, column {name}: {wrong}. Convert it: {import_command(path)}")
-        advice = f"Rename the column or leave it out: {import_command(path)}"
+        advice = f"{_MACHINE_QUESTION} If it is, rename the column or leave it out: {import_command(path)}"
         raise InputError(f"{path}, column {name}: unknown; {channels}. {advice}")
     missing = [name for name in expected if name not in header]
     if not outputs_needed and not set(header) & set(machine.output_channels):
         missing = [name for name in missing if name not in machine.output_channels]
     if missing:
         advice = f"; a channel that was not measured is an empty column, which {import_command(path)} adds"
-        advice = advice if missing[0] in machine.output_channels else f"; {channels}"
+        if missing[0] not in machine.output_channels:
+            advice = f"; {channels}. {_MACHINE_QUESTION} If it is, the column must be recorded"
         raise InputError(f"{path}, column {missing[0]}: missing (the header has {', '.join(header)}){advice}")
     if header[0] != "time_s":
         raise InputError(f"{path}, column {header[0]}: the first column must be time_s")
@@ -287,31 +289,29 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
         for ending, (largest, suspect) in _LARGEST.items():
             if sensor.channel.endswith(ending):
                 implausible = np.abs(np.nan_to_num(values)) > largest
-                reason = f"cannot be {ending[1:]}; is the column in {suspect}?"
                 if implausible.sum() > _OUTLIERS * np.isfinite(values).sum():
-                    refuse_rows(path, sensor.channel, values, implausible, reason)
+                    row = int(np.argmax(implausible))
+                    problem = f"{path}, row {row + 1}, column {sensor.channel}: {values[row]:g} cannot be {ending[1:]}"
+                    raise wrong_unit_error(problem, (sensor.channel,), suspect)
         coordinate = machine.coordinate(sensor.coordinate)
         if coordinate.range is not None and np.isfinite(values).any():
             span, range_length = np.ptp(_without_extremes(values)), coordinate.range[1] - coordinate.range[0]
             if span > _MAX_SPAN * range_length:
-                suspect = "millimeters" if coordinate.kind == "linear" else "degrees"
-                raise InputError(
-                    f"{path}, column {sensor.channel}: moves by {span:.4g}, but the range of {coordinate.name} is "
-                    f"{range_length:.4g}; is the column in {suspect}?"
-                )
+                unit, suspect = ("m", "mm") if coordinate.kind == "linear" else ("rad", "deg")
+                limit = f"the range of {coordinate.name} is {range_length:.4g} {unit}"
+                problem = f"{path}, column {sensor.channel}: moves by {span:.4g} {unit}, but {limit}"
+                raise wrong_unit_error(problem, (sensor.channel,), suspect)
     ratio = _pulley_travel_ratio(recording, machine)
     if ratio is None:
         return
     for kind, factor, limits, suspect in (
-        ("rotary", ratio, _DEGREES, "degrees"),
-        ("linear", 1 / ratio if ratio else np.inf, _MILLIMETERS, "millimeters"),
+        ("rotary", ratio, _DEGREES, "deg"),
+        ("linear", 1 / ratio if ratio else np.inf, _MILLIMETERS, "mm"),
     ):
         if limits[0] < factor < limits[1]:
-            channels = [s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == kind]
-            raise InputError(
-                f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow; are they "
-                f"in {suspect}?"
-            )
+            channels = tuple(s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == kind)
+            problem = f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow"
+            raise wrong_unit_error(problem, channels, suspect)
 
 
 def _without_extremes(values: Array) -> Array:

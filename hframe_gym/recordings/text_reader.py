@@ -244,5 +244,7 @@ class _BlockReader:
                 except ValueError:
                     what = "a time stamp" if column in self.stamps else "a number"
                     advice = "; dates and times are read as 2024-05-31T12:00:00.5" if ":" in cell else ""
+                    if {".", ","} <= set(cell):  # such as 1.500,5
+                        advice = "; export it without marks that separate thousands"
                     text = f"column {names[column]}: {cell!r} is not {what}{advice}"
                     raise InputError(f"{position}{number}, {text}") from None

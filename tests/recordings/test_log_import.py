@@ -19,10 +19,12 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import (
     ImportSettings,
+    MachineOptions,
     MappingOptions,
     Recording,
     import_logs,
     load_recordings,
+    new_machine,
     read_mapping_file,
     write_recording,
 )
@@ -315,6 +317,10 @@ def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: M
         savemat(folder / "run.mat", content)
         assert_equal(convert(folder / "run.mat", hframe, **options), table)
     savemat(tmp_path / "rates.mat", {**named, **short})
+    with pytest.raises(
+        InputError, match=r"x_m: has 60 values, .* call its time t or time, or .* --map time_s=t,t_slow"
+    ):
+        convert(tmp_path / "rates.mat", hframe)
     run = convert(tmp_path / "rates.mat", hframe, columns={"time_s": "t,t_slow"})
     np.testing.assert_array_equal(run.outputs[::5, 2], table["x_m"][::5])
     assert np.isnan(run.outputs[1::5, 2]).all()
@@ -380,6 +386,52 @@ def test_a_log_with_unknown_names_is_refused_with_a_line_to_paste(
     assert_equal(convert(path, hframe, columns=columns), table)
 
 
+@pytest.mark.parametrize(
+    ("units", "scales", "remark"),
+    [
+        ({"x_m": "in"}, {}, "in to m"),
+        ({}, {"x_m": 2.5}, "times 2.5"),
+        ({"x_m": "mm"}, {"x_m": 2e3}, "mm to m, times 2000"),
+    ],
+)
+def test_a_wrong_unit_that_the_user_states_is_named(
+    units: dict[str, str], scales: dict[str, float], remark: str, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    columns = {c: v for c, v in table.items() if c != "x_m"} | {"X": table["x_m"] * 1e5}
+    path = in_text(text_of)(tmp_path, columns)
+    with pytest.raises(InputError) as error:
+        convert(path, hframe, units=units, scales=scales)
+    assert f". Correct --unit x_m=UNIT or --scale x_m=FACTOR: x_m is the column 'X' ({remark})" in str(error.value)
+    assert "millimeters" not in str(error.value)
+
+
+def test_the_angle_of_a_motor_on_an_axis_becomes_travel_by_the_gear_ratio(tmp_path: Path) -> None:
+    machine = new_machine("axis", "stage", MachineOptions(encoder_lines=500))
+    (drive,) = machine.drives
+    time_s = np.arange(300) * 1e-3
+    inputs = np.where(time_s < 0.1, 0.0, 6.0)[:, None]
+    travel = machine.simulate(time_s, inputs).outputs[:, machine.output_channels.index("x_m")]
+    log = {"time_s": time_s, "v_V": inputs[:, 0], "Winkel [deg]": np.degrees(drive.gear_ratio * travel)}
+    log["Wegsensor [mm]"] = 1e3 * travel
+    lines: list[str] = []
+    path = in_text(text_of)(tmp_path, log)
+    with pytest.raises(InputError) as error:
+        convert(path, machine)
+    assert "--map 'x_encoder_m=Winkel [deg]' --map 'x_m=Wegsensor [mm]'" in str(error.value)
+    run = convert(path, machine, lines=lines, columns={"x_encoder_m": "Winkel", "x_m": "Wegsensor"})
+    np.testing.assert_allclose(run.outputs, np.column_stack([travel, travel]), atol=1e-12)
+    assert any(f"deg to rad, divided by its gear ratio, {drive.gear_ratio:.6g} rad/m" in line for line in lines)
+    path.write_text(path.read_text().replace("Winkel [deg]", "Winkel [N]"))
+    with pytest.raises(InputError, match=r"--map x_encoder_m=COLUMN --map x_m=COLUMN"):  # one length for two channels
+        convert(path, machine)
+
+
+def test_a_log_without_a_voltage_says_that_it_must_be_recorded(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    path = in_text(text_of)(tmp_path, {c: v for c, v in table.items() if c != "v2_V"})
+    with pytest.raises(InputError, match=r"Not assigned: none.*No column is left for a voltage: it must be recorded"):
+        convert(path, hframe)
+
+
 def test_a_log_without_times_is_imported_at_a_stated_rate(table: Table, hframe: Machine, tmp_path: Path) -> None:
     values = {channel: column for channel, column in table.items() if channel != "time_s"}
     path = in_text(text_of)(tmp_path, values)
@@ -438,6 +490,16 @@ def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
             {},
             "column x .inc.: 'inc' is not a unit of x_m; state it by --unit x_m=",
         ),
+        (
+            "time_s,v1,v2,phi1 [counts],phi2,x,z,y",
+            {},
+            r"--scale phi1_rad=FACTOR \(FACTOR is 0.000519993 if a count is the declared resolution\)",
+        ),
+        (
+            "time_s,v1,v2,phi1,phi2,x,z,y",
+            {"columns": {"x_m": "z", "y_m": "z"}},
+            "--map x_m=z --map y_m=z: one column cannot be two measurements",
+        ),
         ("time_s,v1,v2,phi1 [mm],phi2,x,z,y", {}, "'mm' is not a unit of phi1_rad"),
         ("time_s,v1,v2,phi1,phi2,x,z,y", {"columns": {"x_m": "w"}}, "--map x_m=w: there is no such column; the col"),
         ("time_s,v1,v2,phi1,phi2,x,z,y", {"columns": {"u_V": "z"}}, "--map u_V=...: no such channel; Machine 'hframe'"),
@@ -468,7 +530,7 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
         (lambda t: with_line(t, 40, "0.0005,1,2,1,1,1,1"), "row 40, column time_s: 0.0005 goes back.*clock restart"),
         (
             lambda t: text_of(t, ";", ",").replace("0,04;", "1.000,04;"),
-            "row 41, column time_s: '1.000,04' is not a number",
+            "row 41, column time_s: '1.000,04' is not a number; export it without marks that separate thousands",
         ),
         (
             lambda t: text_of(t).replace("\n0.0", "\nMay 1 0:00:0"),
@@ -479,7 +541,10 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
             lambda t: text_of({("t" if c == "time_s" else c): v * 1000 for c, v in t.items()}),
             "has no unit and steps of 1",
         ),
-        (lambda t: text_of(t | {"x_m": t["x_m"] * 1e5}), "x_m.* is the column in millimeters. State it by --unit"),
+        (
+            lambda t: text_of(t | {"x_m": t["x_m"] * 1e5}),
+            "column x_m: .* cannot be m; is the column in millimeters. If so, add --unit x_m=mm: x_m is the col",
+        ),
     ],
 )
 def test_an_invalid_log_is_refused_and_nothing_is_written(

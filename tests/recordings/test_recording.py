@@ -45,14 +45,20 @@ def test_columns_may_come_in_any_order_and_outputs_may_be_empty(write_run: Write
     [
         ({(7, "v1_V"): "abc"}, "row 7, column v1_V: 'abc' is not a number"),
         ({(7, "x_m"): "abc"}, "row 7, column x_m: 'abc' is not a number"),
-        ({(7, "v1_V"): ""}, "row 7, column v1_V: value is empty. Times and inputs must have no gaps"),
+        (
+            {(7, "v1_V"): ""},
+            "row 7, column v1_V: value is empty. Times and inputs must have no gaps; hframe import keeps the value",
+        ),
         ({(7, "y_m"): "inf"}, "row 7, column y_m: inf is infinite"),
         ({(7, "time_s"): "5.001"}, "row 7, column time_s: 5.001 goes back, row 6 is 5.005; times must increase"),
         ({(7, "time_s"): "5.005"}, "row 7, column time_s: 5.005 repeats row 6; times must increase"),
         ({(7, "time_s"): ""}, "row 7, column time_s"),
         ({(7, "x_m"): "125.0"}, "row 7, column x_m: 125 cannot be m; is the column in millimeters?"),
-        ({(7, "x_m"): "15.0"}, "column x_m: moves by 15, but the range of x is 0.56; is the column in millimeters?"),
-        ({(7, "x_m"): "2.0"}, "column x_m: moves by 2, but the range of x is 0.56; is the column in millimeters?"),
+        (
+            {(7, "x_m"): "15.0"},
+            "column x_m: moves by 15 m, but the range of x is 0.56 m; is the column in millimeters?",
+        ),
+        ({(7, "x_m"): "2.0"}, "column x_m: moves by 2 m, but the range of x is 0.56 m; is the column in millimeters?"),
         ({(r, c): "" for r in range(1, 21) for c in ("phi1_rad", "phi2_rad", "x_m", "y_m")}, "all outputs are empty"),
     ],
 )
@@ -72,7 +78,10 @@ def test_an_error_names_file_row_and_column_of_a_faulty_cell(
     [
         ("time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_mm,y_m", "column x_mm: is in millimeters; recordings have x_m"),
         ("time_s,v1_V,v2_V,phi1_deg,phi2_rad,x_m,y_m", "column phi1_deg: is in degrees; recordings have phi1_rad"),
-        ("time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,z_m", "column z_m: unknown"),
+        (
+            "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,z_m",
+            "column z_m: unknown; .*Is this the machine of the recordings .--machine.. If it is, rename",
+        ),
         ("v1_V,time_s,v2_V,phi1_rad,phi2_rad,x_m,y_m", "the first column must be time_s"),
         ("time_s,v1_V,v1_V,phi1_rad,phi2_rad,x_m,y_m", "column v1_V: appears twice"),
     ],
@@ -89,8 +98,17 @@ def test_a_missing_column_is_refused_but_voltages_alone_can_be_simulated(tmp_pat
     path.write_text("time_s,v1_V,v2_V\n0,0,0\n0.001,1,1\n")
     with pytest.raises(InputError, match="column phi1_rad: missing"):
         load_recording(path, hframe)
+    with pytest.raises(
+        InputError, match=r"column v1_V: unknown; machine 'axis' has .*\(--machine\)\? If it is, rename"
+    ):
+        load_recording(path, BUILTIN_MACHINES["axis"](), outputs_needed=False)
     run = load_recording(path, hframe, outputs_needed=False)
     assert np.isnan(run.outputs).all()
+    path.write_text("time_s,v1_V\n0,0\n")
+    with pytest.raises(
+        InputError, match=r"column v2_V: missing .*\(--machine\)\? If it is, the column must be recorded"
+    ):
+        load_recording(path, hframe)
     path.write_text("time_s,v1_V,v2_V,x_m\n0,0,0,0\n")
     with pytest.raises(InputError, match="column phi1_rad: missing"):
         load_recording(path, hframe, outputs_needed=False)
