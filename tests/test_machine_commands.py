@@ -146,7 +146,9 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     pty = pytest.importorskip("pty")
     import os
 
-    answers = ["axis", "rig.json", "0.6", "2.5", "0.012", "", "1e-5", "", "", "24", "500", "n"]
+    (tmp_path / "old.json").write_text("{}")
+    wrong = ["old.json", "rig.txt"]  # each is refused and asked for again, also the travel in millimeters
+    answers = ["axis", *wrong, "rig.json", "600", "0.6", "2.5", "0.012", "", "1e-5", "", "", "24", "500", "n"]
     controller, terminal = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "hframe_gym", "machines", "new"]
@@ -158,6 +160,10 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     os.close(controller)
     os.close(terminal)
     assert process.returncode == 0, out
+    for refusal in ("old.json: exists already", "rig.txt: must end in .json", "--travel 600: is it in millimeters?"):
+        assert refusal in out
+    assert "along x: 2.569 kg with the rotors, " in out
+    assert (tmp_path / "old.json").read_text() == "{}"
     machine = load_machine(tmp_path / "rig.json")
     assert machine.drives[0].gear_ratio == pytest.approx(1 / 0.012)
     assert machine.drives[0].rated_voltage == 24.0

@@ -103,7 +103,7 @@ def new_machine_file(
     out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
     name: Annotated[str, typer.Option(help="Name of the machine (default: name of the file).")] = "",
     travel: Annotated[str, typer.Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",
-    mass: Annotated[str, typer.Option(help="Moving mass along x and y, kg, for example 0.4,1.2.")] = "",
+    mass: Annotated[str, typer.Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2.")] = "",
     pulley_radius: Annotated[float | None, typer.Option(help="Pitch radius of the motors' pulleys, m.")] = None,
     gear_ratio: Annotated[float | None, typer.Option(help="Turns of the motor per turn of the pulley.")] = None,
     rotor_inertia: Annotated[float | None, typer.Option(help="Inertia of a motor's rotor, kg m^2.")] = None,

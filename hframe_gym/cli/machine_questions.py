@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import Machine, motion_limits
 from ..recordings import TEMPLATES, MachineOptions, new_machine, write_machine_template
 
 # Option, question, and the templates to which it applies.
@@ -110,42 +110,98 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
         missing = " and ".join(f"--{name}" for name in ("like", "out") if not getattr(answers, name))
         if not sys.stdin.isatty():
             raise InputError(f"{missing}: missing, for example hframe machines new --like corexy --out my.json")
-        answers = ask(answers, log)
-    path = answers.out
+        answers = ask(answers, log, force)
+    path = require_new_file(answers.out, force)
+    machine = new_machine(answers.like, answers.name or path.stem, answers.options())
+    write_machine_template(answers.like, machine, path)
+    log(f"wrote {path}: {answers.like} with {', '.join(machine.input_channels + machine.output_channels)}")
+    for line in motion_lines(machine):
+        log(line)
+    log(f"next: edit its values, then `hframe machines show {path}` and `hframe check RUNS --machine {path}`")
+
+
+def require_new_file(path: Path | None, force: bool) -> Path:
+    """Raise an error if a machine cannot be written to a file.
+
+    Args:
+        path: Value of --out.
+        force: Whether an existing file is replaced.
+
+    Returns:
+        The same path.
+
+    Raises:
+        InputError: If the name does not end in .json, or the file exists and is not to be replaced.
+    """
     if path is None or path.suffix != ".json":
         raise InputError(f"--out {path}: must end in .json")
     if path.exists() and not force:
         raise InputError(f"--out {path}: exists already; choose another name, or replace it with --force")
-    machine = new_machine(answers.like, answers.name or path.stem, answers.options())
-    write_machine_template(answers.like, machine, path)
-    log(f"wrote {path}: {answers.like} with {', '.join(machine.input_channels + machine.output_channels)}")
-    log(f"next: edit its values, then `hframe machines show {path}` and `hframe check RUNS --machine {path}`")
+    return path
 
 
-def ask(answers: MachineAnswers, log: Callable[[str], None]) -> MachineAnswers:
+def motion_lines(machine: Machine) -> list[str]:
+    """Describe what the drives can do along each axis; implausible values show that a value has a wrong unit.
+
+    Args:
+        machine: The new machine.
+
+    Returns:
+        One line per rigid motion, with units.
+    """
+    lines = []
+    for name, limit in motion_limits(machine).items():
+        c = machine.coordinate(name)
+        values = f"{limit.force:.3g} {c.unit('force')} at rest, up to {limit.speed:.3g} {c.unit('speed')}"
+        moved = f"{limit.inertia:.4g} {c.unit('mass')} with the rotors"
+        lines.append(f"along {name}: {moved}, {values}; if this is implausible, a value has another unit")
+    return lines
+
+
+def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False) -> MachineAnswers:
     """Ask on the terminal for every value that is not given; Enter accepts the value of the template.
+
+    A value that cannot be used is asked for again.
 
     Args:
         answers: Values of the command's options, empty or None where not given.
         log: Called with a line of text for the user.
+        force: Whether an existing file is replaced.
 
     Returns:
         Answers without missing values.
 
     Raises:
-        InputError: If the template is unknown.
+        InputError: If the template is unknown, or an option given before cannot be used.
     """
     log("Enter accepts the value in brackets. All values are in SI units.")
     like = answers.like or typer.prompt("Template (hframe, axis or corexy)", default="corexy")
-    out = answers.out or Path(typer.prompt("File to write", default=f"my_{like}.json"))
+    given = dataclasses.replace(answers, linear_sensor=None)  # whether a sensor is left shows at the end
+    new_machine(like, "template", given.options())  # refuses wrong options before the first question
     template = new_machine(like, "template", MachineOptions())
-    new: dict[str, object] = {"like": like, "out": out}
+    new: dict[str, object] = {"like": like, "out": answers.out and require_new_file(answers.out, force)}
+
+    def accepted(**values: object) -> bool:
+        """Return whether answers can be used; otherwise say why not."""
+        try:
+            trial = dataclasses.replace(given, **(new | values))  # type: ignore[arg-type]
+            require_new_file(trial.out, force)
+            new_machine(like, "template", trial.options())
+        except InputError as error:
+            log(str(error))
+            return False
+        return True
+
+    while new["out"] is None:
+        path = Path(typer.prompt("File to write", default=f"my_{like}.json"))
+        new["out"] = path if accepted(out=path) else None
     for option, question, templates in _QUESTIONS:
-        if like in templates and getattr(answers, option) in ("", None):
-            default = template_value(template, option)
+        default = template_value(template, option)
+        while like in templates and getattr(answers, option) in ("", None) and option not in new:
             answer = typer.prompt(question, default=default, type=type(default))
-            if answer != default:  # the template's value stays, to the last digit
-                new[option] = answer
+            if answer == default:  # the template's value stays, to the last digit
+                break
+            new |= {option: answer} if accepted(**{option: answer}) else {}
     if answers.linear_sensor is None:
         axes = "x" if like == "axis" else "x and y"
         new["linear_sensor"] = typer.confirm(f"Does a sensor measure {axes} directly?", default=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -42,7 +43,7 @@ def load_machine(source: str | Path | Machine) -> Machine:
     try:
         content = MachineFile.model_validate_json(text)
     except ValidationError as error:
-        first: Any = error.errors()[0]
+        first = _cause(error.errors())
         raise InputError(f"{path}: {_field_name(first['loc'], text)}: {_reason(first)}") from None
     return MachineReader(path, content).machine()
 
@@ -140,6 +141,18 @@ def _field_name(location: tuple[int | str, ...], text: str) -> str:
             names = value if isinstance(value, dict) else {}
             labels[-1] = str(names.get("name", names.get("channel", f"entry {key + 1}")))
     return ".".join(labels) or "file"
+
+
+def _cause(errors: Sequence[Any]) -> Any:
+    """Return the first error of pydantic, or the unknown field beside it that is the missing one, mistyped."""
+    first = errors[0]
+    *parents, field = first["loc"] or ("",)
+    for error in errors if first["type"] == "missing" else ():
+        *others, name = error["loc"]
+        is_unknown = error["type"] == "extra_forbidden" and others == parents
+        if is_unknown and difflib.get_close_matches(str(name), [str(field)]):
+            return error
+    return first
 
 
 def _reason(error: dict[str, Any]) -> str:

@@ -51,6 +51,15 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
     return edit
 
 
+def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]], None]:
+    def edit(content: dict[str, Any]) -> None:
+        for key in path:
+            content = content[key]
+        content[other] = content.pop(field)
+
+    return edit
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
@@ -81,6 +90,8 @@ def change(path: list[Any], value: Any) -> Callable[[dict[str, Any]], None]:
         (change(["surprise"], 1), "surprise: unknown field; The fields here are $schema, belts, comment, coordinates"),
         (change(["sensors", 1, "color"], "red"), "sensors.phi2_rad.color: unknown field; The fields here are channel"),
         (change(["coordinates", 0, "Mass"], 1), "coordinates.x.Mass: unknown field; did you mean 'mass'?"),
+        (rename(["coordinates", 0], "mass", "mas"), "coordinates.x.mas: unknown field; did you mean 'mass'?"),
+        (rename(["coordinates", 0], "viscous", "damping"), "coordinates.x.viscous: missing; write {"),
         (change(["drives", 0, "Kt"], 0.02), 'drives.motor1.Kt: must be a value with its unit: {"value": ...'),
         (change(["drives", 0], {}), "drives.entry 1.name: missing"),
         (change(["belts", 0, "EA"], {"value": 1.0}), "belts.left.EA.unit: missing"),
