@@ -220,7 +220,8 @@ def _unmeasured_outputs(recording: Recording, machine: Machine) -> list[Finding]
     for channel, values in zip(machine.output_channels, recording.outputs.T, strict=True):
         fraction = float(np.mean(np.isnan(values)))
         if fraction == 1.0:
-            findings.append(Finding("advice", recording.name, channel, "was not measured in this run"))
+            message = "was not measured in this run; if there is no such sensor, leave it out of machine.json"
+            findings.append(Finding("advice", recording.name, channel, message))
         elif fraction:
             findings.append(Finding("note", recording.name, channel, f"{100 * fraction:.3g} % of its rows are empty"))
     return findings

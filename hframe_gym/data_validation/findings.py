@@ -72,7 +72,7 @@ def _merged(group: list[Finding]) -> Finding:
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print findings, then the number of findings of each severity.
+    """Print findings, then the number of printed findings of each severity.
 
     `group_findings` merges equal findings of several runs first. A terminal shows a table, other output one line of
     text per finding.
@@ -81,19 +81,20 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         findings: Findings (severity, run, channel, message) in the order of printing.
         console: Rich console to print on.
     """
+    groups = group_findings(findings)
     if console.is_terminal:
         table = Table(box=None)
         for column in ("", "run", "channel", "finding"):
             table.add_column(column, overflow="fold")  # names are never cut
-        for finding in group_findings(findings):
+        for finding in groups:
             severity = f"[{_STYLES[finding.severity]}]{finding.severity}[/]"
             table.add_row(severity, finding.run, finding.channel, escape(finding.message))
         console.print(table, soft_wrap=False)
     else:
-        for finding in group_findings(findings):
+        for finding in groups:
             console.print(str(finding), markup=False, highlight=False)
     plurals = {"fault": "faults", "advice": "advice", "note": "notes"}
-    counts = (f"{plurals[kind]}: {sum(finding.severity == kind for finding in findings)}" for kind in _STYLES)
+    counts = (f"{plurals[kind]}: {sum(finding.severity == kind for finding in groups)}" for kind in _STYLES)
     console.print(", ".join(counts), markup=False, highlight=False)
 
 

@@ -25,6 +25,7 @@ from .forward_selection import (
 )
 from .held_out import contradicting_held_out_runs, error_reduction, held_out_gain, hold_out, is_excited
 from .initial_rest import without_moving_start
+from .initial_state import merge_run_warnings
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
@@ -147,9 +148,8 @@ def _prepare(
         log(f"saturated at the end of the range: {', '.join(ranges)}")
         usable = [blank_saturated(r, ranges, machine, everything.noise, criteria) for r in recordings]
         everything = prepare(usable, machine)
-    for run in everything.runs:
-        for warning in run.initial.warnings:
-            log(f"warning: {warning}")
+    for warning in merge_run_warnings(warning for run in everything.runs for warning in run.initial.warnings):
+        log(f"warning: {warning}")
     return everything, ranges
 
 

@@ -48,6 +48,7 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
             _error_over_time(curves, run, channel, j, _compared_stages(report))
             for run in report["runs"]["held_out"][:_MAX_RUNS]
             for j, channel in enumerate(channels)
+            if np.isfinite(curves[f"{run}/measured"][:, j]).any()
         ],
         "residual_force": [_residual_force(report, curves, machine)] if "force/variable" in curves else [],
         "tables": [_table(e, machine) for e in machine.effects if e.definition.family == TABLE_FAMILY],

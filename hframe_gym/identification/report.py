@@ -114,10 +114,8 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
             "No effect is missing: with refitted parameters, the error of the declared model on the held-out runs is "
             f"{before} {unit}.{_remainder(report)}"
         )
-    return (
-        f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect "
-        "explains it. The variables that the residual depends on are listed below."
-    )
+    text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
+    return " ".join([text, *_dependence_sentences(report)])
 
 
 def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float:
@@ -137,8 +135,8 @@ def _remainder(report: Mapping[str, Any]) -> str:
     if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
         return ""
     return (
-        f" An error of {number(left)} times the sensors' noise is left (root mean square over all channels), which no "
-        "effect of the library explains."
+        f" An error of {number(left)} times the sensors' noise is left (root mean square over all channels; "
+        f"{_largest_position_error(report['after']['held_out'])}), which no effect of the library explains."
     )
 
 
@@ -274,13 +272,15 @@ def _remaining_error(report: Mapping[str, Any]) -> list[str]:
             f"The remaining error of the {machine} machine is about as large as the sensors' noise{ratio}, but it is "
             "correlated in time: a small systematic part is left."
         ]
-    if report["residual"]["depends_on"] and not report["effects"]:
-        strongest = report["residual"]["depends_on"][0]
-        sentences.append(
-            f"The force that the model lacks on {strongest['coordinate']} depends most on {strongest['variable']}, "
-            f"which explains {100 * strongest['share']:.0f} % of its variance."
-        )
-    return sentences
+    # An unexplained verdict has said already on what the residual depends.
+    return sentences + (_dependence_sentences(report) if report["verdict"] == "no_effect" else [])
+
+
+def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about the variable that explains most of the residual force, if there is one."""
+    strongest = sorted(report["residual"]["depends_on"], key=lambda dependence: dependence["share"])[-1:]
+    text = "The force that the model lacks on {} depends most on {}, which explains {:.0f} % of its variance."
+    return [text.format(d["coordinate"], d["variable"], 100 * d["share"]) for d in strongest]
 
 
 def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:

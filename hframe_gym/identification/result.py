@@ -24,6 +24,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
+from .initial_state import merge_run_warnings
 from .parameter_diagnostics import inseparable_parameters, parameters_at_limit
 from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
 
@@ -190,17 +191,15 @@ class IdentificationResult:
     def divergence_warnings(self) -> tuple[str, ...]:
         """Warnings about machines whose simulation diverges on a held-out run, one sentence each."""
         models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
-        cause = (
-            "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
-        )
-        text = f"The simulation of the {{}} machine diverges on {{}}, so it has no error: {cause}."
+        why = "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
+        text = f"The simulation of the {{}} machine diverges on {{}}, so it has no error: {why}."
         return tuple(text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged)
 
     @property
     def initial_state_warnings(self) -> tuple[str, ...]:
         """Warnings about runs that were not used and about uncertain initial states, one sentence each."""
-        fitted = [warning for run in self.fitted.runs for warning in run.initial.warnings]
-        return tuple(dict.fromkeys([*self.excluded, *fitted, *self.after.warnings]))
+        fitted = (warning for run in self.fitted.runs for warning in run.initial.warnings)
+        return merge_run_warnings([*self.excluded, *fitted, *self.after.warnings])
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json, schema 1, without warnings and formulas.

@@ -15,9 +15,10 @@ from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.experiment_design import FILE, ExperimentDesign
+from hframe_gym.identification.plots import report_panels
 from hframe_gym.identification.report import build_report, verdict_sentence
 from hframe_gym.identification.residual import ChannelError, Dependence
-from hframe_gym.identification.result import PredictionErrors, Verdict
+from hframe_gym.identification.result import PredictionErrors, Verdict, plot_data
 from hframe_gym.identification.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
@@ -98,6 +99,14 @@ def test_the_page_states_that_no_experiment_distinguishes_rivals(data: Dataset, 
     write_result(result, tmp_path)
     (tmp_path / "report.json").write_text(json.dumps(report))
     assert "No experiment is proposed" in build_report(tmp_path).read_text()
+
+
+def test_a_channel_that_was_not_measured_has_no_plot_over_time(data: Dataset) -> None:
+    result = result_of(data, "no_effect", AXIS)
+    curves = plot_data(result)
+    assert len(report_panels(result.as_json(), curves, AXIS)["error_over_time"]) == 1
+    curves["run_2/measured"][:] = np.nan
+    assert report_panels(result.as_json(), curves, AXIS)["error_over_time"] == []
 
 
 def test_an_effect_that_makes_held_out_runs_worse_is_called_so(data: Dataset, tmp_path: Path) -> None:
@@ -200,9 +209,15 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
 def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: str) -> None:
     errors = {"held_out": {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}}
     report = {"verdict": verdict, "effects": [{"name": "cogging", "site": "motor"}], "left": 900.0}
+    shares = (("velocity of x", "x", 0.19), ("velocity of y", "y", 0.26))
+    report["residual"] = {
+        "depends_on": [dict(zip(("variable", "coordinate", "share"), s, strict=True)) for s in shares]
+    }
     sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
     assert "6 % of the drives' force" in sentence
-    assert ("An error of 900 times the sensors' noise is left" in sentence) == (verdict != "unexplained")
+    assert ("lacks on y depends most on velocity of y, which explains 26 %" in sentence) == (verdict == "unexplained")
+    left = "An error of 900 times the sensors' noise is left (root mean square over all channels; 1 m rms at x_m)"
+    assert (left in sentence) == (verdict != "unexplained")
 
 
 def test_after_an_unexplained_error_comes_the_report_and_not_the_check_that_has_passed() -> None:
