@@ -14,7 +14,7 @@ A rule combines a parameter (or a pattern of names), a distribution, how the sam
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
@@ -297,7 +297,7 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
     Raises:
         InputError: If the preset is unknown, or an entry is not a rule or has an invalid `how` or `when`.
     """
-    if isinstance(randomize, str):
+    if isinstance(randomize, str) or not isinstance(randomize, Iterable):
         if randomize not in RANDOMIZATION_PRESETS:
             presets = ", ".join(RANDOMIZATION_PRESETS)
             raise InputError(f"randomize is {randomize!r}; choose one of {presets}, or a list of RandomizeParameter")

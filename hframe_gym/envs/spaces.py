@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -287,7 +287,12 @@ class ObservationFormat:
             low, high = (edge.astype(np.float32) for edge in bounds_of(specs))
             # The bounds are converted by the same operations as the values, which therefore stay inside them.
             boxes[key] = (self._normalized(key, low), self._normalized(key, high)) if normalize else (low, high)
-        self.entries = tuple(spec for specs in signals.values() for spec in specs) if flat else None
+        # The true state of `privileged` has the same entries as `observation`.
+        named = {
+            **signals,
+            "privileged": [replace(s, name=f"privileged {s.name}") for s in signals.get("privileged", ())],
+        }
+        self.entries = tuple(spec for key in signals for spec in named[key]) if flat else None
         self.space: spaces.Space[Any] = (
             box(*(np.concatenate(edges) for edges in zip(*boxes.values(), strict=True)))
             if flat

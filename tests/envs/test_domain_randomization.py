@@ -78,3 +78,9 @@ def test_quantiles_of_the_distributions():
     assert kstest((Normal(2.0, 0.5).quantile(u) - 2.0) / 0.5, norm.cdf).pvalue > 0.999
     assert np.median(LogUniform(0.25, 4.0).quantile(u)) == pytest.approx(1.0, rel=1e-3)
     assert kstest(Uniform(1.0, 3.0).quantile(u), "uniform", args=(1.0, 2.0)).pvalue > 0.999
+
+
+@pytest.mark.parametrize("randomize", [True, 0.3, None, "some"])
+def test_a_randomization_that_is_neither_a_preset_nor_rules_is_refused_with_the_choices(randomize):
+    with pytest.raises(InputError, match=f"randomize is {randomize!r}; choose one of none, default, wide"):
+        HFrameEnv(randomize=randomize)

@@ -120,6 +120,14 @@ def test_flat_ids_are_the_dict_ids_flattened(name):
     assert envs.reset(seed=0)[0].shape == envs.observation_space.shape == (2, *envs.single_observation_space.shape)
 
 
+def test_every_entry_of_a_flat_observation_has_its_own_name():
+    env = gym.make("HFrameFlat-v0", privileged=True, randomize="default").unwrapped
+    names = [entry.name for entry in env.entries]
+    assert len(set(names)) == len(names) == env.observation_space.shape[0]
+    assert names[4:6] == ["x", "y"]
+    assert {f"privileged {entry.name}" for entry in env.privileged_entries} <= set(names)
+
+
 def test_a_flat_environment_is_copied_and_made_again_from_its_specification():
     env = gym.make("HFrameFlat-v0", normalize=True)
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
