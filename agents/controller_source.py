@@ -65,7 +65,8 @@ class AgentSource(ControllerSource):
         Returns:
             A phrase that completes the error message "controller 'x' is unknown; choose ...".
         """
-        return f"the folder of a trained agent; or a shipped agent ({_shipped_names(scenario.task_name)})"
+        names = dict.fromkeys(label.rpartition("-seed")[0] for label in _shipped_folders(scenario.task_name))
+        return f"the folder of a trained agent; or a shipped agent ({', '.join(names)}, or one of them by NAME-seedN)"
 
     @staticmethod
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:

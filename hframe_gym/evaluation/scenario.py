@@ -274,9 +274,8 @@ def make_controller(
     whose class attribute `feedback` is "estimated_state" (such as `pid`) is combined with a `StateEstimator`.
 
     Args:
-        name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers
-            when it is imported, or what a registered `ControllerSource` accepts, such as an agent's folder or a shipped
-            agent.
+        name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
+            or what a registered `ControllerSource` accepts, such as an agent's folder or a shipped agent.
         machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
         task: Task (name or object) for which the controller is needed; selects among the agents in the package.
         sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
@@ -299,7 +298,8 @@ def make_controller(
             return controller
     sources = [CONTROLLER_SOURCES.get(source_name).describe(scenario) for source_name in CONTROLLER_SOURCES]
     choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
-    raise InputError(f"controller {name!r} is unknown; choose {'; or '.join(choices)}")
+    problem = ": there is no such folder" if "/" in name else " is unknown"
+    raise InputError(f"controller {name!r}{problem}; choose {'; or '.join(choices)}")
 
 
 def _make_registered(name: str, scenario: Scenario) -> Controller:
