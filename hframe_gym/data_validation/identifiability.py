@@ -115,7 +115,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         relative_std = reported_alone.pop(viscous) * fraction
         message = (
             f"only their sum can be determined, with a standard error of at least {100 * relative_std:.2g} %: viscous "
-            "friction and back-EMF brake the motor alike. Neither is needed alone"
+            "friction and back-EMF brake the motor alike, and simulation and control need only the sum"
         )
         severity: Severity = "advice" if relative_std > _LARGE_STD else "note"
         findings.append(Finding(severity, "", f"{viscous} and {ke}", message))

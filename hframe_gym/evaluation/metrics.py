@@ -338,7 +338,7 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
     conditions = episode_conditions(scenario)
     if conditions.machine.effects:
         name = conditions.machine.name
-        return StoredBounds(None, f"machine {name!r} has effects; bounds are stored for machines without effects")
+        return StoredBounds(None, f"no bound on the settling time is stored for {name!r}, because it has effects")
     times = np.array([_bounds_by_digest().get(digest, np.nan) for digest in condition_digests(conditions)])
     missing = int(np.isnan(times).sum())
     if not missing:
