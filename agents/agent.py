@@ -174,7 +174,7 @@ class Agent(Controller):
 
         Returns:
             A clause about the agent, for example "was trained on a machine with 2 axes, 2 drives, but 'stage' has
-            1 axis, 1 drive"; None if the numbers of axes, coordinates and drives are equal.
+            1 axis, 1 drive"; None if the numbers of axes, observed coordinates and drives are equal.
         """
         counts, trained = _part_counts(machine), _part_counts(self.machine)
         differing = [part for part in counts if counts[part] != trained[part]]
@@ -298,7 +298,8 @@ def _shape(values: list[Any]) -> list[int]:
 
 def _part_counts(machine: Machine) -> dict[str, int]:
     """Return the numbers of parts that determine the shapes of observations and actions."""
-    return {"axis": len(machine.tool_axes), "coordinate": len(machine.coordinates), "drive": len(machine.drives)}
+    observed = {*machine.tool_axes, *(drive.coordinate for drive in machine.drives)}
+    return {"axis": len(machine.tool_axes), "observed coordinate": len(observed), "drive": len(machine.drives)}
 
 
 def _counted(count: int, noun: str) -> str:

@@ -129,7 +129,7 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
     if obstacle:
         raise InputError(
             f"recipe {recipe.name}: continues the shipped agent {folder.name}, which {obstacle}. Train an agent from "
-            f"random weights instead: hframe train {recipe.start}, with the other options unchanged"
+            "random weights instead: hframe train ppo, with the other options unchanged"
         )
     return folder
 

@@ -200,7 +200,7 @@ def test_seeds_in_processes_are_those_of_single_runs(tmp_path: Path) -> None:
     cards = train_seeds("ppo", seeds=(3, 5), out=tmp_path, jobs=2, show_curves=False, **options)
     assert sorted(cards) == [3, 5]
     for seed in cards:
-        single = train("ppo", seed=seed, out=tmp_path / "single", **options)
+        single = train("ppo", seed=seed, out=tmp_path / "single", force=True, **options)
         assert [row["final_error_mm"] for row in cards[seed]["curve"]] == [r["final_error_mm"] for r in single["curve"]]
         together, alone = tmp_path / f"seed_{seed}", tmp_path / "single"
         assert (together / "policy.safetensors").read_bytes() == (alone / "policy.safetensors").read_bytes()

@@ -102,6 +102,8 @@ def test_files_state_the_sensors_of_the_training():
 def test_a_machine_of_another_number_of_axes_is_refused_with_the_machine_of_the_training(tmp_path):
     with pytest.raises(InputError, match=r"ppo: was trained on .* 2 axes.*'axis' has 1 axis.*--machine hframe\)"):
         make_controller("ppo", Scenario(machine="axis"))
+    with pytest.warns(UserWarning, match="evaluated on 'hframe-order20'"):  # observes the same coordinates
+        make_controller("ppo", Scenario(machine="hframe-order20"))
     copy = shutil.copytree(shipped_agent_folder("ppo", "reach"), tmp_path / "copy")
     with pytest.raises(InputError, match=r"--machine \S+/copy/machine\.json\)"):
         make_controller(str(copy), Scenario(machine="axis"))

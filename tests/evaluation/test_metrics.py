@@ -204,7 +204,7 @@ def test_no_settling_time_is_below_its_bound() -> None:
         (Scenario(task="track", episodes=2, seed=SEED), "goals that do not move"),
         (
             Scenario(HFRAME.with_effects(EFFECTS["constant_force"].at("x", size=1.0)), episodes=2, seed=SEED),
-            "machine 'hframe' has effects",
+            "stored for 'hframe', because it has effects",
         ),
     ],
 )
