@@ -218,7 +218,7 @@ def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
     inputs = np.full((1000, 2), -3.0)
     outputs = hframe.simulate(time, inputs).outputs
     moving = Recording("push", time[:800], inputs[200:], outputs[200:])
-    assert "push: begins in motion, but the initial velocity is taken as 0" in " ".join(
+    assert "push: begins in motion, so the initial velocity is estimated" in " ".join(
         str(f) for f in check_recordings([moving], hframe)
     )
     inputs[:20] = 0.0

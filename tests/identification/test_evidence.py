@@ -41,6 +41,8 @@ def test_the_size_of_a_force_is_its_root_mean_square() -> None:
     [
         (STRIBECK, DRAG, True),
         (STRIBECK, SPRING, False),
+        (FRAME, SPRING, False),  # the frame's own position and speed
+        (FRAME, STRIBECK, False),
         (STRIBECK, EFFECTS["quadratic_drag"].at("y", c=4.0), False),
         (
             EFFECTS["cogging"].at("motor1", A=0.03, n=23.6, p=0.5),
