@@ -163,7 +163,8 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
         rigid: Basis of the motions that stretch no belt, in the coordinates' units, shape (coordinates, motions).
 
     Returns:
-        Velocities of the coordinates and their independent errors.
+        Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, shape (errors,
+        coordinates); zeros and no errors for a run that begins at rest.
     """
     at_rest = InitialVelocity(np.zeros(len(rigid)), np.zeros((0, len(rigid))))
     if len(recording.time_s) <= _MIN_VELOCITY_ROWS or count_resting_rows(recording, machine) > 1:

@@ -138,7 +138,8 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured. A
+        run that begins in motion has the velocity and the positions of its first row.
     """
     rows = count_resting_rows(recording, machine)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
@@ -162,11 +163,8 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         reading[replaced] = later[replaced]
         usable |= replaced
         warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
-    # An angle is as accurate as a length once it is multiplied by the radius.
     velocity = initial_velocity(recording, machine, rigid)
-    stretched = zeros.resolves_stretch | bool(len(velocity.deviations))
-    weight = np.where(known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
-    weight = np.where(usable, np.where(fixed, 1.0, weight) * machine.travel_per_unit[site], 0.0)
+    weight = np.where(usable, _position_weights(machine, zeros, moving=len(velocity.deviations) > 0), 0.0)
     # Weighted least squares for the motion that stretches no belt.
     position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
     reading = np.where(usable, reading, np.nan)
@@ -188,6 +186,15 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         velocity_deviations=velocity.deviations,
         warnings=warnings,
     )
+
+
+def _position_weights(machine: Machine, zeros: EncoderZeros, *, moving: bool) -> Array:
+    """Return the weights of the sensors' measurements for the motions that stretch no belt, shape (sensors,)."""
+    stretched = zeros.resolves_stretch | moving
+    encoders = np.where(zeros.known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
+    weights = np.where([not s.incremental for s in machine.sensors], 1.0, encoders)
+    # An angle is as accurate as a length once it is multiplied by the radius.
+    return weights * machine.travel_per_unit[[machine.coordinate_names.index(s.coordinate) for s in machine.sensors]]
 
 
 def rigid_basis(machine: Machine) -> Array:
