@@ -338,10 +338,10 @@ def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
 def _form_error(
     without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
 ) -> str:
-    """Return that an effect may be an error in the form of a larger one, "" if nothing speaks for that."""
+    """Return that an effect may be an error in the form of one of another family, "" if nothing speaks for that."""
     machine = with_effect.machine
-    for other in machine.effects:
-        if other.label != effect.label and depend_on_same_variable(effect, other, machine):
+    for other in (e for e in machine.effects if e.definition.family != effect.definition.family):
+        if depend_on_same_variable(effect, other, machine):
             # The force beyond what the parameters of the machine and of the other effect can represent.
             fraction = force_difference(without.machine, machine, data) / max(effect_force(machine, other, data), 1e-12)
             if fraction < criteria.max_form_error:

@@ -145,7 +145,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
-    measurement = np.array([np.nanmean(at_rest[:, j]) if measured[j] else np.nan for j in range(at_rest.shape[1])])
+    measurement = np.array([np.nanmean(c) if finite else np.nan for c, finite in zip(at_rest.T, measured, strict=True)])
     site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]  # coordinate of each sensor
     fixed = np.array([not s.incremental for s in machine.sensors])  # lasers
     known = zeros.known  # encoders with a known zero
@@ -160,8 +160,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     if not position_measured:
         later = _later_measurements(recording, measurement, machine, rigid)
         replaced = fixed & ~measured & np.isfinite(later)
-        reading[replaced] = later[replaced]
-        usable |= replaced
+        reading, usable = np.where(replaced, later, reading), usable | replaced
         warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
     velocity = initial_velocity(recording, machine, rigid)
     weight = np.where(usable, _position_weights(machine, zeros, moving=len(velocity.deviations) > 0), 0.0)

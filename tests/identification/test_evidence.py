@@ -151,6 +151,13 @@ def test_a_small_addition_to_the_same_variable_is_an_error_of_form(
     assert doubt(scripted, 1.4, 1.2, SPRING, DRAG) == ""  # position and speed
 
 
+def test_an_addition_of_the_same_family_is_a_better_form(scripted: Scripted) -> None:
+    """Stribeck friction with an exponent between 1 and 2 is the sum of both; cogging has overtones."""
+    scripted.difference = 0.05
+    tustin = EFFECTS["tustin_friction"].at("x", dF=0.2, vs=0.02)
+    assert doubt(scripted, 1.4, 1.2, STRIBECK, tustin) == ""
+
+
 def test_a_faulty_machine_is_doubted(scripted: Scripted) -> None:
     scripted.fault = "makes the machine unstable"
     assert doubt(scripted) == scripted.fault
