@@ -18,6 +18,7 @@ This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -258,7 +259,7 @@ class TransferBank:
         size: Number K of transfers.
 
     Raises:
-        InputError: If the machine has no transfer of a duration.
+        InputError: If the machine has no transfer of a duration, or the durations are not ascending.
     """
 
     def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
@@ -270,6 +271,8 @@ class TransferBank:
                 f"transfers are {list(transfers)}; machine {machine.name!r} has those of 0 to "
                 f"{designed.longest - designed.shortest} periods beyond the shortest"
             )
+        if any(second <= first for first, second in pairwise(transfers)):
+            raise InputError(f"transfers are {list(transfers)}; list durations in ascending order, each once")
         gains = [designed.gains[:, list(transfers), 0]]
         for stiffness, mass in BANK:
             variant = MinimumEnergyTransfers(MotionModel(scaled_machine(machine, stiffness, mass)), period)
