@@ -33,6 +33,7 @@ from ..controllers import (
     SimulatedTransfers,
     scaled_machine,
 )
+from ..controllers.estimation_model import ParameterRatios
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import Machine, rest_state
@@ -319,7 +320,8 @@ class PlanBank:
     """
 
     def __init__(self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]) -> None:
-        self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
+        self._model, self.size = MotionModel(machine), len(durations)
+        self._ratios = ParameterRatios(machine, estimator.parameter_names)  # the estimator's machine has no dead time
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = _state_of_observation(self._model)
 
@@ -342,7 +344,7 @@ class PlanBank:
         planned = self._transfers.plan(
             self._model.state({"observation": observation}),
             np.asarray(goal, np.float64),
-            self._estimator.parameters(estimates),
+            self._ratios.parameters(estimates),
             last_action * rated,
         )
         return FeedbackLaws(planned.volts / rated, planned.gains / rated[:, None] @ self._of_observation)

@@ -184,11 +184,12 @@ def render_card(card: Mapping[str, Any]) -> str:
     """
     last = card["curve"][-1]
     settings = card["settings"]
+    randomize = settings["env"].get("randomize", EnvConfig.randomize)
     sections = [
         f"# {card['name']} on {card['task']}, seed {card['seed']}",
         f"Trained by `hframe train {card['name']} --task {card['task']} --seed {card['seed']} --steps {last['steps']}` "
         f"in {last['seconds']:.0f} s ({last['cpu_s']:.0f} s of processor time).",
-        f"Machine: `{card['machine']}` (machine.json). Randomization: `{settings['env'].get('randomize', EnvConfig.randomize)}`. "
+        f"Machine: `{card['machine']}` (machine.json). Randomization: `{randomize}`. "
         f"Versions: {', '.join(f'{name} {version}' for name, version in card['versions'].items())}.",
     ]
     if "scores" in card:
