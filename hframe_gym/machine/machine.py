@@ -227,18 +227,18 @@ class Machine:
             The unit, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
 
         Raises:
-            KeyError: If the machine has no such parameter.
+            KeyError: If the machine has no such component, or no component has such a parameter.
         """
         owner, _, key = parameter.rpartition(".")
-        for effect in self.effects:
-            if effect.label == owner:
-                return self.effect_unit(effect, key)
-        if parameter not in {*self.parameters, *self.device_parameters, *self.ties}:
-            raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
+        if effect := {e.label: e for e in self.effects}.get(owner):
+            return self.effect_unit(effect, key)
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
             return self.coordinate(self.sensor(owner).coordinate).unit("position")
         if owner in self.coordinate_names:
             return self.coordinate(owner).unit(key)
+        belts = [] if key == "gear_ratio" else [b.name for b in self.belts]
+        if owner not in (*belts, *(d.name for d in self.drives)):
+            raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
         if key == "gear_ratio":
             return self.coordinate(self.drive(owner).coordinate).unit("rad/position")
         return FIXED_UNITS[key]
