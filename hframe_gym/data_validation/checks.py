@@ -8,13 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
-from ..identification.initial_rest import (
-    InitialRest,
-    initial_rest,
-    peak_to_peak,
-    without_moving_start,
-)
-from ..identification.sensor_properties import MIN_RESTING_ROWS
+from ..identification.initial_rest import InitialRest, initial_rest, peak_to_peak, without_moving_start
+from ..identification.sensor_properties import noise_at_rest
 from ..machine import Machine
 from ..recordings import Recording, only_measurements, without_repetitions
 from .excitation import check_excitation, constant_inputs
@@ -203,7 +198,9 @@ def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
         declared = max(sensor.noise, sensor.resolution / np.sqrt(12))
         message = f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, steps {sensor.resolution:.3g})"
         rounded = noise <= _ROUNDED * quantum / np.sqrt(12)
-        if not sensor.noise and not rounded and sum(run.initial.resting_rows for run in data.runs) < MIN_RESTING_ROWS:
+        resting_rows = [run.initial.resting_rows for run in data.runs]
+        at_rest = noise_at_rest([run.outputs[:, j] for run in data.runs], resting_rows)
+        if not sensor.noise and not rounded and at_rest is None:
             message += ", estimated during motion: too few rows are at rest"
         severity: Severity = "advice" if 0 < _MORE_NOISE * declared < noise else "note"
         findings.append(Finding(severity, "", sensor.channel, message))
