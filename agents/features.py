@@ -18,6 +18,7 @@ This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from ..controllers import (
     SimulatedTransfers,
     scaled_machine,
 )
+from ..controllers.estimation_model import ParameterRatios
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import Machine, rest_state
@@ -258,7 +260,7 @@ class TransferBank:
         size: Number K of transfers.
 
     Raises:
-        InputError: If the machine has no transfer of a duration.
+        InputError: If the machine has no transfer of a duration, or the durations are not ascending.
     """
 
     def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
@@ -270,6 +272,8 @@ class TransferBank:
                 f"transfers are {list(transfers)}; machine {machine.name!r} has those of 0 to "
                 f"{designed.longest - designed.shortest} periods beyond the shortest"
             )
+        if any(second <= first for first, second in pairwise(transfers)):
+            raise InputError(f"transfers are {list(transfers)}; list durations in ascending order, each once")
         gains = [designed.gains[:, list(transfers), 0]]
         for stiffness, mass in BANK:
             variant = MinimumEnergyTransfers(MotionModel(scaled_machine(machine, stiffness, mass)), period)
@@ -316,7 +320,8 @@ class PlanBank:
     """
 
     def __init__(self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]) -> None:
-        self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
+        self._model, self.size = MotionModel(machine), len(durations)
+        self._ratios = ParameterRatios(machine, estimator.parameter_names)  # the estimator's machine has no dead time
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = _state_of_observation(self._model)
 
@@ -339,7 +344,7 @@ class PlanBank:
         planned = self._transfers.plan(
             self._model.state({"observation": observation}),
             np.asarray(goal, np.float64),
-            self._estimator.parameters(estimates),
+            self._ratios.parameters(estimates),
             last_action * rated,
         )
         return FeedbackLaws(planned.volts / rated, planned.gains / rated[:, None] @ self._of_observation)

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from ..atomic_files import write_text
 from ..controllers import Controller
-from ..envs import as_task
+from ..envs import EnvConfig, as_task
 from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_times
 
 Array = NDArray[np.float64]
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
+EVALUATION_EPISODES = 256  # of every row of a learning curve
 # Cost of one millimeter of final error in seconds of settling time. Agents that settle in no band differ only in their
 # final error; for agents that settle, 0.01 mm costs as little as 0.1 ms, far below the noise of the episodes.
 SECONDS_PER_MM = 0.01
@@ -185,11 +186,12 @@ def render_card(card: Mapping[str, Any]) -> str:
     """
     last = card["curve"][-1]
     settings = card["settings"]
+    randomize = settings["env"].get("randomize", EnvConfig.randomize)
     sections = [
         f"# {card['name']} on {card['task']}, seed {card['seed']}",
         f"Trained by `hframe train {card['name']} --task {card['task']} --seed {card['seed']} --steps {last['steps']}` "
         f"in {last['seconds']:.0f} s ({last['cpu_s']:.0f} s of processor time).",
-        f"Machine: `{card['machine']}` (machine.json). Randomization: `{settings['env']['randomize']}`. "
+        f"Machine: `{card['machine']}` (machine.json). Randomization: `{randomize}`. "
         f"Versions: {', '.join(f'{name} {version}' for name, version in card['versions'].items())}.",
     ]
     if "scores" in card:
@@ -197,7 +199,7 @@ def render_card(card: Mapping[str, Any]) -> str:
     kept = f" The folder holds the agent after {card['kept']} steps." if "kept" in card else ""
     sections += [
         "## Learning curve",
-        f"Scores on 256 evaluation episodes that no training run uses.{kept}",
+        f"Scores on {EVALUATION_EPISODES} evaluation episodes that no training run uses.{kept}",
         _curve_table(card["curve"]),
         "## Recipe",
         "```json\n" + json.dumps(settings, indent=1) + "\n```",

@@ -11,6 +11,9 @@ from ..envs import EnvConfig
 from ..errors import InputError
 
 ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
+# Options of the environment that a recipe cannot set: `train` sets the first two, and the features of policies expect a
+# dict of observations in SI units.
+FIXED_OPTIONS = ("machine", "task", "normalize", "flat")
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,8 @@ class Recipe:
         kind: Algorithm, one of `ALGORITHMS`: "ppo" or "sac" of stable-baselines3, "tqc" or "crossq" of sb3-contrib, or
             "apg" (`AnalyticPolicyGradient`).
         steps: Environment steps of a run.
-        env: Keyword arguments of the vector environment `HFrameVecEnv`.
+        env: Keyword arguments of the vector environment `HFrameVecEnv`, without machine, task, normalize and flat.
+            Agents are scored with the same randomization, sensors and drives.
         algorithm: Keyword arguments of the algorithm's class. A pair is a rate that changes linearly from the
             first value to the second over the run.
         policy: Keyword arguments of its policy class.
@@ -58,6 +62,9 @@ class Recipe:
         features: Keyword arguments of `feature_parameters` beside machine and period.
         start: Name of an agent that comes with the package and from whose weights training starts; empty to start from
             random weights.
+
+    Raises:
+        InputError: If `env` has one of the excluded keyword arguments.
     """
 
     name: str
@@ -71,6 +78,14 @@ class Recipe:
     hindsight: dict[str, Any] = field(default_factory=dict)
     features: dict[str, Any] = field(default_factory=dict)
     start: str = ""
+
+    def __post_init__(self) -> None:
+        for option in FIXED_OPTIONS:
+            if option in self.env:
+                raise InputError(
+                    f"recipe {self.name}: env has the option {option}; machine and task are arguments of `train`, and "
+                    "agents observe a dict in SI units; remove the option"
+                )
 
     @property
     def algorithm_keywords(self) -> dict[str, Any]:

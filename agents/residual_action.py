@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..controllers import CONTROLLERS, EpisodeStarts, MotionModel, ParameterFilter
+from ..controllers import CONTROLLERS, DeadTime, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
 from ..machine import Machine
 from .features import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
@@ -134,8 +134,10 @@ class ResidualAction:
         axes = machine.tool_axes
         first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
         self.tool_speeds = slice(first, first + len(axes))
-        self._model = MotionModel(machine) if estimates else None
-        self._filter = ParameterFilter(self._model, period) if self._model else None
+        self._dead_time = DeadTime(machine, period)  # holds actions instead of volts
+        self._model = MotionModel(self._dead_time.machine_without_delay) if estimates else None
+        switch_s = self._dead_time.remainder_s
+        self._filter = ParameterFilter(self._model, period, switch_s) if self._model else None
         if plans and (transfers or not self._filter):
             raise InputError("plans need estimates = true and no transfers")
         self.bank: TransferBank | PlanBank | None = TransferBank(machine, period, transfers) if transfers else None
@@ -211,7 +213,10 @@ class ResidualAction:
         starting = self._starts.mask[:, None]  # (batch, 1)
         if self._filter and self._model:
             before, after = (self._model.state({"observation": rows}) for rows in (self._observation, state))
-            self._filter.update(before, after, self._last_action, self._starts.mask)
+            self._dead_time.reset(self._starts.mask)
+            arrived = self._dead_time.arrived_history()[1][:, :-1]
+            self._filter.update(before, after, arrived, self._starts.mask)
+            self._dead_time.send(self._last_action)  # `replace_last_action` replaces it by the action of this period
         self._last_observation = np.where(starting, state, self._observation)
         self._last_action = np.where(starting, 0.0, self._last_action)
         self._starts.clear()
@@ -309,6 +314,8 @@ class ResidualAction:
                 environments.
         """
         self._last_action = actions
+        if self._filter:
+            self._dead_time.replace_last(actions)
         if self.base:
             self.base.replace_last_action(actions)
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..atomic_files import atomic_file, newest, output_batch
-from ..envs import TASKS, Task
+from ..envs import TASKS, EnvConfig, Task
 from ..errors import InputError
 from ..evaluation import Scenario, period_concern
 from ..locked_folders import complete_commit, locked_folder
@@ -29,7 +29,7 @@ from .agent import SCHEMA, Agent, load_weights, policy_class, policy_keywords, s
 from .agent_files import read_previous_card, refuse_to_replace, refuse_unsigned, sign_checkpoint
 from .controller_source import start_agent_folder
 from .features import feature_parameters
-from .model_card import improves, progress_line, score_agent, versions, write_card
+from .model_card import EVALUATION_EPISODES, improves, progress_line, score_agent, versions, write_card
 from .optional_dependencies import (
     CONTRIB_ALGORITHMS,
     import_optional,
@@ -44,7 +44,6 @@ from .residual_action import residual_action
 EVALUATION_SEED = 1_000_000
 TRAINING_SEED = 10_000_000
 SEED_STRIDE = 100_000
-EVALUATION_EPISODES = 256
 EVALUATIONS_PER_RUN = 12
 RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC, TQC, CrossQ
 SHORTEST_INTERVAL = 2_000  # environment steps between evaluations
@@ -144,10 +143,12 @@ class _Run:
         self.scenario = Scenario(
             machine=machine,
             task=built_task,
-            randomize=recipe.env["randomize"],
-            period=recipe.period,
+            randomize=recipe.env.get("randomize", EnvConfig.randomize),
+            sensors=recipe.env.get("sensors", EnvConfig.sensors),
             episodes=EVALUATION_EPISODES,
             seed=EVALUATION_SEED,
+            period=recipe.period,
+            drives=recipe.env.get("drives", EnvConfig.drives),
         )
 
     def execute(self, steps: int, resume: bool) -> dict[str, Any]:

@@ -109,13 +109,14 @@ class Registry(Generic[T]):
             The decorator, which returns the class or function unchanged.
 
         Raises:
-            ValueError: When the decorator is applied, if a class or function of another `__qualname__` has the name.
-                The same one may be registered again, for example by a reloaded module, and replaces the earlier one.
+            ValueError: When the decorator is applied, if another class or function has the name. The same one, by its
+                file and `__qualname__`, may be registered again, for example by a reloaded module, and replaces the
+                earlier one.
         """
 
         def add(part: P) -> P:
             present = self._parts.get(name)
-            if present is not None and getattr(present, "__qualname__", present) != getattr(part, "__qualname__", part):
+            if present is not None and _origin(present) != _origin(part):
                 raise ValueError(f"{self.kind} {name!r} is registered already")
             self._parts[name] = part  # type: ignore[assignment]
             return part
@@ -178,3 +179,10 @@ class Registry(Generic[T]):
     def __iter__(self) -> Iterator[str]:
         """Return an iterator over the registered names in the order of registration; plugins are not imported."""
         return iter(self._parts)
+
+
+def _origin(part: object) -> object:
+    """Return the file and the name that define a class or function; a module may be imported under two names."""
+    if not hasattr(part, "__qualname__"):
+        return part
+    return getattr(sys.modules.get(part.__module__), "__file__", part.__module__), part.__qualname__

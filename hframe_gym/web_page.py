@@ -239,13 +239,16 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
     write_text(path, environment.get_template(template).render(values))
 
 
-def number(value: float) -> str:
+def number(value: float | None, absent: str = "") -> str:
     """Format a number for tables and texts, with three significant digits; large ones are rounded to an integer.
 
     Args:
-        value: Number to format, in any unit.
+        value: Number to format, in any unit; None if there is none.
+        absent: Text for None.
 
     Returns:
         Text, for example "0.0312", "18.3" or "12413"; from 1e6 on with an exponent, "1.24e+06".
     """
+    if value is None:
+        return absent
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"

@@ -33,6 +33,21 @@ def test_a_name_cannot_be_registered_for_two_parts() -> None:
         numbers.register("one")(2)
 
 
+def test_classes_of_the_same_name_in_two_files_are_different(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    text = "from hframe_gym.machine import SENSOR_KINDS, SensorKind\n@SENSOR_KINDS.register('twice')\n"
+    for name in ("first_plugin", "second_plugin"):
+        (tmp_path / f"{name}.py").write_text(f"{text}class Twice(SensorKind):\n    incremental = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    from hframe_gym.machine import SENSOR_KINDS
+
+    first = importlib.import_module("first_plugin")
+    importlib.reload(first)
+    with pytest.raises(ValueError, match="'twice' is registered already"):
+        importlib.import_module("second_plugin")
+    assert SENSOR_KINDS.get("twice") is first.Twice
+    SENSOR_KINDS.unregister("twice")
+
+
 def test_an_unknown_name_lists_the_registered_ones() -> None:
     numbers: Registry[object] = Registry("number")
     numbers.register("one")(1)

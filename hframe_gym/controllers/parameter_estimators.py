@@ -50,7 +50,8 @@ class ParameterEstimator(ABC):
     A subclass states what it estimates and how exactly (class attributes), and implements the correction.
 
     Args:
-        model: Model of the machine with its declared parameters, n coordinates and b belts.
+        model: Model of the machine with its declared parameters, n coordinates and b belts, without a dead time of the
+            drives: `update` receives the voltages that have arrived at the drives (see `DeadTime`).
         period: Control period, s.
         switch_s: Time from the start of a period at which the voltages change, because the drives have a dead time, s;
             0 if they change at the start.
@@ -63,6 +64,7 @@ class ParameterEstimator(ABC):
         state_std: Standard deviations of measured minus simulated belt travel, m, and its rate, m/s (class attribute).
         difference: Change of an estimate for the finite differences, dimensionless (class attribute).
         integration_step: Largest step of the simulations, s (class attribute).
+        parameter_names: Full names of the estimated parameters, such as "x.mass", in the order of the estimates.
         size: Number of estimates.
         estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, in the order
             of `prior_std`, then the missing voltages, shape (B, size). Zero at the start of an episode.
@@ -81,6 +83,7 @@ class ParameterEstimator(ABC):
         std = {f"{component}.{kind}": value for kind, value in self.prior_std.items() for component in components[kind]}
         std = {name: value for name, value in std.items() if name in machine.parameters}
         self._model, self._ratios = model, ParameterRatios(machine, std)
+        self.parameter_names = self._ratios.names
         offsets = [] if self.prior_offset_std is None else [self.prior_offset_std] * len(model.rated)
         self.size, self._offsets = len(std) + len(offsets), slice(len(std), len(std) + len(offsets))
         self._std = np.array([*std.values(), *offsets])
@@ -172,6 +175,7 @@ class ParameterFilter(ParameterEstimator):
     Args:
         model: Model of the machine with its declared parameters, n coordinates and b belts.
         period: Control period, s.
+        switch_s: Time from the start of a period at which the voltages change, s, see `ParameterEstimator`.
 
     Attributes:
         size: Number of estimates, 2 n + b.
@@ -186,8 +190,8 @@ class ParameterFilter(ParameterEstimator):
     difference: ClassVar[float] = 0.03
     integration_step: ClassVar[float] = 1e-3
 
-    def __init__(self, model: MotionModel, period: float) -> None:
-        super().__init__(model, period)
+    def __init__(self, model: MotionModel, period: float, switch_s: float = 0.0) -> None:
+        super().__init__(model, period, switch_s)
         self._covariance = np.zeros((0, self.size, self.size))
 
     def _resize(self, batch: int) -> None:

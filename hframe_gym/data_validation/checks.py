@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
 from ..identification.initial_rest import InitialRest, initial_rest, peak_to_peak, without_moving_start
-from ..identification.sensor_properties import MIN_RESTING_ROWS
+from ..identification.sensor_properties import noise_at_rest
 from ..machine import Machine
 from ..recordings import Recording, only_measurements, without_repetitions
-from .excitation import TOP_PERCENTILE, check_excitation, constant_inputs
+from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity
 from .identifiability import check_parameters
 from .sampling import check_sampling, overlapping_clocks, sampling_rate, slow_sensors, times_in_milliseconds
@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 _MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
 _MOVES = 0.1  # fraction of a channel's span in all runs; a run without input that moves by more has lost its input
-_START_S, _START_SPEED = 0.02, 0.1  # s, and fraction of the top speed; a run that begins faster begins in motion
 _ROUNDED = 1.01  # times the rounding error; a sensor with less noise has none beside it
 _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise is reported as advice
 
@@ -170,9 +169,12 @@ def _short_rest(recording: Recording, data: Dataset, machine: Machine) -> list[F
     if rest.moving.any():
         return []  # reported by `_motion_without_input`
     if rest.rows == 1:
-        if not _begins_in_motion(recording, data):
+        if not any(run.initial.velocity.any() for run in data.runs if run.name == recording.name):
             return []
-        message = "begins in motion, but the initial velocity is taken as 0: begin the recording at rest"
+        message = (
+            "begins in motion, so the initial velocity is estimated from the first measurements: begin the recording "
+            "at rest if you can"
+        )
         return [Finding("advice", recording.name, "", message)]
     seconds = float(recording.time_s[rest.rows - 1] - recording.time_s[0])
     if seconds >= _MIN_REST - _REST_TOLERANCE:
@@ -182,17 +184,6 @@ def _short_rest(recording: Recording, data: Dataset, machine: Machine) -> list[F
         "encoders are uncertain"
     )
     return [Finding("advice", recording.name, "", message)]
-
-
-def _begins_in_motion(recording: Recording, data: Dataset) -> bool:
-    """Return whether a channel moves at the start at a considerable fraction of its top speed."""
-    rows = max(1, round(_START_S / data.period))
-    if len(recording.time_s) <= rows:
-        return False
-    changes = np.abs(recording.outputs[rows:] - recording.outputs[:-rows])
-    top = np.percentile(np.nan_to_num(changes), TOP_PERCENTILE, axis=0)
-    without_motion = np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum)
-    return bool(np.any(changes[0] > np.maximum(_START_SPEED * top, without_motion)))
 
 
 def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
@@ -207,7 +198,9 @@ def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
         declared = max(sensor.noise, sensor.resolution / np.sqrt(12))
         message = f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, steps {sensor.resolution:.3g})"
         rounded = noise <= _ROUNDED * quantum / np.sqrt(12)
-        if not sensor.noise and not rounded and sum(run.initial.resting_rows for run in data.runs) < MIN_RESTING_ROWS:
+        resting_rows = [run.initial.resting_rows for run in data.runs]
+        at_rest = noise_at_rest([run.outputs[:, j] for run in data.runs], resting_rows)
+        if not sensor.noise and not rounded and at_rest is None:
             message += ", estimated during motion: too few rows are at rest"
         severity: Severity = "advice" if 0 < _MORE_NOISE * declared < noise else "note"
         findings.append(Finding(severity, "", sensor.channel, message))

@@ -52,7 +52,7 @@ DELAYED, LAGGED, FORCED = {delayed}, {lagged}, {forced}
 _CACHE_ROOM = 32e6  # bytes that must be free; a kernel takes about 1 MB
 _HELPERS = (
     time_loops.held_mean,
-    time_loops.interpolated,
+    time_loops.parabola,
     time_loops.most_steps,
     time_loops.start_block,
     time_loops.copy_lanes,

@@ -34,8 +34,7 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
     i = hint
     while i > 0 and time[i] > start:
         i -= 1
-    total = 0.0
-    reached = start
+    total, reached = 0.0, start
     while True:
         until = end if i + 1 >= time.shape[0] else min(end, time[i + 1])
         if until > reached:
@@ -46,27 +45,30 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
         i += 1
 
 
-def interpolated(rows, i: int, lane: int, j: int, back: float) -> float:
-    """Return an earlier reading of a sensor of one machine, interpolated quadratically between samples.
+def parabola(time, i: int, delay: float) -> tuple:
+    """Return the weights of the three nearest samples on whose parabola an earlier value of a signal lies.
 
     Args:
-        rows: Readings of SENSORS sensors, without delay, at n samples of LANES machines, m or rad, shape
-            (n, SENSORS, LANES).
-        i: Index of the present sample; later rows are not used.
-        lane: Index of the machine in the last axis of `rows`.
-        j: Index of the sensor.
-        back: Time before the present sample, as a multiple of the sampling period, >= 0.
+        time: Sample times, s, ascending, shape (n,).
+        i: Index of the present sample; later ones are not used. With two samples (i = 1) the interpolation is linear.
+        delay: Time before the present sample, s; times before the first sample count as that sample.
 
     Returns:
-        Reading, m or rad; that of the first sample for times before it, and while there are only two samples (i < 2).
+        Index of the middle sample, and the dimensionless weights of its two neighbors; it has the rest of 1 itself.
     """
-    position = max(0.0, i - back)
-    k = min(max(1, int(position + 0.5)), i - 1)
-    if i < 2:
-        return rows[0, j, lane]
-    u = position - k
-    before, middle, after = rows[k - 1, j, lane], rows[k, j, lane], rows[k + 1, j, lane]
-    return middle + 0.5 * u * (after - before) + 0.5 * u * u * (after - 2.0 * middle + before)
+    if i == 0:
+        return 0, 0.0, 0.0
+    t = max(time[0], time[i] - delay)
+    k = max(1, i - 1 - int(min(delay / (time[i] - time[i - 1]), i)))  # at even sampling at most one sample away
+    while k > 1 and t < 0.5 * (time[k - 1] + time[k]):
+        k -= 1
+    while k < i - 1 and t > 0.5 * (time[k] + time[k + 1]):
+        k += 1
+    u, h1 = t - time[k], time[k] - time[k - 1]
+    if i == 1:
+        return k, -u / h1, 0.0
+    h2 = time[k + 1] - time[k]
+    return k, u * (u - h2) / (h1 * (h1 + h2)), u * (u + h1) / (h2 * (h1 + h2))
 
 
 def most_steps(time, longest_step: float) -> int:
@@ -101,8 +103,7 @@ def start_block(block: int, start_time: float, parameters, start, state, block_p
         block_parameters: Output: parameters, SI, shape (PARAMETERS, LANES).
     """
     for lane in range(LANES):
-        b = block * LANES + lane
-        b = b if b < parameters.shape[0] else block * LANES
+        b = block * LANES + (lane if block * LANES + lane < parameters.shape[0] else 0)
         for k in range(PARAMETERS):
             block_parameters[k, lane] = parameters[b, k]
         for k in range(2 * COORDINATES):
@@ -129,8 +130,7 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
 def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     """Delay the readings of one sample by each sensor's delay, for a block (LANES machines, simulated side by side).
 
-    The readings are stored for later samples. Those of sensors with a delay are replaced by earlier ones, interpolated
-    between samples. SENSORS is the number of sensors of a machine.
+    The readings are stored; those of the SENSORS sensors that have a delay are replaced by earlier, interpolated ones.
 
     Args:
         time: Sample times, s, shape (n,).
@@ -140,11 +140,16 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
         reading: Readings of sample i, m or rad, shape (SENSORS, LANES): without delay on entry, delayed on return.
     """
     past_readings[i] = reading
-    sample_period = max(1e-12, time[i] - time[max(0, i - 1)])
     for j in range(SENSORS):
+        delay, k, before, after = 0.0, i, 0.0, 0.0
         for lane in range(LANES):
-            if sensor_delays[j, lane] > 0.0:
-                reading[j, lane] = interpolated(past_readings, i, lane, j, sensor_delays[j, lane] / sample_period)
+            if sensor_delays[j, lane] != delay:  # machines of a block mostly have the same delay
+                delay = sensor_delays[j, lane]
+                k, before, after = parabola(time, i, delay)
+            if delay > 0.0:
+                previous, middle = past_readings[max(0, k - 1), j, lane], past_readings[k, j, lane]
+                following = past_readings[min(k + 1, i), j, lane]
+                reading[j, lane] = middle + before * (previous - middle) + after * (following - middle)
 
 
 def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
@@ -193,8 +198,7 @@ def hold_inputs(
         external_forces: Output, N, shape (COORDINATES, LANES).
     """
     for lane in range(LANES):
-        b = block * LANES + lane
-        b = b if b < parameters.shape[0] else block * LANES
+        b = block * LANES + (lane if block * LANES + lane < parameters.shape[0] else 0)
         u = b if inputs.shape[0] > 1 else 0
         if DELAYED:
             for s in range(steps):
@@ -228,8 +232,7 @@ def rollout(
         longest_step: Largest step of the integrator, s.
         first: Index of the first block.
         last: Index after the last block.
-        out: Output, the first k rows of the state (travel, m; its rate, m/s) at every sample, shape (B, n, k), or
-            empty.
+        out: Output, first k rows of the state (travel, m; its rate, m/s) at the samples, shape (B, n, k), or empty.
         readings: Output, sensor readings, m or rad, shape (B, n, SENSORS); empty if not needed.
     """
     state = np.zeros((STATES, LANES))
@@ -247,9 +250,7 @@ def rollout(
             voltage_delays(block_parameters, drive_delays)
         if LAGGED:
             measurement_delays(block_parameters, sensor_delays)
-        period = -1.0
-        h = longest_step
-        steps = 1
+        period, h, steps = -1.0, longest_step, 1
         for i in range(time.shape[0]):
             copy_lanes(block, i, state, out)
             if measured.shape[0] > 0 or readings.shape[0] > 0:
@@ -274,8 +275,7 @@ def rollout(
 def prepare_blocks(parameters, h: float, first: int, last: int, derived) -> None:
     """Compute the constants that a step needs (decay factors, reciprocals, ...) for the machines of some blocks.
 
-    A block is LANES machines, simulated side by side. PARAMETERS and DERIVED are the numbers of parameters and of such
-    constants per machine.
+    A block is LANES machines, simulated side by side, each with PARAMETERS parameters and DERIVED such constants.
 
     Args:
         parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).

@@ -82,10 +82,11 @@ def definition(name: str) -> Effect:
         KeyError: If the name does not have this form.
     """
     kind, _, against = name.rstrip("]").partition("[")
-    hook = HOOK_OF_KIND[kind]
     variable, _, coordinate = against.partition(" of ")
-    if variable not in ("position", "velocity", "path", "time") or bool(coordinate) == (variable == "time"):
+    is_complete = name == f"{kind}[{against}]" and bool(coordinate) == (variable != "time")
+    if not is_complete or kind not in HOOK_OF_KIND or variable not in ("position", "velocity", "path", "time"):
         raise KeyError(name)
+    hook = HOOK_OF_KIND[kind]
     parameters = [EffectParameter(k, "", -1e9, 1e9, scale=1.0, role="fixed") for k in _KNOT_NAMES]
     parameters += [EffectParameter(f, "force", -1e6, 1e6, scale=0.3, role="amplitude") for f in _VALUE_NAMES]
     return Effect(

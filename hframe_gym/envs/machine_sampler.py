@@ -59,8 +59,8 @@ class ParameterSpace:
         - friction (`viscous`, `coulomb`), sensor `noise` and `resolution`: at least 0;
         - `rest_length` of a belt, its unstretched length at position 0: such that the unstretched length stays above
           `SMALLEST_FRACTION` * v wherever the carriage is in the workspace;
-        - all others, those of the task included: at least `SMALLEST_FRACTION` * v if v is positive, else (v zero or
-          negative) at least v.
+        - all others, those of the task included: at least `SMALLEST_FRACTION` * v if v is positive, at least 0 if v is
+          0, without limits if v is negative.
 
         Args:
             machine: Machine without randomization.
@@ -73,7 +73,7 @@ class ParameterSpace:
         values = {**machine.parameters, **machine.device_parameters, **task}
         bounds = _effect_and_belt_bounds(machine)
         bounds |= {name: (0.0, MAXIMUM_CONVERTER_BITS) for name in values if name.endswith(".converter_bits")}
-        defaults = {name: min(SMALLEST_FRACTION * value, value) for name, value in values.items()}
+        defaults = {name: SMALLEST_FRACTION * value if value >= 0.0 else -math.inf for name, value in values.items()}
         defaults |= {name: 0.0 for name in values if name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))}
         lower, upper = np.array([bounds.get(name, (low, math.inf)) for name, low in defaults.items()]).T.copy()
         # Idler pulleys divide a belt into sections whose lengths are tied to one of them. The shortest section can need

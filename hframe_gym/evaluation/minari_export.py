@@ -72,7 +72,7 @@ def export_dataset(
 
     Args:
         name: Name of the controller as for `make_controller`, or the folder of a trained agent.
-        scenario: Machine, task, randomization, sensors, number of episodes, seed, period and duration.
+        scenario: Machine, task, randomization, sensors, drives, number of episodes, seed, period and duration.
         out: Folder for data sets; created if it does not exist.
         normalize: Whether observations and goals are stored as (value - center) / scale, see `SignalSpec`, about -1 to
             1. The controller always receives SI units.
@@ -148,7 +148,7 @@ def _env_spec(scenario: Scenario, folder: Path, *, normalize: bool, flat: bool) 
             f"task {scenario.task_name} at a period of {scenario.period:g} s: the controller needs a preview of goals "
             "at this period, which the data set's environment cannot state; export this task at a period of 0.01 s"
         )
-    options: dict[str, Any] = {"task": scenario.task, "randomize": scenario.randomize, "sensors": scenario.sensors}
+    options: dict[str, Any] = {key: getattr(scenario, key) for key in ("task", "randomize", "sensors", "drives")}
     for option, value in options.items():
         if not isinstance(value, str):
             raise InputError(f"{option} is {value!r}: a data set can only state the name of a preset")
@@ -240,8 +240,8 @@ def _metadata(
         "algorithm_name": name if card is None else f"{card['recipe']}, seed {card['seed']}",
         "description": (
             f"{scenario.episodes} episodes of {name} on the machine {machine.name}, task {scenario.task_name}, "
-            f"randomize {scenario.randomize}, sensors {scenario.sensors}, control period {scenario.period:g} s; "
-            f"episode i has the seed {scenario.seed} + i. Written by hframe export."
+            f"randomize {scenario.randomize}, sensors {scenario.sensors}, drives {scenario.drives}, control period "
+            f"{scenario.period:g} s; episode i has the seed {scenario.seed} + i. Written by hframe export."
         ),
         "requirements": ["hframe_gym" if package_version is None else f"hframe_gym=={package_version}"],
         "hframe": {
@@ -253,6 +253,7 @@ def _metadata(
             "task": scenario.task_name,
             "randomize": scenario.randomize,
             "sensors": scenario.sensors,
+            "drives": scenario.drives,
             "seed": scenario.seed,
             "period_s": scenario.period,
             "duration_s": scenario.duration_s,

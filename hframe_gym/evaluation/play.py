@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ class PlayedStage:
     """One simulated machine (stage) in the window of the game, driven by a controller or by the user.
 
     Args:
-        scenario: Machine, task, randomization, sensors and control period.
+        scenario: Machine, task, randomization, sensors, drives and control period.
         name: Name of the controller; None for the user.
 
     Attributes:
@@ -73,6 +74,7 @@ class PlayedStage:
             task=scenario.controller_task,
             randomize=scenario.randomize,
             sensors=scenario.sensors if self.controller else "state",
+            drives=scenario.drives,
             period=scenario.period,
         )
         self.view = _StageView(scenario)
@@ -149,7 +151,7 @@ class Game:
     """Window in which the user drives a simulated machine (stage), and a controller the same one beside it.
 
     Args:
-        scenario: Machine, task, randomization, sensors, control period and seed.
+        scenario: Machine, task, randomization, sensors, drives, control period and seed.
         controller: Name of a controller that drives the first stage in place of the user. Default: the user.
         beside: Name of a controller that drives a second stage, same start, goal and parameters. Default: none.
         speed: Speed of the simulation relative to real time, positive.
@@ -249,10 +251,8 @@ class Game:
 
     def _set_target(self, point: tuple[float, float]) -> None:
         """Begin an episode with a target; it is ignored for a task without a target and outside the workspace."""
-        try:
+        with suppress(InputError):
             self.reset(point)
-        except InputError:
-            return
 
     @property
     def action(self) -> Array:

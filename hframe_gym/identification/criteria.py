@@ -44,8 +44,8 @@ class SelectionCriteria:
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
-        max_form_error: Force that an effect adds, relative to that of another effect which depends on the same variable
-            of the same component, below which it counts as an error in the form of the other.
+        max_form_error: Force that an effect adds, relative to that of an effect of another family which depends on the
+            same variable of the same component, below which it counts as an error in the form of the other.
         max_effects: Largest number of effects that the forward selection adds.
         max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per
             step.

@@ -68,7 +68,7 @@ class PreparedRecording:
             machine: Machine with its effects (deviations from the nominal model), which may add coordinates.
 
         Returns:
-            Positions, velocities (zero, at rest) and states of the effects, in their units, shape (2 * coordinates +
+            Positions, velocities (zero at rest) and states of the effects, in their units, shape (2 * coordinates +
             effect states,).
         """
         return dataclasses.replace(self.initial, state=model_initial_state(machine, self.initial)).start(machine)

@@ -94,8 +94,8 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
     """Check whether two effects act on the same component and depend on the same variable of it.
 
-    If so, a small effect may be no effect but an error in the formula of a large one. For example, what an inaccurate
-    formula of friction leaves is a function of the speed as well.
+    If so, a small effect may be an error in the formula of a large one: what an inaccurate formula of friction leaves
+    is a function of the speed as well. An effect that adds a coordinate depends on that coordinate.
 
     Args:
         first: One effect (deviation from the nominal model) at its component.
@@ -106,7 +106,8 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
         True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed.
     """
     sites = [machine.coordinate_of_site(e.site, e.definition.site) or e.site for e in (first, second)]
-    return sites[0] == sites[1] and bool(_variables(first) & _variables(second))
+    structural = first.definition.structure or second.definition.structure
+    return not structural and sites[0] == sites[1] and bool(_variables(first) & _variables(second))
 
 
 def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
@@ -337,13 +338,12 @@ def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
 def _form_error(
     without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
 ) -> str:
-    """Return that an effect may be an error in the form of a larger one, "" if nothing speaks for that."""
+    """Return that an effect may be an error in the form of one of another family, "" if nothing speaks for that."""
     machine = with_effect.machine
-    for other in machine.effects:
-        if other.label != effect.label and depend_on_same_variable(effect, other, machine):
+    for other in (e for e in machine.effects if e.definition.family != effect.definition.family):
+        if depend_on_same_variable(effect, other, machine):
             # The force beyond what the parameters of the machine and of the other effect can represent.
-            new_force = force_difference(without.machine, machine, data)
-            fraction = new_force / max(effect_force(machine, other, data), 1e-12)
+            fraction = force_difference(without.machine, machine, data) / max(effect_force(machine, other, data), 1e-12)
             if fraction < criteria.max_form_error:
                 percent = f"adds {100 * fraction:.0f} % to the force of {other.label}"
                 return f"{percent}, which depends on the same variable: the form of that effect may be in error"

@@ -1,7 +1,8 @@
 """Find the rest at the beginning of a run: rows in which no voltage is applied and no sensor shows motion.
 
 The inputs alone do not show rest: a machine may still swing when a log begins, and a voltage that is logged late, or
-not at all, is 0 while the machine moves. Counted as rest, such motion would become noise and wrong zeros of sensors.
+not at all, is 0 while the machine moves. Counted as rest, such motion would become noise and wrong zeros of sensors. A
+run that was cut out of a longer log begins in motion: its first measurements show the velocity.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import simulate_batch
 from ..machine import Machine
 from ..recordings import Recording
+from .belt_stretch import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
 
 Array = NDArray[np.float64]
@@ -25,6 +28,25 @@ _STILL_RANGE = 3.0  # times the range of the still blocks, likewise; slow noise 
 _STILL_SPAN = 1e-4  # fraction of a channel's span in the run that counts as rest, whatever its noise
 # Fraction of the span that slow noise (of a filtered sensor) may reach; more is motion, even if it never ceases.
 _SLOW_NOISE_SPAN = 1e-3
+# Durations, s, of the first measurements to which parabolas are fitted for the velocity, and their smallest number of
+# rows; duration of the motion that decides which of them, or rest, is right.
+_VELOCITY_S, _MIN_VELOCITY_ROWS, _DECISION_S = (0.005, 0.01, 0.02, 0.04), 8, 0.05
+_SIGNIFICANT_SPEED = 5.0  # standard deviations
+_CERTAIN = 0.5  # a start is certainly better than another if its error is less than this fraction of the other's
+_VELOCITY_ERROR = 0.2  # relative; belts that vibrate and curved motion falsify the slope of a parabola
+
+
+class InitialVelocity(NamedTuple):
+    """The velocity with which a run begins.
+
+    Attributes:
+        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,); zero for a run that begins at rest.
+        deviations: Independent errors of these velocities, one per row, each of the size of one standard deviation,
+            shape (errors, coordinates); no rows if the run certainly begins at rest.
+    """
+
+    mean: Array
+    deviations: Array
 
 
 class InitialRest(NamedTuple):
@@ -124,6 +146,107 @@ def without_moving_start(recording: Recording, machine: Machine) -> Recording:
     outputs = recording.outputs.copy()
     outputs[:first] = np.nan
     return dataclasses.replace(recording, outputs=outputs)
+
+
+def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> InitialVelocity:
+    """Estimate the velocity with which a run begins from its first measurements.
+
+    Parabolas are fitted to the measurements of the first 5 to 40 ms. Their slopes at the first row give velocities of
+    the motions that stretch no belt by weighted least squares. A run that begins at rest and is driven from its first
+    row on has such slopes as well. Therefore the machine is simulated from rest and with each velocity; the start whose
+    simulation is closest to the measurements of the first 50 ms is chosen. The error is the distance to those starts
+    that are about as close, at least 20 %.
+
+    Args:
+        recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
+        machine: Machine with the sensors.
+        rigid: Basis of the motions that stretch no belt, in the coordinates' units, shape (coordinates, motions).
+
+    Returns:
+        Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, shape (errors,
+        coordinates); zeros and no errors for a run that begins at rest.
+    """
+    at_rest = InitialVelocity(np.zeros(len(rigid)), np.zeros((0, len(rigid))))
+    if len(recording.time_s) <= _MIN_VELOCITY_ROWS or count_resting_rows(recording, machine) > 1:
+        return at_rest
+    noise = np.array(
+        [
+            max(difference_noise([y]), sensor_quantum([y], s.resolution) / np.sqrt(12), s.noise, 1e-12)
+            for y, s in zip(recording.outputs.T, machine.sensors, strict=True)
+        ]
+    )
+    vibration = vibration_speeds(machine)
+    vibrations = np.array([vibration.get(s.coordinate, 0.0) for s in machine.sensors])
+    seen = machine.sensor_matrix @ rigid
+    slopes = [_initial_rates(recording, seconds, seen, noise, vibrations) for seconds in _VELOCITY_S]
+    significant = [slope for slope in slopes if slope is not None]
+    if not significant:
+        return at_rest
+    # Rates of the rigid motions: at rest, and as fitted.
+    rates = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
+    costs = _costs_of_starts(rates @ rigid.T, recording, machine, rigid, noise)
+    best = int(np.argmin(costs))
+    similar = costs <= costs[best] / _CERTAIN  # the other starts can be excluded
+    if best == 0 and not similar[1:].any():
+        return at_rest
+    distance = np.linalg.norm(rates[similar] - rates[best], axis=1).max()
+    error = max(_VELOCITY_ERROR * float(np.linalg.norm(rates[best])), float(distance))
+    deviations = np.linalg.cholesky(significant[max(best - 1, 0)][1] + error**2 * np.eye(rates.shape[1]))
+    return InitialVelocity(rigid @ rates[best], (rigid @ deviations).T)
+
+
+def _initial_rates(
+    recording: Recording, seconds: float, seen: Array, noise: Array, vibrations: Array
+) -> tuple[Array, Array] | None:
+    """Return the rates of the rigid motions at the first row and their covariance, from parabolas.
+
+    Args:
+        recording: The run.
+        seconds: Duration of the measurements that are used.
+        seen: Measurement per unit of each rigid motion, shape (sensors, motions).
+        noise: Standard deviation of each sensor, shape (sensors,).
+        vibrations: Speed of the vibration that each sensor measures beside the rigid motions, shape (sensors,).
+
+    Returns:
+        Rates (motions,) and covariance (motions, motions); None if they are not significant or not measured.
+    """
+    time_s = recording.time_s - recording.time_s[0]
+    last = max(int(np.searchsorted(time_s, seconds)), _MIN_VELOCITY_ROWS)
+    slopes, deviations = np.zeros(len(seen)), np.full(len(seen), np.inf)
+    for j, values in enumerate(recording.outputs[:last].T):
+        rows = np.flatnonzero(np.isfinite(values))
+        if len(rows) >= _MIN_VELOCITY_ROWS // 2:
+            slope = np.linalg.pinv(np.vander(time_s[rows], 3, increasing=True))[1]
+            slopes[j] = slope @ values[rows]
+            deviations[j] = np.hypot(noise[j] * np.linalg.norm(slope), vibrations[j])
+    weighted = seen / deviations[:, None]
+    if np.linalg.matrix_rank(weighted) < seen.shape[1]:
+        return None
+    inverse = np.linalg.pinv(weighted)
+    rates, covariance = inverse @ (slopes / deviations), inverse @ inverse.T
+    significant = rates @ np.linalg.solve(covariance, rates) > _SIGNIFICANT_SPEED**2
+    return (rates, covariance) if significant else None
+
+
+def _costs_of_starts(velocities: Array, recording: Recording, machine: Machine, rigid: Array, noise: Array) -> Array:
+    """Return the sum of squared errors, in units of the noise, of simulations from the given velocities (starts,).
+
+    Constant errors do not count, because the zeros of encoders are not known yet.
+    """
+    time_s = recording.time_s - recording.time_s[0]
+    rows = max(int(np.searchsorted(time_s, _DECISION_S)), _MIN_VELOCITY_ROWS)
+    # Where the run begins matters little: the stiffness of the belts depends on it.
+    fixed = np.array([not s.incremental for s in machine.sensors])
+    position = (
+        rigid @ np.linalg.pinv((machine.sensor_matrix @ rigid)[fixed]) @ np.nan_to_num(recording.outputs[0, fixed])
+    )
+    start = np.hstack([np.tile(position, (len(velocities), 1)), velocities])
+    readings = simulate_batch(machine, time_s[:rows], recording.inputs[:rows], start=start, states=False).readings
+    measured = np.isfinite(recording.outputs[:rows])
+    error = np.where(measured, recording.outputs[:rows] - readings, 0.0) / noise
+    error -= np.where(measured, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)
+    cost = np.sum(error**2, axis=(1, 2))
+    return np.where(np.isfinite(cost), cost, np.inf)
 
 
 def _rows_without_input(recording: Recording) -> int:

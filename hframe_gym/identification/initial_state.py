@@ -166,11 +166,11 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
         initial: Measured initial state (positions at rest, zeros of the sensors).
 
     Returns:
-        Positions, then velocities (zero), in the coordinates' units, shape (2 * coordinates,). Without belts, added
-        coordinates start at 0.
+        Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). The velocities are those of
+        `initial`, zero unless the run begins in motion. Without belts, added coordinates start at 0.
     """
+    added = len(machine.coordinates) - len(initial.position)  # coordinates of structural effects, at rest at 0
     if not machine.belts:
-        added = len(machine.coordinates) - len(initial.position)  # coordinates of structural effects, at rest at 0
         return np.concatenate([np.pad(half, (0, added)) for half in np.split(initial.state, 2)])
     # Encoders are not used if an effect changes the position that lasers measure and their zeros are not corrected yet.
     measured = position_from_measurements(machine, initial)
@@ -184,7 +184,7 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
         for i, angle in encoder_angles(machine, initial).items():
             if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
                 position[i] = angle
-    return np.concatenate([position, np.zeros_like(position)])
+    return np.concatenate([position, np.pad(initial.velocity, (0, added))])
 
 
 def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:

@@ -27,6 +27,10 @@ _VERDICTS = {  # heading and tone of the page
 _STAGES = ("declared", "before", "after")
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
 _DIVERGES = "infinitely many (its simulation diverges)"
+_NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
+    "rivals": "No experiment is proposed: no tested run within rated voltages and travel reliably distinguishes",
+    "equivalent": "No recording can distinguish",
+}
 _CLEARLY_BETTER = 0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
@@ -51,7 +55,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     report, machine, curves = saved.report, saved.machine, saved.curves
     channels = list(machine.output_channels)
     heading, tone = _VERDICTS[report["verdict"]]
-    panels = report_panels(report, curves, machine)
+    panels, effects = report_panels(report, curves, machine), _effect_rows(report, machine)
     values = {
         "title": f"Identification of {saved.declared.name}",
         "report": report,
@@ -62,11 +66,11 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "channels": [_channel_row(report, c) for c in channels],
         "force": _force_row(report),
         "runs": [_run_row(report, curves, channels, run) for run in report["runs"]["held_out"]],
-        "effects": _effect_rows(report, machine),
+        "effects": effects,
         "parameters": _parameter_rows(machine, saved.declared),
         "determined": _determined_sums(report, machine),
         "left": _remaining_error(report),
-        "steps": _next_steps(saved, final_folder or folder),
+        "steps": _next_steps(saved, final_folder or folder, effects),
         "slow": slow_fractions(curves),
         "panels": panels,
     }
@@ -82,8 +86,8 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
 def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
-    The error is the simulation error in units of the sensors' noise, averaged over the channels. If the simulation
-    drifts (more than 50 times the noise), it is the relative error of the drives' force.
+    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
+    simulation drifts (more than 50 times the noise), it is the relative error of the drives' force.
 
     Args:
         report: Content of report.json.
@@ -98,9 +102,10 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         stage: 100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
         for stage in _STAGES
     }
-    before, after = (number(errors[stage]).replace("nan", _DIVERGES) for stage in ("before", "after"))
-    if errors["declared"] < _CLEARLY_BETTER * errors["before"]:  # The refit minimizes short predictions.
-        before += f" (with the declared parameters: {number(errors['declared'])})"
+    before, after = (number(errors[stage], _DIVERGES) for stage in ("before", "after"))
+    declared, refitted = errors["declared"], errors["before"]
+    if declared is not None and refitted is not None and declared < _CLEARLY_BETTER * refitted:
+        before += f" (with the declared parameters: {number(declared)})"  # The refit minimizes short predictions.
     if report["verdict"] == "effect_found":
         names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
         single = len(report["effects"]) == 1
@@ -118,26 +123,25 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     return " ".join([text, *_dependence_sentences(report)])
 
 
-def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float:
-    """Return the mean over the measured channels of the error in multiples of the noise; NaN if none is measured."""
+def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float | None:
+    """Return the error in multiples of the noise, rms over the channels as of `left`; None if the machine diverges."""
     ratios = [report[stage]["held_out"][c]["noise_ratio"] for c in channels]
     measured = [ratio for ratio in ratios if ratio is not None]
-    return float(np.mean(measured)) if measured else float("nan")
+    return float(np.sqrt(np.mean(np.square(measured)))) if measured else None
 
 
 def _drifts(report: Mapping[str, Any], channels: Sequence[str]) -> bool:
     """Return whether the simulation drifts, so that the error of the drives' force describes the machine better."""
-    return "force_error" in report["after"]["held_out"] and _noise_ratio(report, "after", channels) > _MAX_NOISE_RATIO
+    ratio = _noise_ratio(report, "after", channels)
+    return "force_error" in report["after"]["held_out"] and ratio is not None and ratio > _MAX_NOISE_RATIO
 
 
 def _remainder(report: Mapping[str, Any]) -> str:
     """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
     if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
         return ""
-    return (
-        f" An error of {number(left)} times the sensors' noise is left (root mean square over all channels; "
-        f"{_largest_position_error(report['after']['held_out'])}), which no effect of the library explains."
-    )
+    error = f"{number(left)} times the sensors' noise ({_largest_position_error(report['after']['held_out'])})"
+    return f" An error of {error} is left, which no effect of the library explains."
 
 
 def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:
@@ -150,17 +154,15 @@ def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str,
         if by_force:
             value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
         else:
-            ratio = number(_noise_ratio(report, stage, channels)).replace("nan", "∞")
+            ratio = number(_noise_ratio(report, stage, channels), "∞")
             value, note = f"{ratio} × noise", _largest_position_error(errors)
         tiles.append({"name": name, "value": value, "note": note})
     if report["effects"] and report.get("explained") is not None:
         note = "of the squared error beyond the noise"
         tiles.append({"name": "Explained", "value": f"{_percent(report['explained'])} %", "note": note})
     fitted, held_out = (len(report["runs"][kind]) for kind in ("fitted", "held_out"))
-    tiles.append(
-        {"name": "Recordings", "value": f"{fitted} + {held_out}", "note": "runs fitted + held out for the errors"}
-    )
-    return tiles
+    note = "runs fitted + held out for the errors"
+    return [*tiles, {"name": "Recordings", "value": f"{fitted} + {held_out}", "note": note}]
 
 
 def _largest_position_error(errors: Mapping[str, Any]) -> str:
@@ -283,7 +285,7 @@ def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
     return [text.format(d["coordinate"], d["variable"], 100 * d["share"]) for d in strongest]
 
 
-def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
+def _next_steps(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
     """Return what to do next: sentences, each with a command or an empty string."""
     report, steps = saved.report, []
     if report["warnings"]:
@@ -293,11 +295,9 @@ def _next_steps(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
         why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
         text = f"{why} Apply the voltages of {folder / file}, record the run, and identify again with it."
         steps.append({"text": text, "command": f"hframe identify RUNS --out {folder}"})
-    elif rivals := [e for e in report["effects"] if e["rivals"]]:
-        text = (
-            "No experiment is proposed: no tested run within the rated voltages and the travel reliably distinguishes "
-            f"{rivals[0]['name'].replace('_', ' ')} at {rivals[0]['site']} from {rivals[0]['rivals'][0]}."
-        )
+    elif causes := [(kind, e) for kind in _NO_EXPERIMENT for e in effects if e[kind]]:
+        kind, effect = causes[0]
+        text = f"{_NO_EXPERIMENT[kind]} {effect['name']} at {effect['site']} from {effect[kind][0]}."
         steps.append({"text": text, "command": ""})
     if report["proposed_formulas"]:
         text = "A formula is proposed in place of the table; review it and write it as an effect."

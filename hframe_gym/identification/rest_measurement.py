@@ -20,7 +20,7 @@ from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros
-from .initial_rest import count_resting_rows
+from .initial_rest import count_resting_rows, initial_velocity
 
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
@@ -35,7 +35,8 @@ class InitialState:
     """The measured initial state of one run.
 
     Attributes:
-        state: Positions and velocities at rest, in the coordinates' units, shape (2 * coordinates,).
+        state: Positions and velocities at the first row, in the coordinates' units, shape (2 * coordinates,). The
+            velocities are zero unless the run begins in motion.
         offset: Zeros of the sensors (measurements at position 0), which `simulate` adds to the readings, in the
             sensors' units, shape (sensors,).
         resting_rows: Number of rows at rest at the beginning of the run.
@@ -51,6 +52,8 @@ class InitialState:
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
         position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
             of NaN), shape (coordinates, sensors).
+        velocity_deviations: Independent errors of the velocities, one per row, each of the size of one standard
+            deviation, in the coordinates' units, shape (errors, coordinates); no rows if the run begins at rest.
         effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by label and
             component of the effect; an effect without an entry starts at zero.
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -67,6 +70,7 @@ class InitialState:
     reading: Array = field(default_factory=lambda: np.zeros(0))
     measured_at_rest: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     position_from_reading: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    velocity_deviations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     effect_states: Mapping[tuple[str, str], float] = field(default_factory=dict)
     warnings: tuple[str, ...] = field(default=())
 
@@ -103,6 +107,11 @@ class InitialState:
         """Positions at rest, in the coordinates' units, shape (coordinates,)."""
         return self.state[: len(self.state) // 2]
 
+    @property
+    def velocity(self) -> Array:
+        """Velocities at the first row, in the coordinates' units, shape (coordinates,); zero at rest."""
+        return self.state[len(self.state) // 2 :]
+
 
 def settled_rows(resting_rows: int) -> slice:
     """Select the later half of the rows at rest, where a vibration from before the run has decayed.
@@ -129,13 +138,14 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured. A
+        run that begins in motion has the velocity and the positions of its first row.
     """
     rows = count_resting_rows(recording, machine)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
-    measurement = np.array([np.nanmean(at_rest[:, j]) if measured[j] else np.nan for j in range(at_rest.shape[1])])
+    measurement = np.array([np.nanmean(c) if finite else np.nan for c, finite in zip(at_rest.T, measured, strict=True)])
     site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]  # coordinate of each sensor
     fixed = np.array([not s.incremental for s in machine.sensors])  # lasers
     known = zeros.known  # encoders with a known zero
@@ -150,12 +160,10 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     if not position_measured:
         later = _later_measurements(recording, measurement, machine, rigid)
         replaced = fixed & ~measured & np.isfinite(later)
-        reading[replaced] = later[replaced]
-        usable |= replaced
+        reading, usable = np.where(replaced, later, reading), usable | replaced
         warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
-    # An angle is as accurate as a length once it is multiplied by the radius.
-    weight = np.where(known, np.where(zeros.resolves_stretch, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
-    weight = np.where(usable, np.where(fixed, 1.0, weight) * machine.travel_per_unit[site], 0.0)
+    velocity = initial_velocity(recording, machine, rigid)
+    weight = np.where(usable, _position_weights(machine, zeros, moving=len(velocity.deviations) > 0), 0.0)
     # Weighted least squares for the motion that stretches no belt.
     position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
     reading = np.where(usable, reading, np.nan)
@@ -164,7 +172,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
     offset = np.where(known, zeros.offset, np.where(measured, measurement - machine.sensor_matrix @ position, 0.0))
     return InitialState(
-        np.concatenate([position, np.zeros_like(position)]),
+        np.concatenate([position, velocity.mean]),
         offset,
         rows,
         zeros.resolves_stretch,
@@ -174,8 +182,18 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         reading=reading,
         measured_at_rest=measured,
         position_from_reading=position_from_reading,
+        velocity_deviations=velocity.deviations,
         warnings=warnings,
     )
+
+
+def _position_weights(machine: Machine, zeros: EncoderZeros, *, moving: bool) -> Array:
+    """Return the weights of the sensors' measurements for the motions that stretch no belt, shape (sensors,)."""
+    stretched = zeros.resolves_stretch | moving
+    encoders = np.where(zeros.known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
+    weights = np.where([not s.incremental for s in machine.sensors], 1.0, encoders)
+    # An angle is as accurate as a length once it is multiplied by the radius.
+    return weights * machine.travel_per_unit[[machine.coordinate_names.index(s.coordinate) for s in machine.sensors]]
 
 
 def rigid_basis(machine: Machine) -> Array:

@@ -196,7 +196,7 @@ class IdentificationResult:
         return tuple(text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged)
 
     @property
-    def initial_state_warnings(self) -> tuple[str, ...]:
+    def run_warnings(self) -> tuple[str, ...]:
         """Warnings about runs that were not used and about uncertain initial states, one sentence each."""
         fitted = (warning for run in self.fitted.runs for warning in run.initial.warnings)
         return merge_run_warnings([*self.excluded, *fitted, *self.after.warnings])
@@ -275,7 +275,7 @@ def write_result(
         OSError: If a file cannot be written.
     """
     arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
-    warnings = [*warnings, *result.limit_warnings, *result.divergence_warnings, *result.initial_state_warnings]
+    warnings = [*warnings, *result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")

@@ -63,12 +63,32 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
     return float(np.median(quanta)) if quanta else resolution
 
 
-def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
-    """Estimate the standard deviation of a sensor's noise from the rows at rest.
+def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> float | None:
+    """Estimate the standard deviation of a sensor's noise from the rows at rest of all runs.
 
-    If fewer than about 30 rows of all runs together are at rest, the declared value is used. If none is declared, third
-    differences of the measurements give an estimate, because smooth motion hardly contributes to them. The result is at
-    least the standard deviation of the rounding error, quantum / sqrt(12).
+    Args:
+        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
+        resting_rows: Number of rows at rest at the beginning of each run.
+
+    Returns:
+        Standard deviation in the sensor's unit; None if too few rows are at rest. Runs with fewer than 10 do not count.
+    """
+    squares, rows = 0.0, 0
+    for values, count in zip(channel, resting_rows, strict=True):
+        at_rest = values[:count][np.isfinite(values[:count])]
+        if len(at_rest) >= 10:
+            # A parabola is subtracted, because a machine that still creeps to rest is not noise.
+            grid = np.linspace(-1.0, 1.0, len(at_rest))
+            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
+            squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
+            rows += len(at_rest) - 3
+    return float(np.sqrt(squares / rows)) if rows >= MIN_RESTING_ROWS else None
+
+
+def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
+    """Estimate the standard deviation of a sensor's noise, at least that of the rounding error, quantum / sqrt(12).
+
+    With too few rows at rest it is the declared value or, if none is declared, comes from third differences.
 
     Args:
         channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
@@ -79,20 +99,10 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     Returns:
         Standard deviation in the sensor's unit.
     """
-    squares, rows = 0.0, 0
-    for values, count in zip(channel, resting_rows, strict=True):
-        at_rest = values[:count]
-        at_rest = at_rest[np.isfinite(at_rest)]
-        if len(at_rest) >= 10:
-            # A parabola is subtracted, because a machine that still creeps to rest is not noise.
-            grid = np.linspace(-1.0, 1.0, len(at_rest))
-            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
-            squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
-            rows += len(at_rest) - 3
-    rounding = quantum / np.sqrt(12)
+    rounding, at_rest = quantum / np.sqrt(12), noise_at_rest(channel, resting_rows)
     # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
-    if rows >= MIN_RESTING_ROWS:
-        return max(float(np.sqrt(squares / rows)), rounding) or declared or difference_noise(channel)
+    if at_rest is not None:
+        return max(at_rest, rounding) or declared or difference_noise(channel)
     return max(rounding, declared or difference_noise(channel))
 
 
@@ -279,16 +289,7 @@ def _end(
     factor: float,
     criteria: SelectionCriteria,
 ) -> float | None:
-    """Return where a sensor saturates on one side, or None; `factor` scales the thresholds.
-
-    Args:
-        channel: Measurements of the sensor by run, each of shape (n,).
-        motion: Positions of its coordinate by the encoders, by run, each of shape (n,).
-        noise: Standard deviation of the sensor's noise.
-        sign: 1 for the upper end, -1 for the lower end.
-        factor: Factor on the thresholds for the fraction of rows and for the distance.
-        criteria: Decision thresholds.
-    """
+    """Return where a sensor saturates at the upper (sign 1) or lower end (-1), or None; `factor` scales thresholds."""
     outward = sign * np.concatenate(channel)
     if not np.isfinite(outward).any():
         return None

@@ -19,14 +19,12 @@ from scipy.linalg import null_space
 
 from ..dynamics import Equations
 from ..machine import Machine
+from .belt_stretch import stretch_angles, vibration_speeds
 from .dataset import Dataset, PreparedRecording, refine_encoder_zeros
 from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
 
 Array = NDArray[np.float64]
-# Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest.
-_HELD_FRICTION = 0.1
-_SMALLEST_HELD_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
 _UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
 # Iterations of `most_probable_start`, fractions of a step that it tries, and its differences in standard deviations.
 _ITERATIONS, _FRACTIONS, _DIFFERENCE = 4, np.array([1.0, 0.5, 0.25, 0.1]), 0.3
@@ -56,26 +54,6 @@ class InitialStateProjection:
             Projected residuals, same shape; their sum of squares is the cost at the optimal initial stretch.
         """
         return residual - (residual @ self.directions) * self.weights @ self.directions.T
-
-
-def _held_belt_angles(machine: Machine) -> dict[str, float]:
-    """Return the motor angles by which static friction typically holds the belts stretched at rest.
-
-    Args:
-        machine: Machine with or without belts.
-
-    Returns:
-        Angle, rad, by name of each rotary coordinate with a sensor and without a spring; empty without belts.
-    """
-    if not machine.belts:
-        return {}
-    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))
-    measured = {s.coordinate for s in machine.sensors}
-    return {
-        c.name: max(_HELD_FRICTION * c.coulomb / c.radius**2 / stiffness, _SMALLEST_HELD_ANGLE)
-        for c in machine.coordinates
-        if c.kind == "rotary" and c.name in measured and c.name not in machine.spring_loaded
-    }
 
 
 def initial_state_projection(
@@ -157,10 +135,14 @@ def prediction_residuals(
 def start_displacements(machine: Machine, initial: InitialState) -> Array:
     """Return the independent displacements by which the state at the start of a run may differ from the measured one.
 
-    They have three causes: static friction holds an unknown stretch of the belts (one displacement per pulley with an
-    encoder); no sensor with a fixed zero (laser) measures at rest (one per unmeasured motion that stretches no belt);
-    an effect such as hysteresis remembers motion before the recording (one per state of an effect that defines an
-    `initial_spread`).
+    They have four causes:
+
+    - Static friction holds an unknown stretch of the belts: one displacement per pulley with an encoder.
+    - No sensor with a fixed zero (laser) measures at rest: one per unmeasured motion that stretches no belt.
+    - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that stretches
+      no belt, and one per pulley with an encoder, because the belts vibrate.
+    - An effect such as hysteresis remembers motion before the recording: one per state of an effect that defines an
+      `initial_spread`.
 
     Args:
         machine: Machine that predicts.
@@ -171,7 +153,8 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
         standard deviation, in the coordinates' and the effects' units, shape (displacements, 2 * coordinates + effect
         states).
     """
-    held_angles = _held_belt_angles(machine)
+    held_angles = stretch_angles(machine, moving=len(initial.velocity_deviations) > 0)
+    velocities = _velocity_displacements(machine, initial)
     displacements = np.zeros((len(held_angles), len(machine.coordinates)))
     for k, (name, angle) in enumerate(held_angles.items()):
         displacements[k, machine.coordinate_names.index(name)] = angle
@@ -180,12 +163,28 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
     spreads = _effect_state_spreads(machine)
     of_effects = np.diag(spreads)[spreads > 0.0]
     count = len(machine.coordinates)
-    return np.vstack(
-        [
-            np.pad(displacements, ((0, 0), (0, count + len(spreads)))),
-            np.pad(of_effects, ((0, 0), (2 * count, 0))),
-        ]
-    )
+    of_velocity = np.zeros((len(velocities), 2 * count + len(spreads)))
+    of_velocity[:, count : 2 * count] = velocities
+    blocks = [
+        np.pad(displacements, ((0, 0), (0, count + len(spreads)))),
+        of_velocity,
+        np.pad(of_effects, ((0, 0), (2 * count, 0))),
+    ]
+    return np.vstack(blocks)
+
+
+def _velocity_displacements(machine: Machine, initial: InitialState) -> Array:
+    """Return the uncertain velocities of a run that begins in motion, each of the size of its error (k, coordinates).
+
+    Beside the motions that stretch no belt, every pulley vibrates against the belts.
+    """
+    rigid, count = initial.velocity_deviations, len(machine.coordinates)
+    if not len(rigid):
+        return np.zeros((0, count))
+    speeds = vibration_speeds(machine)
+    vibrations = [machine.coefficients({name: 1.0}) * speed for name, speed in speeds.items()]
+    # `rigid` lacks the coordinates of structural effects, which are the last ones.
+    return np.vstack([np.pad(rigid, ((0, 0), (0, count - rigid.shape[1]))), *vibrations])
 
 
 def _effect_state_spreads(machine: Machine) -> Array:
@@ -222,8 +221,7 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Positions, velocities (zero), and the states of the effects, in their units, shape (2 * coordinates + effect
-        states,).
+        Positions, velocities, and the states of the effects, in their units, shape (2 * coordinates + effect states,).
     """
 
     def errors(states: Array) -> Array:
@@ -281,7 +279,7 @@ def most_probable_start(
             minus simulated values in units of the noise, shape (B, values), not finite where the simulation diverges.
 
     Returns:
-        Positions, velocities (zero), and the states of the effects, in their units, shape (2 * coordinates + effect
+        Positions, velocities, and the states of the effects, in their units, shape (2 * coordinates + effect
         states,). If nothing is uncertain or the simulation diverges: the given state, with effect states of zero.
 
     References:

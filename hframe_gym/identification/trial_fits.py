@@ -112,6 +112,7 @@ def structural_trial_fits(
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
+    # Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
     least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
     machines = screen_structures(current, data, scales, least)
     return [_replace(current, machine, scales, data) for machine in machines]

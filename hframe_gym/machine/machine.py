@@ -120,8 +120,7 @@ class Machine:
         """Convert the coefficients of a belt or sensor from a dictionary to an array over all coordinates.
 
         Args:
-            row: Coefficients by coordinate name: `extension` or `length` of a belt, or `row` of a sensor. Keys that are
-                products ("y*yaw") are ignored.
+            row: Coefficients of a belt or sensor by coordinate name. Keys that are products ("y*yaw") are ignored.
 
         Returns:
             Coefficients in the unit of the row, shape (coordinates,); zero for coordinates that the row does not name.
@@ -228,18 +227,20 @@ class Machine:
             The unit, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
 
         Raises:
-            KeyError: If the part behind the dot names no parameter; the component's name is not checked.
+            KeyError: If the machine has no such component, or no component has such a parameter.
         """
         owner, _, key = parameter.rpartition(".")
+        if effect := {e.label: e for e in self.effects}.get(owner):
+            return self.effect_unit(effect, key)
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
             return self.coordinate(self.sensor(owner).coordinate).unit("position")
         if owner in self.coordinate_names:
             return self.coordinate(owner).unit(key)
+        belts = [] if key == "gear_ratio" else [b.name for b in self.belts]
+        if owner not in (*belts, *(d.name for d in self.drives)):
+            raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
         if key == "gear_ratio":
             return self.coordinate(self.drive(owner).coordinate).unit("rad/position")
-        for effect in self.effects:
-            if effect.label == owner:
-                return self.effect_unit(effect, key)
         return FIXED_UNITS[key]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
@@ -298,8 +299,7 @@ class Machine:
 
         Args:
             *effects: Effects, each at its site: the coordinate, drive, belt or sensor of this machine on which it acts.
-                Some effects, for example bridge yaw, also add coordinates, belts or sensor coefficients
-                (`Effect.structure`).
+                Some, for example bridge yaw, also add coordinates, belts or sensor coefficients (`Effect.structure`).
 
         Returns:
             The extended machine.

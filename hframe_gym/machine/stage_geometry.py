@@ -48,6 +48,9 @@ class StageGeometry:
 
     radius = PULLEY_RADIUS
     clearance = CLEARANCE  # m, from the workspace to the frame, on the sides to which the bridge reaches
+    plate = (0.04, 0.02, 0.02)  # m, of the bridge's end plates: half width, and length beyond and inside the rails
+    half_beam = 0.012  # m, half width of the bridge between them
+    _swapped_axis = 1  # bridge axis for which `_swap` exchanges x and y
 
     def __init__(self, workspace: NDArray[np.float64], bridge_axis: int | None = 0) -> None:
         (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()
@@ -59,6 +62,10 @@ class StageGeometry:
         self.y0, self.y1 = self.low - out[1], self.high + out[1]
         self.motors: tuple[tuple[int, float], ...] = ()
         self.belts: dict[str, str] = {}
+
+    def _swap(self, point: Point) -> Point:
+        """Convert between (x, y) and the coordinates in which a subclass draws a bridge along either axis."""
+        return (point[1], point[0]) if self.bridge_axis == self._swapped_axis else point
 
     def rails(self) -> list[Box]:
         """Compute where to draw the rails, on which the bridge or the carriage of a single axis runs, from above.
@@ -84,11 +91,12 @@ class StageGeometry:
         """
         if self.bridge_axis is None:
             return []
-        if self.bridge_axis == 0:
-            plates = [(x - 0.04, end - 0.02, x + 0.04, end + 0.02) for end in (self.y0, self.y1)]
-            return [*plates, (x - 0.012, self.y0, x + 0.012, self.y1)]
-        plates = [(end - 0.02, y - 0.04, end + 0.02, y + 0.04) for end in (self.x0, self.x1)]
-        return [*plates, (self.x0, y - 0.012, self.x1, y + 0.012)]
+        u, (first, last) = (x, (self.y0, self.y1)) if self.bridge_axis == 0 else (y, (self.x0, self.x1))
+        half, outward, inward = self.plate
+        ends = (first - outward, first + inward), (last - inward, last + outward)
+        boxes = [(u - half, low, u + half, high) for low, high in ends]
+        boxes.append((u - self.half_beam, first, u + self.half_beam, last))
+        return boxes if self.bridge_axis == 0 else [(b, a, d, c) for a, b, c, d in boxes]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
         """Compute where to draw the pulleys; this base class draws neither belts nor pulleys.
@@ -127,48 +135,42 @@ class BeltGeometry(StageGeometry):
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
         machine: Machine whose belts color the sections. None: none is known.
+        bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y).
     """
 
-    def __init__(self, workspace: NDArray[np.float64], machine: Machine | None = None) -> None:
-        super().__init__(workspace, bridge_axis=0)
-        self._corners = [(self.x0, self.y0), (self.x1, self.y0), (self.x0, self.y1), (self.x1, self.y1)]
-        # From above, with the belt as drawn, a positive angle turns both motors counterclockwise.
-        self.motors = ((1, 1.0), (3, 1.0))
+    plate = (0.092, 0.012, 0.062)  # m; each carries two pulleys
+    half_beam = 0.025
+
+    def __init__(self, workspace: NDArray[np.float64], machine: Machine | None = None, bridge_axis: int = 0) -> None:
+        super().__init__(workspace, bridge_axis)
+        # Below, u is along the motion of the bridge and v along the bridge.
+        (self._u0, self._v0), (self._u1, self._v1) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
+        # From above, with the belt as drawn, a positive angle turns both motors counterclockwise where u is x.
+        turn = 1.0 if bridge_axis == 0 else -1.0
+        self.motors = ((1, turn), (3, turn))
         names = {b.name for b in machine.belts} if machine else set()
         for lumped, sections in LUMPED_SECTIONS.items():
             drawn = {section: section if section in names else lumped for section in sections}
             self.belts |= {section: name for section, name in drawn.items() if name in names}
 
-    def bridge(self, x: float, y: float) -> list[Box]:
-        """Compute where to draw the bridge: two end plates, which carry two pulleys each, and the beam between them.
-
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m.
-
-        Returns:
-            Rectangles, each (x, y) of one corner, then of the opposite one, m.
-        """
-        boxes = []
-        for end, inward in ((self.y0, 1.0), (self.y1, -1.0)):
-            low, high = sorted((end - 0.012 * inward, end + 0.062 * inward))
-            boxes.append((x - 0.092, low, x + 0.092, high))
-        return [*boxes, (x - 0.025, self.y0, x + 0.025, self.y1)]
-
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
         """Compute where to draw the eight pulleys of an H-frame, seen from above: at the corners and on the bridge.
 
         Args:
-            x: Tool position along x, m, which is the position of the bridge.
-            y: Tool position along y, m; the result does not depend on it.
+            x: Tool position along x, m.
+            y: Tool position along y, m; only the position of the bridge matters.
 
         Returns:
             Centers (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this
             order.
         """
+        return [self._swap(point) for point in self._pulleys(self._swap((x, y))[0])]
+
+    def _pulleys(self, u: float) -> list[Point]:
+        """Return the pulleys in the coordinates along the motion of the bridge and along the bridge, m."""
         d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
-        bridge = [(x - d, self.y0 + rise), (x + d, self.y0 + rise), (x - d, self.y1 - rise), (x + d, self.y1 - rise)]
-        return [*self._corners, *bridge]
+        corners = [(u, v) for v in (self._v0, self._v1) for u in (self._u0, self._u1)]
+        return [*corners, *((u + s * d, v) for v in (self._v0 + rise, self._v1 - rise) for s in (-1.0, 1.0))]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
         """Compute where to draw the nine belt sections of an H-frame, seen from above.
@@ -181,12 +183,12 @@ class BeltGeometry(StageGeometry):
             Vertices (x, y), m, of the line of each section, by name of the section, "s1" to "s9" as in the 20th-order
             model.
         """
-        phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self.pulleys(x)  # centers (x, y)
+        x, y = self._swap((x, y))
+        phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self._pulleys(x)  # centers
         # Each section is a straight line, which touches the pulleys at a distance r from their centers, and the arc
         # around the pulley at its end.
-        half = HALF_PI
-        side, r = HALF_BRIDGE, PULLEY_RADIUS
-        return {
+        half, side, r = HALF_PI, HALF_BRIDGE, PULLEY_RADIUS
+        lines = {
             "s7": [(x - side, y), (x - side, phi7[1]), *_arc(phi7, 0.0, -half)],
             "s5": [(phi7[0], phi7[1] - r), (phi3[0], phi3[1] + r), *_arc(phi3, half, 3 * half)],
             "s1": [(phi3[0], phi3[1] - r), (phi1[0], phi1[1] - r), *_arc(phi1, -half, half)],
@@ -197,6 +199,7 @@ class BeltGeometry(StageGeometry):
             "s6": [(phi4[0], phi4[1] - r), (phi8[0], phi8[1] + r), *_arc(phi8, half, 0.0)],
             "s8": [(x - side, phi8[1]), (x - side, y)],
         }
+        return {name: [self._swap(point) for point in line] for name, line in lines.items()}
 
 
 class CoreXYGeometry(StageGeometry):
@@ -211,6 +214,7 @@ class CoreXYGeometry(StageGeometry):
 
     radius = SMALL_RADIUS
     clearance = 0.11  # m; the carriage does not cover the pulleys on the bridge
+    _swapped_axis = 0
 
     def __init__(
         self, workspace: NDArray[np.float64], machine: Machine, bridge_axis: int, travel: NDArray[np.float64]
@@ -279,10 +283,6 @@ class CoreXYGeometry(StageGeometry):
         }
         return {name: [self._swap(point) for point in line] for name, line in lines.items()}
 
-    def _swap(self, point: Point) -> Point:
-        """Convert between (x, y) and (along the bridge, along the motion of the bridge)."""
-        return point if self.bridge_axis == 1 else (point[1], point[0])
-
     def _pulleys(self, u: float, v: float) -> list[Point]:
         """Return the pulleys in the coordinates along the bridge and along the motion of the bridge, m."""
         (u0, v0), (u1, v1) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
@@ -322,7 +322,7 @@ def stage_geometry(machine: Machine) -> StageGeometry:
     if travel is None:
         return StageGeometry(workspace, bridge_axis)
     if _connected(machine, [d.coordinate for d in machine.drives]):
-        return BeltGeometry(workspace, machine)
+        return BeltGeometry(workspace, machine, bridge_axis)
     if travel[0].prod() * travel[1].prod() < 0:
         return CoreXYGeometry(workspace, machine, bridge_axis, travel)
     return StageGeometry(workspace, bridge_axis)

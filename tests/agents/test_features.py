@@ -2,11 +2,13 @@
 
 import gymnasium as gym
 import numpy as np
+import pytest
 import torch
 
-from hframe_gym.agents.features import feature_parameters
+from hframe_gym.agents.features import TransferBank, feature_parameters
 from hframe_gym.agents.sb3_adapters import LogScaleFeatures
 from hframe_gym.envs import HFrameVectorEnv, observation_space
+from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.agents.observations import rest_observation
 
@@ -52,3 +54,9 @@ def test_one_axis_without_motor_coordinate_has_features_of_error_and_speed():
     assert float(extractor(observation).abs().max()) == 0.0
     observation["desired_goal"][0, 0] = 1e-4
     assert float(extractor(observation).abs().max()) > 0.05
+
+
+@pytest.mark.parametrize("transfers", [[4, 0, 8], [0, 4, 4]])
+def test_durations_of_transfers_that_are_not_ascending_are_refused(transfers):
+    with pytest.raises(InputError, match="list durations in ascending order"):
+        TransferBank(MACHINE, 0.01, transfers)

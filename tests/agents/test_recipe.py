@@ -1,5 +1,7 @@
 """Recipes: contents of the files, and rates that change during a run."""
 
+from dataclasses import replace
+
 import pytest
 
 from hframe_gym.agents import load_recipe, recipe_names
@@ -30,3 +32,10 @@ def test_every_recipe_loads(name):
 def test_unknown_recipe_is_refused_with_a_list():
     with pytest.raises(InputError, match=r"no recipe for ppo on juggle; .* ppo on reach, ppo on track, .*, sac_her on"):
         load_recipe("ppo", "juggle")
+
+
+@pytest.mark.parametrize("option", ["machine", "task", "normalize", "flat"])
+def test_options_that_training_sets_or_policies_cannot_observe_are_refused(option):
+    recipe = load_recipe("ppo", "reach")
+    with pytest.raises(InputError, match=f"recipe ppo_reach: env has the option {option}"):
+        replace(recipe, env={**recipe.env, option: True})

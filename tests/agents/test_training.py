@@ -9,12 +9,13 @@ import subprocess
 import sys
 import time
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from hframe_gym.agents import Agent, train, train_seeds
+from hframe_gym.agents import Agent, load_recipe, train, train_seeds
 from hframe_gym.agents.model_card import score_agent
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv
@@ -57,6 +58,18 @@ def test_adapt_starts_from_the_shipped_agent_with_the_given_randomization(tmp_pa
     card = train(recipe, heavier, steps=1, out=tmp_path, randomize="none", log=ignore)
     assert all(row["success_0.2mm"] > 0.95 for row in card["curve"])
     assert card["settings"]["env"]["randomize"] == "none"
+
+
+def test_agents_are_scored_with_the_sensors_drives_and_randomization_of_the_recipe(tmp_path):
+    recipe = load_recipe("residual", "reach")
+    recipe = replace(recipe, env={"sensors": "rig", "drives": "rig", "num_envs": 32})
+    card = train(recipe, steps=0, out=tmp_path, log=ignore)
+    ideal = Scenario(randomize="none", episodes=EPISODES, seed=1_000_000)
+    agent, row = Agent.load(tmp_path), card["curve"][0]
+    assert score_agent(agent, replace(ideal, sensors="rig", drives="rig")).row.items() <= row.items()
+    for other in ({"sensors": "rig"}, {"drives": "rig"}, {"sensors": "rig", "drives": "rig", "randomize": "default"}):
+        assert not score_agent(agent, replace(ideal, **other)).row.items() <= row.items()
+    assert "Randomization: `none`" in (tmp_path / "README.md").read_text()
 
 
 def test_the_same_seed_gives_the_same_agent(tmp_path):

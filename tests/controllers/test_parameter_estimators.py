@@ -5,6 +5,7 @@ import pytest
 
 from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.controllers import CONTROLLERS, MotionModel, ParameterFilter
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.machine import BUILTIN_MACHINES
 
@@ -59,3 +60,24 @@ def test_the_observation_of_a_policy_contains_the_estimates(motion):
         if k < PERIODS:
             mapping.replace_last_action(actions[k])
     assert augmented["estimates"] == pytest.approx(estimated(motion), abs=1e-3)
+
+
+@pytest.mark.parametrize("delay_s", [6e-3, 13e-3])
+def test_the_estimates_for_a_policy_account_for_a_dead_time_of_the_drives(delay_s):
+    delayed = MACHINE.with_effects(EFFECTS["input_delay"].at("drives", d=delay_s))
+
+    def estimates(machine):
+        controller = CONTROLLERS.get("pid")(machine, PERIOD)
+        mapping = ResidualAction(machine, PERIOD, estimates=True, plans=(3,))
+        envs = HFrameVectorEnv(8, machine=machine)
+        observation, _ = envs.reset(seed=0)
+        for _ in range(PERIODS):
+            actions = controller.act(observation)
+            augmented = mapping.augment(observation)
+            mapping.replace_last_action(actions)
+            observation = envs.step(actions)[0]
+        return np.abs(augmented["estimates"]).max()
+
+    # The machines have their declared parameters. With the voltages as sent, estimates reach their limit of 1.2.
+    assert estimates(MACHINE) < 0.02
+    assert estimates(delayed) < 0.03

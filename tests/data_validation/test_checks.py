@@ -76,6 +76,17 @@ def test_a_sensor_without_noise_that_rests_is_not_stuck(rest: int) -> None:
     assert [f for f in check_before_fit(still, axis) if "it stays at" in f.message] == []
 
 
+def test_noise_is_not_estimated_from_rests_that_are_all_too_short() -> None:
+    """Five rests of 9 rows are 45 rows, but none of them gives a standard deviation."""
+    axis = load_machine("axis")
+    axis = axis.replace(sensors=tuple(dataclasses.replace(s, noise=0.0) for s in axis.sensors))
+    runs = [r for r in axis_runs(noisy) for _ in range(2)][:5]
+    short = [Recording(f"run_{k}", r.time_s[193:], r.inputs[193:], r.outputs[193:]) for k, r in enumerate(runs)]
+    for recordings, expected in ((runs, False), (short, True)):
+        [noise] = [f for f in check_recordings(recordings, axis) if f.message.startswith("noise")]
+        assert ("estimated during motion: too few rows are at rest" in noise.message) == expected
+
+
 def test_an_encoder_that_keeps_its_value_while_its_drive_pushes_both_ways_is_suspect() -> None:
     axis = load_machine("axis")
     runs = axis_runs(lambda motion, rng: np.rint(motion / 1e-4) * 1e-4)
@@ -218,7 +229,7 @@ def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
     inputs = np.full((1000, 2), -3.0)
     outputs = hframe.simulate(time, inputs).outputs
     moving = Recording("push", time[:800], inputs[200:], outputs[200:])
-    assert "push: begins in motion, but the initial velocity is taken as 0" in " ".join(
+    assert "push: begins in motion, so the initial velocity is estimated" in " ".join(
         str(f) for f in check_recordings([moving], hframe)
     )
     inputs[:20] = 0.0

@@ -183,3 +183,19 @@ def test_axis_reaches_its_steady_speed() -> None:
     drive, c = machine.drives[0], machine.coordinates[0]
     speed = simulate(machine, time, np.full((3001, 1), 2.0)).velocities[-1, 0]
     assert speed == pytest.approx((drive.gain * 2.0 - c.coulomb) / (c.viscous + drive.back_emf), rel=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.4e-3, 3.3e-3])
+def test_a_sensor_delay_is_exact_at_uneven_sampling(delay: float, hframe: Machine) -> None:
+    """Delayed readings are those of the motion at the delayed times, also at the second sample."""
+    time = np.concatenate([[0.0, 1e-3], 1e-3 + np.cumsum(np.random.default_rng(0).uniform(0.1e-3, 1.5e-3, 200))])
+    delayed_times = np.maximum(time - delay, 0.0)
+    every_time = np.unique(np.concatenate([time, delayed_times]))
+    volts, start = [3.0, 2.0], rest_state(hframe, START)
+    start[4:] = 0.05, 0.0, 3.0, 3.0  # m/s and rad/s
+    undelayed = simulate(hframe, every_time, np.tile(volts, (len(every_time), 1)), start, longest_step=2e-5)
+    machine = hframe.with_effects(*(EFFECTS["sensor_delay"].at(s.channel, d=delay) for s in hframe.sensors))
+    delayed = simulate(machine, time, np.tile(volts, (len(time), 1)), start, longest_step=2e-5)
+    expected = undelayed.outputs[np.searchsorted(every_time, delayed_times)]
+    np.testing.assert_allclose(delayed.outputs[1], expected[1], atol=5e-4)  # linear interpolation
+    np.testing.assert_allclose(delayed.outputs[2:], expected[2:], atol=1e-4)

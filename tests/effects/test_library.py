@@ -146,7 +146,15 @@ def test_table_is_linear_between_knots(kind: str, hook: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["smooth_force[weight of x]", "smooth_force[position]", "smooth_nothing[time]", "rust"]
+    "name",
+    [
+        "smooth_force[weight of x]",
+        "smooth_force[position]",
+        "smooth_nothing[time]",
+        "smooth_force[position of y",
+        "smooth_force[position of y]]",
+        "rust",
+    ],
 )
 def test_unknown_name_is_refused(name: str) -> None:
     """Neither an effect of the library nor a table."""

@@ -91,7 +91,7 @@ def test_limits_follow_from_the_sign_of_the_nominal_value():
     limits = dict(zip(space.names, zip(space.lower.tolist(), space.upper.tolist(), strict=True), strict=True))
     assert limits["task.speed"] == (pytest.approx(0.015), np.inf)
     assert limits["task.offset"] == (0.0, np.inf)
-    assert limits["task.slope"] == (-1.0, np.inf)
+    assert limits["task.slope"] == (-np.inf, np.inf)
     assert limits["x.coulomb"] == (0.0, np.inf)
     assert limits["motor1.converter_bits"] == (0.0, 32.0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -89,6 +90,17 @@ def test_a_path_of_a_track_replays_to_the_bit(datasets: Path) -> None:
     assert dataset.env_spec.id == "HFrameTrack-v0"
     assert "contour_m" in dataset[0].infos
     assert_replays_to_the_bit(dataset)
+
+
+def test_the_drives_of_a_scenario_travel_with_the_data_set(datasets: Path) -> None:
+    scenario = Scenario(randomize="none", drives="rig", episodes=1, duration_s=0.1)
+    export_dataset("pid", scenario, datasets)
+    dataset = minari.load_dataset("hframe/reach/pid-v0")
+    assert_replays_to_the_bit(dataset)
+    assert dataset.env_spec.kwargs["drives"] == dataset.storage.metadata["hframe"]["drives"] == "rig"
+    export_dataset("pid", dataclasses.replace(scenario, drives="ideal"), datasets / "ideal")
+    ideal = minari.MinariDataset(datasets / "ideal" / "hframe" / "reach" / "pid-v0" / "data")
+    assert not np.array_equal(ideal[0].rewards, dataset[0].rewards)
 
 
 @pytest.mark.parametrize("flat", [False, True])

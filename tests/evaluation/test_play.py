@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,18 @@ def test_a_controller_beside_has_the_same_start_and_goal_and_settles() -> None:
     assert pid.settled_s is not None
     assert 0.05 < pid.settled_s < 0.5
     assert game.window.get_width() > 1.4 * game.window.get_height()
+
+
+def test_the_stage_has_the_drives_of_the_scenario() -> None:
+    from hframe_gym.evaluation.play import PlayedStage
+
+    scenario, positions = Scenario(randomize="none"), []
+    for drives in ("ideal", "rig"):
+        stage = PlayedStage(replace(scenario, drives=drives), None)
+        stage.reset(0)
+        stage.step(np.array([0.1234, 0.05678]))  # the rig's converters round these voltages
+        positions.append(stage.position)
+    assert positions[0] != positions[1]
 
 
 def test_pause_new_episode_target_and_quit() -> None:

@@ -41,6 +41,8 @@ def test_the_size_of_a_force_is_its_root_mean_square() -> None:
     [
         (STRIBECK, DRAG, True),
         (STRIBECK, SPRING, False),
+        (FRAME, SPRING, False),  # the frame's own position and speed
+        (FRAME, STRIBECK, False),
         (STRIBECK, EFFECTS["quadratic_drag"].at("y", c=4.0), False),
         (
             EFFECTS["cogging"].at("motor1", A=0.03, n=23.6, p=0.5),
@@ -147,6 +149,13 @@ def test_a_small_addition_to_the_same_variable_is_an_error_of_form(
     assert ("the form of that effect may be in error" not in text) == sure
     assert sure or "adds 19 % to the force of stribeck_friction@x" in text
     assert doubt(scripted, 1.4, 1.2, SPRING, DRAG) == ""  # position and speed
+
+
+def test_an_addition_of_the_same_family_is_a_better_form(scripted: Scripted) -> None:
+    """Stribeck friction with an exponent between 1 and 2 is the sum of both; cogging has overtones."""
+    scripted.difference = 0.05
+    tustin = EFFECTS["tustin_friction"].at("x", dF=0.2, vs=0.02)
+    assert doubt(scripted, 1.4, 1.2, STRIBECK, tustin) == ""
 
 
 def test_a_faulty_machine_is_doubted(scripted: Scripted) -> None:

@@ -109,6 +109,34 @@ def test_a_channel_that_was_not_measured_has_no_plot_over_time(data: Dataset) ->
     assert report_panels(result.as_json(), curves, AXIS)["error_over_time"] == []
 
 
+def test_the_page_states_that_no_recording_distinguishes_equivalent_causes(data: Dataset, tmp_path: Path) -> None:
+    result = result_of(data, "effect_found", AXIS.with_effects(EFFECTS["constant_force"].at("x", size=0.5)))
+    equivalent, *others = [*EFFECTS["constant_force"].equivalent, "tilt@x"]
+    sentence = f"No recording can distinguish constant force at x from {equivalent}."
+    write_result(result, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    for rivals in ([equivalent], [equivalent, *others]):
+        report["effects"][0]["rivals"] = rivals
+        (tmp_path / "report.json").write_text(json.dumps(report))
+        steps = build_report(tmp_path).read_text().partition("What to do next")[2]
+        assert (sentence in steps) == (rivals == [equivalent])
+        assert ("No experiment is proposed" in steps) == (rivals != [equivalent])
+        assert f"constant force at x from {rivals[-1]}." in steps
+
+
+def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -> None:
+    errors = {c: {"rmse": 1e-3, "noise_ratio": ratio} for c, ratio in (("x_m", 7.0), ("y_m", 1.0), ("z_m", None))}
+    report = {
+        "verdict": "no_effect",
+        "effects": [],
+        "left": 5.0,
+        **{stage: {"held_out": errors} for stage in ("declared", "before", "after")},
+    }
+    sentence = verdict_sentence(report, list(errors))
+    assert "error of the declared model on the held-out runs is 5 times the sensors' noise" in sentence
+    assert "An error of 5 times the sensors' noise (1 mm rms at x_m) is left" in sentence
+
+
 def test_an_effect_that_makes_held_out_runs_worse_is_called_so(data: Dataset, tmp_path: Path) -> None:
     page = page_of(result_of(data, "effect_found", STRIBECK, gain=-0.0914), tmp_path)
     assert "It increases the squared error of the held-out runs by 9.14 %." in page
@@ -216,7 +244,7 @@ def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: s
     sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
     assert "6 % of the drives' force" in sentence
     assert ("lacks on y depends most on velocity of y, which explains 26 %" in sentence) == (verdict == "unexplained")
-    left = "An error of 900 times the sensors' noise is left (root mean square over all channels; 1 m rms at x_m)"
+    left = "An error of 900 times the sensors' noise (1 m rms at x_m) is left"
     assert (left in sentence) == (verdict != "unexplained")
 
 

@@ -58,6 +58,9 @@ def test_units_follow_the_kind_of_the_coordinate_at_the_site(hframe: Machine) ->
     assert machine.unit("stribeck_friction@phi1.dF") == "Nm"
     with pytest.raises(KeyError, match="'stribeck_friction' has no parameter 'A'"):
         machine.unit("stribeck_friction@phi1.A")
+    for name in ("nobody.EA", "nobody.gear_ratio", "left.gear_ratio", "stribeck_friction@y.dF", "mass"):
+        with pytest.raises(KeyError, match=f"machine 'hframe' has no parameter {name}"):
+            machine.unit(name)
 
 
 def test_replace_moves_tied_parameters_along(hframe: Machine) -> None:

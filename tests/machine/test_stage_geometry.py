@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,6 +121,26 @@ def test_drawn_sections_become_longer_as_their_belts_do(machine: Machine) -> Non
         assert moved[section] - start[section] == pytest.approx(sign * change, abs=1e-9), section
         seen.add(belt)
     assert seen == {b.name for b in machine.belts}
+
+
+def test_an_h_frame_whose_bridge_moves_along_y_is_drawn_with_x_and_y_exchanged() -> None:
+    hframe = BUILTIN_MACHINES["hframe"]()
+    ranges = [(-0.2, 0.3), (-0.1, 0.15)]
+    x, y, *others = hframe.coordinates
+
+    def geometry_of(x_mass: float, y_mass: float, x_range: tuple[float, float], y_range: tuple[float, float]) -> Any:
+        axes = dataclasses.replace(x, mass=x_mass, range=x_range), dataclasses.replace(y, mass=y_mass, range=y_range)
+        return stage_geometry(hframe.replace(coordinates=(*axes, *others)))
+
+    along_x, along_y = geometry_of(4.0, 2.0, *ranges), geometry_of(2.0, 4.0, *ranges[::-1])
+    assert type(along_y) is BeltGeometry
+    assert (along_y.belts, along_y.motors) == (along_x.belts, ((1, -1.0), (3, -1.0)))  # a mirror image turns inversely
+    assert along_y.pulleys(-0.04, 0.07) == [point[::-1] for point in along_x.pulleys(0.07, -0.04)]
+    for name, points in along_y.sections(-0.04, 0.07).items():
+        assert points == [point[::-1] for point in along_x.sections(0.07, -0.04)[name]]
+    for method, arguments in (("bridge", ((-0.04, 0.07), (0.07, -0.04))), ("rails", ((), ()))):
+        drawn, expected = (getattr(g, method)(*a) for g, a in zip((along_y, along_x), arguments, strict=True))
+        assert drawn == [(b, a, d, c) for a, b, c, d in expected]
 
 
 def test_both_belts_of_corexy_end_at_the_carriage_and_meet_at_their_motors() -> None:
