@@ -24,7 +24,7 @@ from .estimation import Fit
 from .evidence import doubt_about_candidate, doubt_beside_others
 from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
-from .rivals import close_rivals, more_likely_rival, simplest_first
+from .rivals import close_rivals, compare_rivals, simplest_first
 from .trial_fits import (
     converge,
     replacement_fit,
@@ -67,6 +67,18 @@ class SelectedEffect:
         """
         effect = next(e for e in machine.effects if e.label == self.effect.label)
         return dataclasses.replace(self, effect=effect)
+
+    def with_rivals(self, remaining: tuple[AppliedEffect, ...]) -> SelectedEffect:
+        """Return a copy with only some of its rivals, and with the causes that no recording can distinguish from it.
+
+        Args:
+            remaining: Rivals that remain.
+
+        Returns:
+            Copy with these rivals.
+        """
+        names = (*(rival.label for rival in remaining), *self.effect.definition.equivalent)
+        return dataclasses.replace(self, rivals=names, rival_effects=remaining)
 
 
 # Fit of a machine with all selected effects, and these effects.
@@ -242,7 +254,7 @@ class EffectSearch:
         return None
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Replace effects (deviations from the model) by rivals that explain the data with a higher likelihood.
+        """Replace effects (deviations from the model) by more likely rivals, and forget rivals that are less likely.
 
         While other effects were missing, predictions needed strong feedback of the measurements (an observer of wide
         bandwidth), which hid how an effect differs from its rivals. Beside all other effects, they are compared again.
@@ -255,15 +267,16 @@ class EffectSearch:
             fit: Fit of the machine with the more likely effects.
             selected: These effects with their fitted parameters.
         """
+        settled: tuple[SelectedEffect, ...] = ()
         for old in selected:
-            better = more_likely_rival(current, old.effect.label, old.rival_effects, self._data, self._criteria)
-            if better is None:
-                continue
-            effect = better.machine.effects[-1]
-            self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
-            new = SelectedEffect(effect, effect.definition.equivalent, old.gain, old.machine_without)
-            return self.settle_rivals(better, (*(s for s in selected if s is not old), new))
-        return current, tuple(s.with_values(current.machine) for s in selected)
+            compared = compare_rivals(current, old.effect.label, old.rival_effects, self._data, self._criteria)
+            if compared.better is not None:
+                effect = compared.better.machine.effects[-1]
+                self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
+                new = SelectedEffect(effect, effect.definition.equivalent, old.gain, old.machine_without)
+                return self.settle_rivals(compared.better, (*(s for s in selected if s is not old), new))
+            settled = (*settled, old.with_rivals(compared.remaining))
+        return current, tuple(s.with_values(current.machine) for s in settled)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Remove effects (deviations from the model) that later effects have made superfluous.

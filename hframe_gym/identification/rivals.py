@@ -7,6 +7,7 @@ their costs (sums of squared residuals in units of the noise) differ by less tha
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from ..machine import AppliedEffect
 from .criteria import SelectionCriteria
@@ -71,35 +72,58 @@ def close_rivals(
     return tuple(close.values())
 
 
-def more_likely_rival(
-    current: Fit, label: str, rivals: Sequence[AppliedEffect], data: Dataset, criteria: SelectionCriteria
-) -> Fit | None:
-    """Replace an effect of the machine by each of its rivals and find the most likely one.
+class ComparedRivals(NamedTuple):
+    """Comparison of an effect of the machine with its rivals, beside all other effects.
 
-    A rival must be more likely than the effect by more than chance can explain, see `evidence.long_run_variance`.
+    Attributes:
+        better: Fit with the most likely rival in place of the effect, the last effect of its machine, at the observer
+            bandwidth of the given fit or in simulation; None if no rival is more likely.
+        remaining: Rivals that are not less likely than the effect by more than chance can explain, and those that were
+            not tried.
+    """
+
+    better: Fit | None
+    remaining: tuple[AppliedEffect, ...]
+
+
+def compare_rivals(
+    current: Fit, label: str, rivals: Sequence[AppliedEffect], data: Dataset, criteria: SelectionCriteria
+) -> ComparedRivals:
+    """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
+
+    A difference counts if chance does not explain it, see `evidence.long_run_variance`.
 
     Args:
         current: Fit of the machine with all effects (deviations from the model).
-        label: Label (name@site) of the effect to replace.
+        label: Label (name@site) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
             not tried.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) with the most likely rival, the last effect of its machine, at
-        the observer bandwidth of `current` or in simulation. None if no rival is more likely.
+        Fit (machine, parameters theta, shape (k,), cost) with a more likely rival, and the rivals that remain.
     """
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]
-    best, least = None, likelihood_loss(_polished(current, data), data) if possible else 0.0
+    if not possible:
+        return ComparedRivals(None, tuple(rivals))
+
+    def by_chance(fitted: Fit, of: str) -> float:
+        """Return the difference of losses that chance may cause if this fit, with the effect `of`, is right."""
+        return criteria.min_chance_gain * long_run_variance(fitted, of, data) / data.count
+
+    present_fit = _polished(current, data)
+    loss, margin = likelihood_loss(present_fit, data), by_chance(present_fit, label)
+    better, least, excluded = None, loss, set()
     for rival in possible:
         trial = _polished(fit_in_place_of(current, label, rival, data), data)
-        enough = criteria.min_chance_gain * long_run_variance(trial, rival.label, data) / data.count
-        loss = likelihood_loss(trial, data)
-        if loss < least - enough:
-            best, least = trial, loss
-    return best
+        trial_loss = likelihood_loss(trial, data)
+        if trial_loss < least - by_chance(trial, rival.label):
+            better, least = trial, trial_loss
+        if trial_loss > loss + margin:
+            excluded.add(rival.label)
+    return ComparedRivals(better, tuple(rival for rival in rivals if rival.label not in excluded))
 
 
 def _polished(fitted: Fit, data: Dataset) -> Fit:

@@ -33,9 +33,11 @@ def test_rivals_are_other_effects_within_the_margin() -> None:
     assert rivals.close_rivals([best, same, close, close, far], current, DATA, CRITERIA) == (DRAG,)
 
 
-@pytest.mark.parametrize(("loss", "found"), [(1.5, True), (1.99, False)])
-def test_a_rival_that_is_more_likely_replaces_an_effect(
-    monkeypatch: pytest.MonkeyPatch, loss: float, found: bool
+@pytest.mark.parametrize(
+    ("loss", "replaces", "remains"), [(1.5, True, True), (1.99, False, True), (2.01, False, True), (2.02, False, False)]
+)
+def test_a_rival_replaces_the_effect_or_is_forgotten_by_its_likelihood(
+    monkeypatch: pytest.MonkeyPatch, loss: float, replaces: bool, remains: bool
 ) -> None:
     """Chance may explain a difference of 30 long-run variances, here 0.015 per value."""
     current, other = fit_with(PUSH, chi2=2.0), fit_with(DRAG, chi2=loss)
@@ -49,5 +51,7 @@ def test_a_rival_that_is_more_likely_replaces_an_effect(
     }
     for name, function in replaced.items():
         monkeypatch.setattr(rivals, name, function)
-    assert rivals.more_likely_rival(current, PUSH.label, (DRAG,), DATA, CRITERIA) is (other if found else None)
-    assert rivals.more_likely_rival(current, PUSH.label, (PUSH,), DATA, CRITERIA) is None  # the machine has it
+    compared = rivals.compare_rivals(current, PUSH.label, (DRAG,), DATA, CRITERIA)
+    assert compared == (other if replaces else None, (DRAG,) if remains else ())
+    # One that the machine has is not tried, and remains.
+    assert rivals.compare_rivals(current, PUSH.label, (PUSH,), DATA, CRITERIA) == (None, (PUSH,))
