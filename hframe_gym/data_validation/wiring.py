@@ -32,7 +32,7 @@ _IMPROVEMENT = 0.2  # minimum improvement of the score that makes a correction c
 _CERTAIN_SCORE = 0.5  # score after a correction above which the mistake is certain, not only likely
 _TIE = 0.05  # corrections whose scores differ by less are equally likely
 _RATIO_TOLERANCE = 0.02  # relative error of a pulley radius or gear ratio that is not reported
-_MAX_RATIO_ERROR = 0.5  # a larger relative error is no wrong radius but another mistake
+_MAX_RATIO_ERROR = 0.5  # a larger relative error is no inaccurate radius or scale but a mistake
 _RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
 _MIN_ROWS = 10  # rows that a correlation or slope needs
 _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is suspected
@@ -109,10 +109,8 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
     """
     M = sensor_motions(machine)  # (sensors, rigid motions)
     used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
-    rows = motion[:, used]
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    size = np.linalg.norm(M[used], axis=1)
-    scaled = rows / size  # (rows, used sensors)
+    rows, size = motion[:, used], np.linalg.norm(M[used], axis=1)
+    scaled = rows[np.isfinite(rows).all(axis=1)] / size  # (rows, used sensors)
     basis = M[used] / size[:, None]  # (used sensors, rigid motions)
     # Subtract the least-squares projection of each row on the rigid motions.
     residual = scaled - scaled @ np.linalg.pinv(basis).T @ basis.T
@@ -125,7 +123,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
 
     Signs, swaps and units: measured speeds are compared with those that the machine reaches in a simulation with the
     recorded voltages, over all runs together; if no sign or swap is a fault there, these are checked in each run. Gear
-    ratios: angles of rotary sensors are compared with the travel that linear sensors measure.
+    ratios: encoders are compared with sensors that have a fixed zero.
 
     Args:
         data: Runs prepared by `identification.prepare` in which the machine moves (times, voltages, measurements, SI),
@@ -141,9 +139,8 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     inputs_as_recorded = np.eye(len(machine.drives))
     transforms = np.array([inputs_as_recorded, *input_corrections.values()])
     runs = [_first_rows(run) for run in data.runs]
-    measured = [
-        _speeds(bridge_blanks(run.outputs, run.time_s, _WINDOW), run.time_s) for run in runs
-    ]  # (rows, sensors) each
+    # (rows, sensors) each
+    measured = [_speeds(bridge_blanks(run.outputs, run.time_s, _WINDOW), run.time_s) for run in runs]
     # With the inputs as recorded and with each correction of them, (transforms, rows, sensors) each.
     simulated = [_speeds(_simulate_outputs(machine, run, transforms), run.time_s) for run in runs]
     labels = list(input_corrections)
@@ -153,7 +150,8 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
         for run, speeds, predictions in zip(runs, measured, simulated, strict=True):
             alone = _signs_and_swaps(speeds, predictions, output_corrections, labels, machine)
             findings += [dataclasses.replace(f, run=run.name) for f in alone if f.severity == "fault"]
-    return findings + _units(all_measured, all_simulated[0], data, machine) + _ratios(data, machine)
+    # A wrong unit of one channel makes the ratios of others wrong as well.
+    return findings + (_units(all_measured, all_simulated[0], data, machine) or _ratios(data, machine))
 
 
 def _speeds(outputs: Array, time_s: Array) -> Array:
@@ -255,11 +253,8 @@ def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -
         factor = float(np.std(measured[rows, j])) / size
         if 1 / _SPEED_FACTOR < factor < _SPEED_FACTOR or (factor < 1 and _is_resting(measured[rows, j], data, j)):
             continue
-        suspects = [
-            (value, name)
-            for value, name in _SUSPECTS[unit]
-            if factor > 1 and 1 / _SPEED_FACTOR < factor / value < _SPEED_FACTOR
-        ]
+        near = [s for s in _SUSPECTS[unit] if 1 / _SPEED_FACTOR < factor / s[0] < _SPEED_FACTOR]
+        suspects = near if factor > 1 else []
         prediction = rigid_prediction(measured, j, machine)
         if prediction is None:
             certain = any(1 / _UNIT_TOLERANCE < factor / value < _UNIT_TOLERANCE for value, _ in suspects)
@@ -268,10 +263,9 @@ def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -
             expected = float(np.std(prediction[0][both])) if both.any() else 0.0
             ratio = float(np.std(measured[both, j])) / expected if expected else 1.0
             certain = not 1 / _CONTRADICTION < ratio < _CONTRADICTION
-        if factor > 1:
-            cause = f"is the column in {suspects[0][1]}, not in {unit}?" if suspects else _CAUSE
-            message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
-        else:
+        cause = f"is the column in {suspects[0][1]}, not in {unit}?" if suspects else _CAUSE
+        message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
+        if factor < 1:
             message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, {_LESS_VOLTAGE}"
         findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
     return findings
@@ -284,37 +278,46 @@ def _channel_unit(sensor: Sensor, machine: Machine) -> str:
 
 
 def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report rotary channels that turn too far for the travel that the linear sensors measure.
+    """Report encoders that move too far for the travel that the sensors with a fixed zero measure.
 
-    Positions are compared over complete runs, because fast motion also stretches the belts. The finding is advice, not
-    a fault: a scale error of the linear sensors, which identification can find, has the same appearance.
+    Positions are compared over complete runs, because fast motion also stretches the belts. A small ratio is advice,
+    not a fault: a scale error of the other sensors, which identification can find, has the same appearance.
     """
     findings = []
-    rotary = [j for j, s in enumerate(machine.sensors) if machine.coordinate(s.coordinate).kind == "rotary"]
-    for column in rotary:
+    kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
+    encoders = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]
+    for column in encoders:
         parts = []
         for run in data.runs:
-            linear_only = run.outputs.copy()
-            linear_only[:, rotary] = np.nan  # other encoders may have the same mistake
-            prediction = rigid_prediction(linear_only, column, machine)
-            if prediction is not None:
-                both = np.column_stack([run.outputs[:, column], prediction[0]])
-                both = both[np.isfinite(both).all(axis=1)]
-                parts.append(both - both.mean(axis=0) if len(both) else both)
+            fixed_only = run.outputs.copy()
+            fixed_only[:, encoders] = np.nan  # other encoders may have the same mistake
+            prediction = rigid_prediction(fixed_only, column, machine)
+            both = np.column_stack([run.outputs[:, column], prediction[0]]) if prediction else np.zeros((0, 2))
+            both = both[np.isfinite(both).all(axis=1)]
+            parts.append(both - both.mean(axis=0) if len(both) else both)
         rows = np.concatenate(parts) if parts else np.zeros((0, 2))
         if len(rows) < _MIN_ROWS or not np.any(rows[:, 1]):
             continue
-        angle, predicted = rows.T
-        slope = float(angle @ predicted / (predicted @ predicted))
-        if _RATIO_TOLERANCE < abs(slope - 1) < _MAX_RATIO_ERROR and _correlation(angle, predicted) > _RATIO_CORRELATION:
-            sensor = machine.sensors[column]
-            radius = machine.coordinate(sensor.coordinate).radius
-            message = (
-                f"turns {100 * (slope - 1):+.1f} % too far for the carriage's travel: the pulley has a radius of "
-                f"{radius / slope:.4g} m instead of {radius:.4g} m, or a gear ratio is wrong by that factor"
-            )
-            findings.append(Finding("advice", "", sensor.channel, message))
+        measured, predicted = rows.T
+        slope = float(measured @ predicted / (predicted @ predicted))
+        if abs(slope - 1) > _RATIO_TOLERANCE and _correlation(measured, predicted) > _RATIO_CORRELATION:
+            findings.append(_ratio_finding(machine, machine.sensors[column], slope))
     return findings
+
+
+def _ratio_finding(machine: Machine, sensor: Sensor, ratio: float) -> Finding:
+    """Return the finding about an encoder that moves a multiple of the travel that other sensors measure."""
+    if abs(ratio - 1) > _MAX_RATIO_ERROR:
+        cause = "a unit, scale factor or gear ratio is wrong"
+        message = f"moves {ratio:.3g} times as far as the sensors with a fixed zero measure: {cause}"
+        return Finding("fault", "", sensor.channel, message)
+    coordinate, too_far = machine.coordinate(sensor.coordinate), f"{100 * (ratio - 1):+.1f} % too far"
+    message = f"moves {too_far} for what other sensors measure: its scale factor or a gear ratio is wrong"
+    if coordinate.kind == "rotary":
+        radii = f"{coordinate.radius / ratio:.4g} m instead of {coordinate.radius:.4g} m"
+        cause = f"the pulley has a radius of {radii}, or a gear ratio is wrong by that factor"
+        message = f"turns {too_far} for the carriage's travel: {cause}"
+    return Finding("advice", "", sensor.channel, message)
 
 
 def _score(measured: Array, simulated: Array, correction: Array, machine: Machine) -> float | None:

@@ -92,3 +92,19 @@ def test_a_pulley_of_another_radius_is_measured(runs: list[Recording], hframe: M
     assert [f.channel for f in findings] == ["phi1_rad", "phi2_rad"]
     radii = [float(f.message.split("a radius of ")[1].split(" m")[0]) for f in findings]
     np.testing.assert_allclose(radii, 1.05 * 0.0194, rtol=3e-3)
+
+
+@pytest.mark.parametrize(("factor", "text"), [(3.0, "moves 3 times as far"), (1.1, "moves +10.0 % too far")])
+def test_an_encoder_that_contradicts_a_scale_is_named(factor: float, text: str) -> None:
+    """A gear ratio that nobody converted is a fault; a small error may be one of the scale."""
+    axis = BUILTIN_MACHINES["axis"]()
+    scale = axis.sensors[0]
+    encoder = dataclasses.replace(scale, channel="x_encoder_m", kind="encoder", noise=0.0, resolution=1e-6)
+    machine = axis.replace(sensors=(encoder, dataclasses.replace(scale, kind="laser")))
+    time = np.arange(2000) * 1e-3
+    inputs = np.where(time > 0.1, 4 * np.sign(np.sin(9 * time)), 0.0)[:, None]
+    outputs = machine.simulate(time, inputs).outputs * [factor, 1.0]
+    findings = check_recordings([Recording("r", time, inputs, outputs)], machine)
+    [finding] = [f for f in findings if text in f.message]
+    assert finding.channel == "x_encoder_m"
+    assert finding.severity == ("fault" if factor == 3.0 else "advice")
