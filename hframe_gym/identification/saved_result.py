@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -200,12 +201,11 @@ def load_result(folder: Path) -> SavedResult:
     for name in ("machine.json", "declared.json"):
         if not newest(folder / name).is_file():
             raise _damaged(folder / name, "is missing")
-    saved = SavedResult(
-        report,
-        load_machine(newest(folder / "machine.json")),
-        load_machine(newest(folder / "declared.json")),
-        _load_curves(folder / "evidence.npz"),
-    )
+    with warnings.catch_warnings():
+        # What is not plausible about the machine was said when its declaration was read.
+        warnings.simplefilter("ignore", UserWarning)
+        machine, declared = (load_machine(newest(folder / name)) for name in ("machine.json", "declared.json"))
+    saved = SavedResult(report, machine, declared, _load_curves(folder / "evidence.npz"))
     _check_report(saved, folder / "report.json")
     _check_curves(saved, folder / "evidence.npz")
     return saved

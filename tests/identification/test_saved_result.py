@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification.report import build_report
 from hframe_gym.identification.saved_result import load_result
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.recordings import save_machine
+from hframe_gym.recordings import load_machine, save_machine
 
 pytestmark = pytest.mark.unit
 Damage = Callable[[Path], object]
@@ -178,3 +179,14 @@ def test_a_page_that_cannot_be_written_is_reported(folder: Path) -> None:
     (folder / "plots").write_text("a file in the way")
     with pytest.raises(InputError, match="plots"):
         build_report(folder)
+
+
+def test_doubts_about_the_machine_are_not_repeated(folder: Path) -> None:
+    """They are said when the declaration is read; warnings are errors here."""
+    axis = BUILTIN_MACHINES["axis"]()
+    far = dataclasses.replace(axis.coordinates[0], range=(-500.0, 500.0))
+    machine = axis.replace(coordinates=(far, *axis.coordinates[1:]))
+    save_machine(machine, folder / "declared.json")
+    with pytest.warns(UserWarning, match="is it in millimeters"):
+        load_machine(folder / "declared.json")
+    assert load_result(folder).declared.coordinates[0].range == (-500.0, 500.0)
