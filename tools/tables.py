@@ -40,6 +40,7 @@ PAGES = (
     "docs/trust.md",
 )
 STAGES = ("declared", "before", "after")
+RANDOM_RIGS = "random_rigs_20261203"  # FINAL_SEED of benchmarks.random_rigs
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---:") -> str:
@@ -453,7 +454,7 @@ def cluster_plan(results: dict[str, Any]) -> str:
     """Calculate core hours, memory and times on clusters from measured costs of tasks."""
     cards = [json.loads(path.read_text("utf-8")) for path in sorted(ROOT.glob("agents/shipped/reach/ppo-*/card.json"))]
     ppo_s = statistics.mean(card["curve"][-1]["cpu_s"] for card in cards)
-    rigs = [row["seconds"]["cpu"] for row in _results("random_rigs_20261201")["rigs"]]
+    rigs = [row["seconds"]["cpu"] for row in _results(RANDOM_RIGS)["rigs"]]
     training, speed = results["training"], results["training"]["steps_per_s_per_core"]
     plan = [  # work, kind of its tasks, number of tasks, mean and longest processor time of a task, s
         ("PPO on reach as shipped, 3 seeds", "training", 3, ppo_s, ppo_s),
@@ -508,7 +509,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     **{f"identification_{name}": identification_set for name in IDENTIFICATION_SETS},
     "formulas": formulas,
     "other_simulator_rigs": other_simulator_rigs,
-    "random_rigs_20261201": random_rigs,
+    RANDOM_RIGS: random_rigs,
     "env_speed": env_speed,
     "env_soak": env_soak,
     "faults": faults,
