@@ -302,7 +302,7 @@ def stage_geometry(machine: Machine) -> StageGeometry:
     """Choose how to draw a machine from above (plan view) by its kinematics; names of belts do not matter.
 
     Args:
-        machine: Machine with one or two tool axes; an axis without a range is drawn with `DEFAULT_RANGE`.
+        machine: Machine with one or two tool axes; an axis without a range is drawn from -0.25 m to 0.25 m.
 
     Returns:
         `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a belt for
