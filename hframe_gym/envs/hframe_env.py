@@ -51,7 +51,7 @@ class BatchProperties:
 
         Goals are taken as observed (m, or normalized), shape (axes,) or (n, axes). Rewards are a float or an array of
         shape (n,), dimensionless; for the goals that `step` returned they equal its rewards bit by bit. Only the reward
-        "progress" uses `info`; see `StepRewards.compute`.
+        "progress" uses `info`, from which it takes the goals before the step (`previous_achieved_goal`).
 
         Raises:
             AttributeError: With `flat=True`, because the observation then has no goals.

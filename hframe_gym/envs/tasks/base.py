@@ -121,7 +121,7 @@ class Task(ABC):
             target: Target positions of k episodes, m, shape (k, axes).
 
         Returns:
-            Plans, as `begin` returns them, shape (k, plan_size).
+            Plans in the task's format, shape (k, plan_size).
 
         Raises:
             InputError: If the task has no target that can be set; this is the default.
@@ -132,7 +132,7 @@ class Task(ABC):
         """Compute the contour error: the distance from the tool to the path on which the goal moves.
 
         Args:
-            plan: Plans of n episodes from `begin`, in the task's format, shape (n, plan_size).
+            plan: Plans (goals at all times) of n episodes in the task's format, shape (n, plan_size).
             points: One tool position per episode, m, shape (n, axes).
             elapsed_s: Times since the reset, s, shape (n,). The nearest point is searched around the goals of these
                 times, because a path may cross itself.
@@ -228,7 +228,7 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,).
-            plans: Plans (goals at all times) from `Task.begin` or `Task.aim`, shape (k, plan_size).
+            plans: Plans, which define the goals at all times in the task's format, shape (k, plan_size).
         """
         if plans.shape[1] != self._plans.shape[1]:
             self._plans = np.zeros((len(self._plans), plans.shape[1]))
@@ -271,7 +271,7 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Arrays by key from `add_blank`. Written are `desired_goal`, m, shape (count, axes), and for a
+            observation: Arrays by key. Written are `desired_goal`, m, shape (count, axes), and for a
                 task with p future goals `preview`, m, shape (count, axes * p): all axes of the first future goal, then
                 of the second, ...
         """
