@@ -55,7 +55,7 @@ class EncoderZeros(NamedTuple):
         """Read the zeros (measurements at position 0) from the sensors of a machine.
 
         Args:
-            machine: Machine; the sensors of an identified one may have a zero, see `machine.Sensor`.
+            machine: Machine; the sensors of an identified one may have a zero (attribute `Sensor.zero`).
 
         Returns:
             Zeros of all sensors, m or rad, shape (sensors,); NaN (unknown) where the machine file has none.

@@ -144,7 +144,7 @@ class TableComparison:
 
         Returns:
             "table": label (name@site) of the table; "complexity": number of its values; "fitted" and "held_out": errors
-            with the table on runs, in units of the sensor noise; "formulas": see `ProposedFormula.as_json`.
+            with the table on runs, in units of the sensor noise; "formulas": equation, values and errors of each.
         """
         return {
             "table": self.table.label,
@@ -195,7 +195,7 @@ def compare_formulas(
     parameters of the machine are fitted again. A formula with which the machine diverges is left out.
 
     Args:
-        result: Result of `identify`.
+        result: Result of an identification: machines, selected effects and fitted runs.
         log: Called with a line of text for every table and formula.
 
     Returns:

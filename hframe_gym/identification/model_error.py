@@ -127,7 +127,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Most likely fit, see `likelihood_loss`: machine, theta, shape (k,), cost and bandwidth, rad/s.
+        Most likely fit: machine, parameters theta, shape (k,), cost and bandwidth, rad/s.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted

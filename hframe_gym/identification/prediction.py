@@ -93,7 +93,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     Args:
         machine: Machine whose sensors are fed back.
         period: Sampling period, s.
-        bandwidth: Observer bandwidth of encoders, rad/s, see `sensor_bandwidths`.
+        bandwidth: Observer bandwidth of encoders, rad/s; that of lasers beside encoders is 5/12 of it.
 
     Returns:
         Corrections of positions (first half of the rows) and velocities (second half) at each sample, in the
@@ -239,7 +239,7 @@ def residuals(
 ) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the sensors' noise.
 
-    The constant error that uncertain sensor zeros cause is subtracted first, see `prediction_error`.
+    The constant error that uncertain sensor zeros (measurements at position 0) cause is estimated and subtracted first.
 
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
@@ -247,8 +247,8 @@ def residuals(
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
         rows_per_block: Number of consecutive rows that are combined into one: their sum divided by the root of this
             number. White noise keeps its standard deviation, slow residuals keep their sum of squares.
-        fitted: As in `prediction_error`; if True, measurements with the same rounding error also count as one in the
-            sum of squared residuals.
+        fitted: True for the residual of a fit: measurements with the same rounding error count as one, and the zeros
+            of sensors that measured at rest without quantization are corrected without limit. False: evaluation.
 
     Returns:
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or

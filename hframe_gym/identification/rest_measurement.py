@@ -276,7 +276,7 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
             not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Limit of the difference, in the sensors' units, shape (sensors,), see `max_zero_means`.
+        max_mean: Limit of the difference, in the sensors' units, shape (sensors,); infinite for none.
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
@@ -300,7 +300,7 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
     `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
 
     Args:
-        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
+        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
@@ -318,7 +318,7 @@ def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDA
     remained in the residual, parameters would adapt to it.
 
     Args:
-        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
+        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
         at_rest: True for sensors that measured at rest, shape (sensors,). For all others the limits do not differ,
             because their later measurements determine the initial position.

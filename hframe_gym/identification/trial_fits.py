@@ -339,7 +339,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
-        Typical sizes by coordinate and in general, SI, see `TypicalScales`.
+        Typical sizes by coordinate ("force", "speed", ... in its units) and in general ("A", ... in SI).
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
