@@ -202,7 +202,7 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
 
     Args:
         path: Path of the file, for messages.
-        file: File from `open_parquet`.
+        file: The file as opened by `open_parquet` (a `pyarrow.parquet.ParquetFile`).
         name: Name of the column.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
