@@ -163,7 +163,7 @@ def feature_matrix(
 
     Args:
         sizes: Number of entries of each array of the observation, by key, in the order in which z joins them.
-            `observation` and `desired_goal` are required; further ones of `OBSERVATION_KEYS` add features.
+            `observation` and `desired_goal` are required; `preview`, `last_action` and others add features.
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).

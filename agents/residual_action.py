@@ -165,7 +165,9 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the given keys and those that `history` returns, such as `last_action`.
+            Observation space of the policy: the given keys, `last_observation`, `last_action` and, depending on the
+            base controller and its estimates, `base_action`, `expected_friction` and `estimates`; `history` documents
+            them.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -194,7 +196,7 @@ class ResidualAction:
     def augment(self, observation: Observation) -> dict[str, NDArray[Any]]:
         """Build the observation of the policy and, if there is a base controller, compute its action.
 
-        Call it once per control period, because observations are stored and the base controller advances by one period.
+        Call it exactly once per control period: each call stores the observation and advances the base controller.
 
         Args:
             observation: Arrays by key as the environment returns them, m, rad, m/s and rad/s, each of shape (batch,
@@ -325,7 +327,8 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
 
     Args:
         machine: Machine for which the base controller is designed.
-        settings: Keyword arguments of `ResidualAction` except machine and period: the recipe's table [actuation].
+        settings: The recipe's table [actuation], for example `base` (controller that the policy corrects) and `most`
+            (largest authority): keyword arguments of `ResidualAction` except machine and period.
         period: Control period, s.
 
     Returns:
