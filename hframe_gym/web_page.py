@@ -51,7 +51,8 @@ def color(role: str) -> str:
     give other colors on a dark display.
 
     Args:
-        role: Key of `COLORS`.
+        role: Element: "background", "surface", "line", "ink", "muted", "link", "good", "neutral", "warning",
+            "declared", "before", "after", or "series3" to "series6" for further curves.
 
     Returns:
         Hexadecimal color, "#rrggbb".
