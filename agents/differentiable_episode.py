@@ -82,7 +82,7 @@ class SimulatedPeriod:
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
-            State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES equally spaced
+            State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES = 2 equally spaced
             times, the last of which is the end (all axes of a time before those of the next); shape (B, 2 n + axes *
             SAMPLES).
         """
@@ -229,7 +229,7 @@ def reach_cost(tool: Any, goal: Any) -> Any:
     """Compute the cost of one control period of a motion to a fixed goal.
 
     Args:
-        tool: Tool positions within the period, m, shape (B, SAMPLES, axes).
+        tool: Tool positions at SAMPLES = 2 times of the period, m, shape (B, SAMPLES, axes).
         goal: Goals, m, shape (B, axes).
 
     Returns:
@@ -243,7 +243,7 @@ def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
     """Compute the squared contour and tracking errors of one control period of a motion along a path.
 
     Args:
-        tool: Tool positions within the period, m, shape (B, SAMPLES, axes); the last is its end.
+        tool: Tool positions at SAMPLES = 2 times of the period, m, shape (B, SAMPLES, axes); the last is at its end.
         references: Paths and goals of the B environments; their present time must be the end of the period.
 
     Returns:

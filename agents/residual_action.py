@@ -294,8 +294,7 @@ class ResidualAction:
         Returns:
             held * last action + authority * output + weighted mean of the laws' voltages, as fractions of the rated
             voltages, of the type of `output`, shape (batch, drives). `Authority` computes `held` and authority. The
-            last action is limited to +-LARGEST_HELD and each law to +-LARGEST_WEIGHTED; weights increase exponentially
-            with their outputs.
+            last action is limited to +-0.12 and each law to +-1.2; weights increase exponentially with their outputs.
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         action = held + self.authority(distance, speed) * output[:, : self._drives]

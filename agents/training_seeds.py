@@ -60,7 +60,7 @@ def train_seeds(
 
     Raises:
         InputError: If an argument is wrong, a folder holds a run or is being written, or the cluster is out of reach.
-        ImportError: If the extra `agents`, or `ray` where it is needed, is not installed.
+        ImportError: If the extra `agents` is not installed, or the extra `ray` if the argument `ray` is given.
     """
     if len(set(seeds)) < len(seeds):
         raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")

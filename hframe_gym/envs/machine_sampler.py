@@ -212,7 +212,7 @@ class RuleSampler:
         Args:
             base: All N parameters of the parameter space before sampling, SI, shape (k, N), or (1, N) if they are the
                 same in all environments.
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws); see the attribute `draws`.
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws) with the attribute `draws`.
 
         Returns:
             All parameters after sampling, SI, shape (k, N). Identified parameters, and those in the attribute `clipped`

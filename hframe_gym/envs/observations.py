@@ -162,8 +162,8 @@ class ObservationBuilder:
         """Allocate arrays, without initial values, that `write` fills.
 
         Returns:
-            observation: Arrays `observation`, `achieved_goal` and, if enabled, `privileged`; float32, shape (count,
-                entries of the key) for `count` environments.
+            observation: Arrays `observation`, `achieved_goal` and, with the constructor's `privileged`, `privileged`;
+                float32, shape (count, entries of the key) for `count` environments.
             tool: Array for true tool positions, m, shape (count, axes); `achieved_goal` itself without sensors.
         """
         observation = {key: np.empty(shape, _FLOAT32) for key, shape in self._shapes.items()}

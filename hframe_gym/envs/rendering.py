@@ -181,7 +181,7 @@ class Renderer:
             scene: Positions, tensions and goal of an environment.
 
         Returns:
-            Picture, uint8, shape (HEIGHT, WIDTH, 3), in mode "rgb_array"; None in mode "human" (updates the window).
+            Picture, uint8, shape (660, 880, 3), in mode "rgb_array"; None in mode "human" (updates the window).
         """
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))

@@ -174,8 +174,8 @@ def observation_signals(
 
     Returns:
         Specifications (name, unit, bounds) by key, in alphabetical order of the keys as in a space of Gymnasium:
-        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes *
-        previews entries) and `privileged`.
+        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, with `previews` > 0 `preview` (axes *
+        previews entries), and `privileged` unless it is empty.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
@@ -213,7 +213,7 @@ def observation_space(
 
     Returns:
         Bounded float32 boxes by key: `observation`, shape (entries,), `achieved_goal` and `desired_goal`, shape
-        (axes,), and if requested `preview`, shape (axes * previews,), and `privileged`, shape (entries,).
+        (axes,), with `previews` > 0 `preview`, shape (axes * previews,), and `privileged` unless it is empty.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.

@@ -162,8 +162,8 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of twice the angle of
-        `max_held_angle`, four standard deviations and two quantization steps.
+        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of four standard deviations, two
+        quantization steps, and twice the angle by which friction can hold the pulley away from unstretched belts.
     """
     # Friction can hold the pulley in one direction in this run, and in the other one in those that gave the zeros.
     return np.asarray(2 * max_held_angle(machine) + _MAX_SCATTER * zeros.spread + 2 * quanta)

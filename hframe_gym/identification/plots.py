@@ -39,7 +39,8 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (for each run one panel per channel),
-        residual_force, tables, coverage. A plot that does not apply has no panels.
+        residual_force, tables, coverage. The list of a plot without data, such as tables of a machine without tables,
+        is empty.
     """
     channels = list(machine.output_channels)
     return {

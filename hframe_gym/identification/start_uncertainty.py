@@ -113,8 +113,8 @@ def prediction_residuals(
 ) -> Array:
     """Return a machine's prediction errors over a run, each divided by the standard deviation of the sensor's noise.
 
-    The part of the errors that an unknown initial stretch of the belts can explain is removed, as in a fit, see
-    `initial_state_projection`.
+    The part of the errors that an unknown initial stretch of the belts (or another unknown part of the initial state)
+    can explain is removed, as in a fit.
 
     Args:
         machine: Machine that predicts.
@@ -268,8 +268,8 @@ def most_probable_start(
     """Return the state from which a run most probably began, given all of its measurements.
 
     It is the state of maximum posterior density. It minimizes the sum of squared simulation errors in units of the
-    noise plus the sum of squared displacements from the measured state in units of their standard deviations, see
-    `start_displacements`. The squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
+    noise plus the sum of squared displacements from the measured state in units of their standard deviations. The
+    squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
 
     Args:
         machine: Machine to simulate.

@@ -175,7 +175,8 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 def only_measurements(recording: Recording, machine: Machine) -> Recording:
     """Keep only what sensors measured: replace repetitions of slow sensors, then outliers, by NaN (not measured).
 
-    `repetitions` and `outlier_mask` say how these are recognized.
+    A log repeats the value of a sensor that measures less often than the log has rows. Outliers are up to five samples
+    that leave the motion around them and return to it. `repetitions` and `outlier_mask` state the criteria.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).

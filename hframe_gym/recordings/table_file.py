@@ -175,8 +175,8 @@ def open_parquet(path: Path) -> Any:
         File, an object of the class `pyarrow.parquet.ParquetFile`.
 
     Raises:
-        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns have too
-            many values or expand to more than `file_limits.expansion_limit`.
+        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns have more
+            than 1e9 values or expand to more than 100 times the size of the file (and 64 MB).
     """
     try:
         import pyarrow.parquet as parquet
