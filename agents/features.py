@@ -78,10 +78,10 @@ OBSERVATION_KEYS = (
 def feature_parameters(
     machine: Machine, period: float = 0.01, transfers: Sequence[int] = (), preview: int = 0
 ) -> dict[str, Any]:
-    """Compute the keyword arguments of `feature_matrix` that depend on the machine: kinematics and controller gains.
+    """Compute kinematics and controller gains of a machine, from which the inputs of a policy network are built.
 
-    Features are the inputs of a policy network. The voltages of model-based controllers, which are linear in the
-    observation, can be among them.
+    The result holds arguments of `feature_matrix`. The inputs (features) can include the voltages of model-based
+    controllers, which are linear in the observation.
 
     Args:
         machine: Machine with a workspace.

@@ -148,7 +148,7 @@ def versions(further: Sequence[str] = ()) -> dict[str, str]:
     """List the installed versions of Python and of the packages on which the result of a training run depends.
 
     Args:
-        further: Names of packages to list in addition to those that every run needs.
+        further: Names of packages to list in addition to torch, NumPy and the others that every run uses.
 
     Returns:
         Version strings by package name, and that of Python by "python".

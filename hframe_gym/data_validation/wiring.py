@@ -126,8 +126,8 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     ratios: encoders are compared with sensors that have a fixed zero.
 
     Args:
-        data: Runs prepared by `identification.prepare` in which the machine moves (times, voltages, measurements, SI),
-            at least one.
+        data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at
+            least one.
         machine: Declared machine.
 
     Returns:

@@ -258,8 +258,8 @@ class ParameterizedMachine:
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
         """Return the state of an effect, such as a bristle deflection or a motor current, at a point of a motion.
 
-        An effect is a deviation from the nominal model. If `point.elapsed` is a time, s, the point holds the states of
-        this time before, and the effect's formula `next_state` advances them; None means that they are up to date.
+        An effect is a deviation from the nominal model. If `point.elapsed` is a time, s, the states in the point are
+        those of this time earlier, and the effect's formula `next_state` advances them; None: they are up to date.
 
         Args:
             k: Index of the effect in `instances` (all effects, once per component on which they act).

@@ -173,7 +173,7 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
     Args:
         machine: Identified machine with the table. The covariance of its parameters weights the values; without it,
             all values have the same weight.
-        table: One of `tables_of(machine)`.
+        table: Effect of the machine that is such a table.
 
     Returns:
         At most three formulas by increasing number of parameters; one is recommended. Their errors on runs are not

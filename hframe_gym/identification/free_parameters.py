@@ -112,7 +112,7 @@ class FreeParameter:
 
 
 def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
-    """Convert the optimizer's variables theta to parameter values.
+    """Convert the optimizer's variables theta to values: center * exp(theta), or center + scale * theta.
 
     Args:
         free: Free parameters, k of them.

@@ -53,7 +53,7 @@ def table_candidates(
     tables are proposed for each coordinate. A force on one coordinate also appears in the missing force of the others;
     the best table alone could therefore be the wrong one. Proposed are:
 
-    - the best tables, `max_tables_per_coordinate` in number;
+    - the three best tables (`max_tables_per_coordinate`);
     - the best one over time, even if others explain more;
     - the best one over the position of the coordinate, even if others explain more. The refitted friction may contain a
       part of such a force, and the missing force then shows only the rest.
@@ -186,7 +186,7 @@ def add_tables(
         current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
         selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.
+        criteria: Decision thresholds, among them the smallest gain of a table, 0.02 per sample (`min_table_gain`).
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that is fitted to all data.
 

@@ -206,16 +206,16 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
     """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
-    A zero is the measurement at position 0. The constant error is estimated from the rows at rest and, within limits,
-    from the complete run: without limit for encoders behind belts, else by half a quantization step.
+    A zero is the measurement at position 0. The constant error is the mean error over the complete run for encoders
+    behind belts; for other sensors it differs from that over the rows at rest by at most half a quantization step.
 
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
-        fitted: True for the residual of a fit: no limit either for sensors without quantization that measured at rest,
-            and measurements with the same rounding error count as one in the means (`run.weights`). False for an
-            evaluation: equal weights.
+        fitted: True for the residual of a fit: the mean over the complete run also for sensors without quantization
+            that measured at rest, and measurements with the same rounding error count as one in the means
+            (`run.weights`). False for an evaluation: equal weights.
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); meaningless numbers where nothing was measured.

@@ -91,8 +91,7 @@ class Task(ABC):
         """Compute the goals of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans from `begin` or `aim`, which define the goals at all times, in the task's format, shape
-                (n, plan_size).
+            plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -105,7 +104,7 @@ class Task(ABC):
         This default calls `goal`; a task may override it with a faster method.
 
         Args:
-            plan: Plans from `begin` or `aim`, in the task's format, shape (n, plan_size).
+            plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
             elapsed_s: Present times since the reset, s, not negative, shape (n,).
             ahead_s: Times from the present to the goals, s, 0 for the present goal, shape (m,).
             goals: Array that receives the goal positions, m, shape (n, m, axes).

@@ -210,7 +210,7 @@ def write_points(s: Any, curve: Any, x: Any, y: Any) -> None:
 
     Args:
         s: Arc lengths from the start of the curve, m, any real number, shape (n,).
-        curve: `CurveData` of the curve.
+        curve: Radius, vertices and arc lengths of the curve (`CurveData`).
         x: Output, first coordinate of the points, m, shape (n,).
         y: Output, second coordinate of the points, m, shape (n,).
     """
