@@ -59,7 +59,7 @@ class FreeParameter:
 
     @property
     def theta_limit(self) -> float:
-        """Largest |theta| that a fit may reach, dimensionless: 4 prior standard deviations; infinite with `scale`."""
+        """Largest |theta| in a fit, dimensionless: 4 prior standard deviations of a logarithm, otherwise infinite."""
         return _MAXIMUM_DEVIATION * self.prior if self.scale is None else math.inf
 
     def at_limit(self, theta: float) -> bool:

@@ -176,7 +176,8 @@ def predict(
 def mechanical_rows_per_block(data: Dataset) -> int:
     """Return how many rows of a residual may be combined into one, which saves time in the search for effects.
 
-    Mechanical effects hardly change the residual within 4 ms. `residuals` describes how rows are combined.
+    Mechanical effects hardly change the residual within 4 ms. Combined rows are summed and divided by the root of
+    their number.
 
     Args:
         data: Data set, for its sampling period.
