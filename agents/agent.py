@@ -167,7 +167,7 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Return why the agent cannot run on a machine, because the machine has other numbers of axes or drives.
+        """Return a clause if a machine differs from that of the training in its numbers of axes, coordinates or drives.
 
         Args:
             machine: Machine on which the agent is to run or to be trained further.

@@ -32,8 +32,8 @@ class AgentScores(NamedTuple):
     """Result of the evaluation of an agent.
 
     Attributes:
-        row: Row of the learning curve, numbers by name; see `score_agent`.
-        costs: Cost of every episode by `episode_costs`, shape (B,).
+        row: Row of the learning curve: scores by name, such as `success` (fraction, 0 to 1) and `final_error_mm`.
+        costs: Cost of every episode (settling times and errors), s or mm, shape (B,).
     """
 
     row: dict[str, float]

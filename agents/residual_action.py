@@ -97,8 +97,8 @@ class ResidualAction:
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
         estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
-        transfers: Durations of transfers whose voltages the policy weights, see `TransferBank`; empty: none.
-        plans: Durations of transfers of the machine as estimated instead, in periods, see `PlanBank`; empty: none.
+        transfers: Durations of transfers (motions to rest at the goal) whose voltages the policy weights; empty: none.
+        plans: Durations, in periods, of transfers that are designed for the estimated machine instead; empty: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:

@@ -67,7 +67,7 @@ class Panel(NamedTuple):
         title: Caption.
         description: What the plot shows, for readers who do not see it (alternative text).
         draw: Function that draws on matplotlib axes; colors are those of `color`.
-        height: Height, in; the width is `PANEL_WIDTH`.
+        height: Height, in; the width is 3.6 in.
     """
 
     title: str

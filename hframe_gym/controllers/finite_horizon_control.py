@@ -264,7 +264,7 @@ class PreviewTracker:
         model: Model of the machine.
         grid: Operating points (tool positions) for which gains are computed.
         period: Control period, s.
-        goals: Number of previewed goals (one per control period) that `command` receives; those more than `HORIZON_S`
+        goals: Number of previewed goals (one per control period) that `command` receives; those more than 0.1 s
             ahead are not used.
 
     Attributes:

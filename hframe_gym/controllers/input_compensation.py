@@ -112,7 +112,7 @@ class DeadTime:
             (B, Q, axes), Q <= P.
 
         Raises:
-            InputError: If fewer than two goals remain, because the preview ends within the dead time.
+            InputError: If fewer than two goals remain: the preview is too short for the dead time.
         """
         if self.delay_s == 0.0:
             return goals

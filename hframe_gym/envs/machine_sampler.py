@@ -254,7 +254,7 @@ class MachineSampler:
 
     Args:
         machine: Machine without randomization.
-        randomize: Name of a preset, or a list of rules; see `domain_randomization.as_rules`.
+        randomize: Name of a preset such as "default", or a list of rules.
         count: Number of environments.
         task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
 

@@ -43,7 +43,7 @@ class _Strict(BaseModel):
 
 
 class EntryTable(_Strict):
-    """What was scored; see `Entry`."""
+    """What was scored: name in results, kind, and SHA-256 hash of the files of the controller or agent."""
 
     name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^|<>`\n]+$")]
     kind: Literal["controller", "agent"]

@@ -49,7 +49,7 @@ class Candidate:
         columns: Basis functions of the effect (for example sine and cosine), whose weighted sum is the effect. Each is
             a complete set of effect parameters, by parameter name, with the amplitude at its typical size. An effect
             without an amplitude has a single set, which is the effect itself.
-        scales: Typical sizes at the site, by unit of the effect's parameters, see `TypicalScales.of`.
+        scales: Typical sizes at the site (force, speed, ...), by unit of the effect's parameters.
     """
 
     effect: Effect

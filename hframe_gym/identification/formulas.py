@@ -54,7 +54,7 @@ class ProposedFormula:
             chi-squared per sample); None if the formula was fitted only to the values of the table.
         held_out: Root-mean-square error of the simulated held-out runs by channel, in units of the sensor noise; empty
             if the formula was fitted only to the values of the table.
-        recommended: Whether it is the recommended formula for the table (see the module's docstring).
+        recommended: Whether it is the simplest formula whose error is at most 1.1 times the smallest one.
     """
 
     effect: FormulaEffect

@@ -196,7 +196,7 @@ class ResidualModel:
         data: Runs to predict.
         bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
-        rows_per_block: How many samples are combined into one row, see `prediction.residuals`.
+        rows_per_block: How many samples are combined into one row (sum / square root of the number).
     """
 
     machine: Machine

@@ -43,7 +43,7 @@ class PredictionErrors:
 
     Attributes:
         channels: Simulation error by output channel.
-        force: Relative error of the drives' force, see `inverse_dynamics.force_error`; None where it is not defined.
+        force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
     """
 
     channels: dict[str, ChannelError]

@@ -166,7 +166,7 @@ class SavedResult:
         report: Content of report.json.
         machine: Identified machine with the selected effects.
         declared: Machine as declared.
-        curves: Curves of the plots by name, see `result.plot_data`.
+        curves: Curves of the plots by name, such as "RUN/measured", SI; `result.plot_data` lists them.
     """
 
     report: dict[str, Any]

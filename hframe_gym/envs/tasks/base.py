@@ -188,7 +188,7 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
 class ReferenceTrajectories:
     """Keep the plans of `count` environments and compute their goals over time.
 
-    A plan is the row of numbers from which a task computes the goals of an episode, see `Task`.
+    A plan is the row of numbers from which a task computes the goals of an episode.
 
     Args:
         task: Task of all environments.
