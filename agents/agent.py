@@ -53,7 +53,7 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
     Args:
         policy: Keyword arguments of the policy class, for example layer sizes: the table [policy] of a recipe (a TOML
             file with the settings of a training run).
-        features: Keyword arguments of `LogScaleFeatures`, as `feature_parameters` returns them.
+        features: Keyword arguments of `LogScaleFeatures`: kinematics of the machine and gains of controllers.
 
     Returns:
         Keyword arguments of the policy class: the given ones and those that set the input layer.
@@ -167,7 +167,7 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Return why the agent cannot run on a machine, because the machine has other numbers of axes or drives.
+        """Return a clause if a machine differs from that of the training in its numbers of axes, coordinates or drives.
 
         Args:
             machine: Machine on which the agent is to run or to be trained further.
@@ -211,7 +211,7 @@ class Agent(Controller):
         the training). They are replaced together when all three are complete.
 
         Args:
-            folder: Folder for the files, which is created if necessary.
+            folder: Folder for the files; created if it does not exist.
 
         Raises:
             ImportError: If the extra `agents` is not installed.

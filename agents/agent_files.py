@@ -191,7 +191,7 @@ def sign_checkpoint(path: Path) -> None:
     stored, because its folder is read-only, the file is not changed.
 
     Args:
-        path: Complete file; a pickle or a zip archive, because both can be loaded with further bytes at their end.
+        path: Complete file, a pickle or a zip archive; both can be loaded with further bytes at their end.
 
     Raises:
         OSError: If the file cannot be written.

@@ -78,10 +78,10 @@ OBSERVATION_KEYS = (
 def feature_parameters(
     machine: Machine, period: float = 0.01, transfers: Sequence[int] = (), preview: int = 0
 ) -> dict[str, Any]:
-    """Compute the keyword arguments of `feature_matrix` that depend on the machine: kinematics and controller gains.
+    """Compute kinematics and controller gains of a machine, from which the inputs of a policy network are built.
 
-    Features are the inputs of a policy network. The voltages of model-based controllers, which are linear in the
-    observation, can be among them.
+    The result holds arguments of `feature_matrix`. The inputs (features) can include the voltages of model-based
+    controllers, which are linear in the observation.
 
     Args:
         machine: Machine with a workspace.
@@ -163,7 +163,7 @@ def feature_matrix(
 
     Args:
         sizes: Number of entries of each array of the observation, by key, in the order in which z joins them.
-            `observation` and `desired_goal` are required; further ones of `OBSERVATION_KEYS` add features.
+            `observation` and `desired_goal` are required; `preview`, `last_action` and others add features.
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
@@ -248,8 +248,8 @@ class FeedbackLaws(NamedTuple):
 class TransferBank:
     """First voltages of K minimum-energy transfers (motions to rest at the goal) of several durations and designs.
 
-    The transfers are designed for the declared machine, and the shortest ones also for the stiffnesses and masses of
-    `BANK`.
+    The transfers are designed for the declared machine, and the five shortest ones also for 0.7 and 1.3 times its belt
+    stiffness with 0.95 and 1.15 times its masses (`BANK`).
 
     Args:
         machine: Machine for which the transfers are designed.

@@ -32,8 +32,8 @@ class AgentScores(NamedTuple):
     """Result of the evaluation of an agent.
 
     Attributes:
-        row: Row of the learning curve, numbers by name; see `score_agent`.
-        costs: Cost of every episode by `episode_costs`, shape (B,).
+        row: Row of the learning curve: scores by name, such as `success` (fraction, 0 to 1) and `final_error_mm`.
+        costs: Cost of every episode (settling times and errors), s or mm, shape (B,).
     """
 
     row: dict[str, float]
@@ -48,11 +48,11 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        The attribute `costs` holds the result of `episode_costs`, s or mm, shape (B,) for B episodes, and `row` these
-        scores by name:
+        The attribute `costs` holds the cost of each of B episodes (`episode_costs`: settling times and final error, s,
+        or contour and tracking error, mm), shape (B,), and `row` these scores by name:
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the task's band, 0 to 1.
-            `success_BAND`: fraction of episodes that settle, 0 to 1, for the name of each band in `BANDS`.
+            `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm.
             `settling_s_BAND`: mean settling time, s; an episode that does not settle counts with its full length.
             `final_error_mm`: median distance to the goal at the end, mm.
         With a moving goal, means over the episodes:
@@ -89,8 +89,8 @@ def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
 def episode_costs(episodes: Episodes) -> Array:
     """Compute the cost of every evaluation episode, by which agents of one training run are compared.
 
-    With a fixed goal it is the sum of the settling times within all bands, plus `SECONDS_PER_MM` per millimeter of
-    final error. Along a path it is the sum of the rms contour error and the rms tracking error; the contour error alone
+    With a fixed goal it is the sum of the settling times within 1, 0.2 and 0.05 mm, plus 0.01 s per millimeter of final
+    error. Along a path it is the sum of the rms contour error and the rms tracking error; the contour error alone
     would be zero for a tool that never leaves its start.
 
     Args:
@@ -113,7 +113,7 @@ def improves(costs: Array, kept: Array | None) -> bool:
     which a large difference in a single episode never does.
 
     Args:
-        costs: Costs of the new agent by `episode_costs`, s or mm, shape (B,).
+        costs: Costs of the new agent, one per episode, s or mm, shape (B,).
         kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,); None if there is none.
 
     Returns:
@@ -129,7 +129,8 @@ def progress_line(row: Mapping[str, Any]) -> str:
     """Format one row of a learning curve as a line for the terminal.
 
     Args:
-        row: Scores as `score_agent` returns them, with `steps` (environment steps) and `seconds` (elapsed time, s).
+        row: `steps` (environment steps so far), `seconds` (elapsed time, s), and scores by name, such as `success`
+            (fraction of episodes, 0 to 1) and `final_error_mm`; `score_agent` lists them.
 
     Returns:
         One line of text without a line break.
@@ -147,7 +148,7 @@ def versions(further: Sequence[str] = ()) -> dict[str, str]:
     """List the installed versions of Python and of the packages on which the result of a training run depends.
 
     Args:
-        further: Names of packages to list in addition to those that every run needs.
+        further: Names of packages to list in addition to torch, NumPy and the others that every run uses.
 
     Returns:
         Version strings by package name, and that of Python by "python".
@@ -164,7 +165,7 @@ def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
     Each file is replaced only when its new version is complete.
 
     Args:
-        folder: Folder of the agent, which is created if necessary.
+        folder: Folder of the agent; created if it does not exist.
         card: Contents of card.json: recipe, versions, learning curve and, if known, scores and failures.
 
     Raises:

@@ -97,7 +97,7 @@ class Recipe:
 
     @property
     def period(self) -> float:
-        """Control period of the training environment, s: `env["period"]`, or the environment's default without it."""
+        """Control period of the training environment, s: `env["period"]`, or 0.01 s if the recipe does not state it."""
         return float(self.env.get("period", EnvConfig.period))
 
     def as_dict(self) -> dict[str, Any]:

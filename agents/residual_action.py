@@ -97,8 +97,8 @@ class ResidualAction:
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
         estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
-        transfers: Durations of transfers whose voltages the policy weights, see `TransferBank`; empty: none.
-        plans: Durations of transfers of the machine as estimated instead, in periods, see `PlanBank`; empty: none.
+        transfers: Durations of transfers (motions to rest at the goal) whose voltages the policy weights; empty: none.
+        plans: Durations, in periods, of transfers that are designed for the estimated machine instead; empty: none.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
@@ -165,7 +165,9 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the given keys and those that `history` returns, such as `last_action`.
+            Observation space of the policy: the given keys, `last_observation`, `last_action` and, depending on the
+            base controller and its estimates, `base_action`, `expected_friction` and `estimates`; `history` documents
+            them.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -194,7 +196,7 @@ class ResidualAction:
     def augment(self, observation: Observation) -> dict[str, NDArray[Any]]:
         """Build the observation of the policy and, if there is a base controller, compute its action.
 
-        Call it once per control period, because observations are stored and the base controller advances by one period.
+        Call it exactly once per control period: each call stores the observation and advances the base controller.
 
         Args:
             observation: Arrays by key as the environment returns them, m, rad, m/s and rad/s, each of shape (batch,
@@ -292,8 +294,7 @@ class ResidualAction:
         Returns:
             held * last action + authority * output + weighted mean of the laws' voltages, as fractions of the rated
             voltages, of the type of `output`, shape (batch, drives). `Authority` computes `held` and authority. The
-            last action is limited to +-LARGEST_HELD and each law to +-LARGEST_WEIGHTED; weights increase exponentially
-            with their outputs.
+            last action is limited to +-0.12 and each law to +-1.2; weights increase exponentially with their outputs.
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         action = held + self.authority(distance, speed) * output[:, : self._drives]
@@ -325,7 +326,8 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
 
     Args:
         machine: Machine for which the base controller is designed.
-        settings: Keyword arguments of `ResidualAction` except machine and period: the recipe's table [actuation].
+        settings: The recipe's table [actuation], for example `base` (controller that the policy corrects) and `most`
+            (largest authority): keyword arguments of `ResidualAction` except machine and period.
         period: Control period, s.
 
     Returns:

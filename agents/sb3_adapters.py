@@ -36,7 +36,7 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, one per motor.
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
-        gains: Gains for the voltages of model-based controls by key of the observation, see `feature_parameters`.
+        gains: By key of the observation, matrices from its entries to voltages of model-based controllers.
             Default: no such features.
 
     Attributes:

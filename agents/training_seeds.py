@@ -49,17 +49,18 @@ def train_seeds(
         log: Function that receives one line of text when a run is complete.
         progress: Function that receives the number of complete runs and of all runs, after each run.
         randomize: Randomization of the machine's parameters in place of the recipe's.
-        jobs: Number of local worker processes, as for `map_tasks`.
-        ray: Address of a Ray cluster that runs the workers instead, as for `map_tasks`.
+        jobs: Number of local worker processes.
+        ray: Ray runs the workers instead: "local" starts it on this machine, "auto" is the running cluster that this
+            machine belongs to, "HOST:PORT" the head node of a cluster. Default: local processes.
         show_curves: Whether the workers print a line after each evaluation.
         force: Replace agents or checkpoints that these folders hold. Without it, such folders are refused.
 
     Returns:
-        Contents of each agent's card.json, by seed; see `train`.
+        Contents of each agent's card.json, by seed: recipe, package versions and learning curve.
 
     Raises:
         InputError: If an argument is wrong, a folder holds a run or is being written, or the cluster is out of reach.
-        ImportError: If the extra `agents`, or `ray` where it is needed, is not installed.
+        ImportError: If the extra `agents` is not installed, or the extra `ray` if the argument `ray` is given.
     """
     if len(set(seeds)) < len(seeds):
         raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")

@@ -132,7 +132,7 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
     of the batch.
 
     Args:
-        path: File to write; its folder is created if necessary.
+        path: File to write; its folder is created if it does not exist.
 
     Yields:
         Empty file, open for writing and reading. If the block raises an error, an existing file at `path` is unchanged.
@@ -177,7 +177,7 @@ def write_text(path: str | Path, text: str) -> None:
     Inside an `output_batch` of the same folder, the file appears only at the end of the batch.
 
     Args:
-        path: File to write; its folder is created if necessary.
+        path: File to write; its folder is created if it does not exist.
         text: Content of the file.
 
     Raises:

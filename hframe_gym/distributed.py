@@ -49,17 +49,16 @@ def map_tasks(
 ) -> Iterator[Result]:
     """Call a function for every input, possibly in parallel, and yield the results in the order of the inputs.
 
-    If the worker process of a task ends unexpectedly, the task starts again, up to three attempts in total
-    (`ATTEMPTS`). The function must depend on its input alone and write no files, so that a repetition gives the same
-    result.
+    If the worker process of a task ends unexpectedly, the task starts again, up to three attempts in total. The
+    function must depend on its input alone and write no files, so that a repetition gives the same result.
 
     Args:
         function: Function of one input. For jobs > 1 or with `ray` it must be picklable: a function of a module, for
             example, or a `functools.partial` of one.
         items: Inputs; picklable under the same condition.
-        jobs: Number of local worker processes; with 1, the function runs in this process. With `LOCAL_RAY`: number of
+        jobs: Number of local worker processes; with 1, the function runs in this process. With ray="local": number of
             cores that Ray uses, where 1 means all. Ignored for a Ray cluster.
-        ray: None for local processes; `LOCAL_RAY` to start Ray on this machine; "auto" for the running cluster that
+        ray: None for local processes; "local" to start Ray on this machine; "auto" for the running cluster that
             this machine belongs to; or "HOST:PORT" of a cluster's head node.
         completed: Called with the index of an input and its result as soon as the result is available, for example to
             write it to a file. The calls come in any order, one at a time.

@@ -46,14 +46,14 @@ def expansion_limit(path: Path) -> int:
 
 
 def refuse_expansion(path: Path, size: int) -> None:
-    """Raise an error if the decompressed content of a file is larger than `expansion_limit`.
+    """Raise an error if the decompressed content of a file exceeds 64 MB and 100 times the size of the file.
 
     Args:
         path: The compressed file, for its size and for the message.
         size: Number of bytes of the content, or of the part that has been decompressed so far.
 
     Raises:
-        InputError: If the content is too large.
+        InputError: If the content is larger.
     """
     if size > expansion_limit(path):
         raise InputError(

@@ -28,9 +28,9 @@ _HELD: set[Path] = set()  # folders that this process has locked
 def locked_folder(folder: str | Path) -> Iterator[Path]:
     """Lock a folder during the `with` block, so that no other process of this package writes to it.
 
-    The folder is created if necessary. What a killed process left in it is cleaned up first: complete files are moved
-    to their names (`move_committed`), incomplete ones are removed. The lock also ends if this process is killed. A
-    folder that was created here is removed again if it is still empty at the end.
+    The folder is created if it does not exist. What a killed process left in it is cleaned up first: complete files are
+    moved to their names (`move_committed`), incomplete ones are removed. The lock also ends if this process is killed.
+    A folder that was created here is removed again if it is still empty at the end.
 
     Args:
         folder: Folder for the output of a command.
@@ -68,7 +68,7 @@ def locked_folder(folder: str | Path) -> Iterator[Path]:
 
 
 def complete_commit(folder: str | Path) -> None:
-    """Move the new files that a killed process left in the subfolder `COMMIT` to their names.
+    """Move the new files that a killed process left in the subfolder .hframe-commit to their names.
 
     `output_batch` writes the new files of a folder completely before it moves the first one. If it is killed between
     two moves, the folder holds new files beside old ones. Call this function before you read files of a folder that
@@ -140,12 +140,12 @@ def lock(descriptor: int) -> bool:
 
 
 def move_committed(folder: Path) -> None:
-    """Move the new files in the subfolder `COMMIT` of a folder to their names, and delete the files that it lists.
+    """Move the complete new files in the subfolder .hframe-commit to their names; delete the files that it lists.
 
     If a call is interrupted, the next one does the rest. The caller has locked the folder.
 
     Args:
-        folder: Folder in which `output_batch` has made `COMMIT`; without this subfolder nothing happens.
+        folder: Folder that contains .hframe-commit; without this subfolder nothing happens.
 
     Raises:
         OSError: If the folder cannot be written.

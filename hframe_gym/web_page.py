@@ -51,7 +51,8 @@ def color(role: str) -> str:
     give other colors on a dark display.
 
     Args:
-        role: Key of `COLORS`.
+        role: Element: "background", "surface", "line", "ink", "muted", "link", "good", "neutral", "warning",
+            "declared", "before", "after", or "series3" to "series6" for further curves.
 
     Returns:
         Hexadecimal color, "#rrggbb".
@@ -66,7 +67,7 @@ class Panel(NamedTuple):
         title: Caption.
         description: What the plot shows, for readers who do not see it (alternative text).
         draw: Function that draws on matplotlib axes; colors are those of `color`.
-        height: Height, in; the width is `PANEL_WIDTH`.
+        height: Height, in; the width is 3.6 in.
     """
 
     title: str

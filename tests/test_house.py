@@ -7,7 +7,7 @@ import pytest
 
 from tools import house
 from tools.house import Function, House, measure
-from tools.sample_functions import draw
+from tools.sample_functions import describe, draw
 
 
 @pytest.fixture(scope="module")
@@ -153,3 +153,17 @@ def test_the_sample_depends_on_the_seed_only(repository: House, monkeypatch: pyt
     assert [f.name for f in first] == [f.name for f in again]
     assert [f.name for f in first] != [f.name for f in other]
     assert len({(f.path, f.name) for f in first}) >= 29
+
+
+def test_the_sample_shows_the_options_of_a_command(tmp_path: Path) -> None:
+    (tmp_path / "app.py").write_text('OutOption = Annotated[Path, typer.Option(help="Folder.")]\n')
+    source = "def run(out: OutOption, seed: Annotated[int, typer.Option(help='Seed.')] = 0) -> None:\n    '''Run it.'''"
+    (tmp_path / "module.py").write_text(source)
+    assert describe(_function(source), root=tmp_path).splitlines()[1:] == [
+        "run(out: OutOption, seed: int=0) -> None",
+        "    Run it.",
+        "",
+        "    Options:",
+        "        out: Folder.",
+        "        seed: Seed.",
+    ]

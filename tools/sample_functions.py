@@ -4,14 +4,15 @@
 
 The reader answers for each function: are arguments, result, shapes and units documented, and is it understood at first
 reading? The same seed and the same source tree give the same sample. A property reads as an attribute: its docstring
-describes the value in one sentence, without sections. The docstring of a command is its help page, and the options'
-help texts (in the source) describe its arguments.
+describes the value in one sentence, without sections. The docstring of a command is its help page; the help texts of
+its options, printed behind it, describe its arguments. Words in braces such as {tasks} become lists of names there.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import copy
 import random
 from pathlib import Path
 
@@ -33,6 +34,43 @@ def draw(root: Path, seed: int, count: int) -> list[Function]:
     return random.Random(seed).sample(functions, min(count, len(functions)))
 
 
+class _PlainTypes(ast.NodeTransformer):
+    """Replace Annotated[type, ...] by type."""
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        if ast.unparse(node.value) == "Annotated" and isinstance(node.slice, ast.Tuple):
+            return node.slice.elts[0]
+        return node
+
+
+def option_helps(function: Function, root: Path = ROOT) -> dict[str, str]:
+    """Collect the help texts of a command's options (typer), which describe its arguments.
+
+    Args:
+        function: Any function. Its arguments may be annotated with an alias such as `OutOption` of hframe_gym/cli/.
+        root: Repository that contains its file.
+
+    Returns:
+        Help text by name of the argument; empty for a function without options.
+    """
+    aliases: dict[str, ast.expr] = {}
+    for path in sorted((root / function.path).parent.glob("*.py")):
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                aliases[node.targets[0].id] = node.value
+    helps: dict[str, str] = {}
+    for argument in [*function.node.args.posonlyargs, *function.node.args.args, *function.node.args.kwonlyargs]:
+        annotation = argument.annotation
+        if isinstance(annotation, ast.Name):
+            annotation = aliases.get(annotation.id)
+        if isinstance(annotation, ast.Subscript) and ast.unparse(annotation.value) == "Annotated":
+            for call in ast.walk(annotation.slice):
+                for keyword in call.keywords if isinstance(call, ast.Call) else ():
+                    if keyword.arg == "help" and isinstance(keyword.value, ast.Constant):
+                        helps[argument.arg] = str(keyword.value.value)
+    return helps
+
+
 def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> str:
     """Format a function for the reader.
 
@@ -42,7 +80,7 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
         source: Whether to print the complete source instead of signature and docstring.
 
     Returns:
-        Heading with file and line, then the signature and the docstring, or the source.
+        Heading with file and line, then the signature, the docstring and, for a command, its options; or the source.
     """
     node = function.node
     heading = f"{function.path}:{node.lineno}  {function.name}"
@@ -52,9 +90,12 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
         return "\n".join([heading, *lines[first - 1 : node.end_lineno]])
     returns = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     docstring = ast.get_docstring(node) or "(no docstring)"
+    if options := option_helps(function, root):
+        docstring += "\n\nOptions:\n" + "\n".join(f"    {name}: {text}" for name, text in options.items())
     indented = "\n".join(f"    {line}".rstrip() for line in docstring.splitlines())
     decorators = "".join(f"@{ast.unparse(decorator)}\n" for decorator in node.decorator_list)
-    return f"{heading}\n{decorators}{node.name}({ast.unparse(node.args)}){returns}\n{indented}"
+    arguments = ast.unparse(_PlainTypes().visit(copy.deepcopy(node.args)))
+    return f"{heading}\n{decorators}{node.name}({arguments}){returns}\n{indented}"
 
 
 def main() -> None:

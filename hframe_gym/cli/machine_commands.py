@@ -24,9 +24,10 @@ def simulate(
     out: Annotated[Path, typer.Option(help="File for the simulated recording (.csv or .csv.gz).")],
     machine: MachineOption = "hframe",
 ) -> None:
-    """Simulate a machine with the voltages of a recording; write a recording with the same times and columns.
+    """Simulate a machine with the voltages of a recording; write what its sensors would have measured.
 
-    Its measurements, if it has any, give the state at the beginning; they do not correct the simulation afterwards.
+    The file --out has the times and voltages of --inputs and a simulated measurement of every sensor of the machine.
+    Measurements in --inputs, if any, give the state at the beginning; they do not correct the simulation afterwards.
 
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """

@@ -185,10 +185,11 @@ def identify(
 ) -> None:
     """Fit a machine to recordings; find effects (friction, ...) that its model lacks, and verify them on held-out runs.
 
-    The recordings are checked first; faults (see `hframe check`) stop the command before anything is fitted. A held-out
-    run is not used for fitting; the errors in the report are those on held-out runs. Every fourth run is held out
-    unless --hold-out names others. The folder --out receives report.json, the declared, refitted and corrected machine,
-    report.html and its plots; with several rigs, it receives a folder with these files for each rig.
+    The recordings are checked first; faults (errors in the data, such as a wrong sign, that `hframe check` lists) stop
+    the command before anything is fitted. A held-out run is not used for fitting; the errors in the report are those on
+    held-out runs. Every fourth run is held out unless --hold-out names others. The folder --out receives report.json,
+    the declared, refitted and corrected machine, report.html and its plots; with several rigs, it receives a folder
+    with these files for each rig.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """

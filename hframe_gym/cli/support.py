@@ -296,7 +296,7 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
     proposed.
 
     Args:
-        result: Result of `identify`.
+        result: Result of an identification: machines, selected effects and fitted runs.
         log: Called with a line of text for every formula, or with the reason why there is none.
 
     Returns:

@@ -72,7 +72,7 @@ class Controller(ABC):
         period: As given, s.
 
     Raises:
-        InputError: If the period is invalid (see `check_period`).
+        InputError: If the period is not between 1e-5 s and 10 s.
     """
 
     feedback: ClassVar[Feedback] = "state"

@@ -142,7 +142,7 @@ class MinimumEnergyTransfers:
     ) -> TransferSelection:
         """Select for each of B machines the shortest motion to rest at its goal whose voltages stay within the limits.
 
-        The limits are checked in the first period and in the last CHECKED_FINAL_PERIODS = 7 periods of a motion.
+        The limits are checked in the first period and in the last 7 periods of a motion.
 
         Args:
             error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
@@ -264,7 +264,7 @@ class PreviewTracker:
         model: Model of the machine.
         grid: Operating points (tool positions) for which gains are computed.
         period: Control period, s.
-        goals: Number of previewed goals (one per control period) that `command` receives; those more than `HORIZON_S`
+        goals: Number of previewed goals (one per control period) that `command` receives; those more than 0.1 s
             ahead are not used.
 
     Attributes:
@@ -284,7 +284,7 @@ class PreviewTracker:
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
         """Update the estimated disturbance forces with the linear model's prediction error over the last period.
 
-        The forces are low-pass filtered with the time constant `DISTURBANCE_TIME_CONSTANT_S`. The feedforward of
+        The forces are low-pass filtered with a time constant of 28 ms. The feedforward of
         `command` compensates them, in place of an integrator.
 
         Args:

@@ -112,7 +112,7 @@ class DeadTime:
             (B, Q, axes), Q <= P.
 
         Raises:
-            InputError: If fewer than two goals remain, because the preview ends within the dead time.
+            InputError: If fewer than two goals remain: the preview is too short for the dead time.
         """
         if self.delay_s == 0.0:
             return goals
@@ -195,7 +195,7 @@ class InputInversion:
     def command(self, motor_voltage: Array) -> Array:
         """Compute the commands with which given voltages reach the motors in spite of dead band, offset and gain.
 
-        This is the inverse of `motor_voltage`.
+        `motor_voltage` is the inverse: it computes the voltages that reach the motors.
 
         Args:
             motor_voltage: Desired voltages at the motors of B simulated machines, V, shape (B, drives).

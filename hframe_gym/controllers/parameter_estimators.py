@@ -175,7 +175,7 @@ class ParameterFilter(ParameterEstimator):
     Args:
         model: Model of the machine with its declared parameters, n coordinates and b belts.
         period: Control period, s.
-        switch_s: Time from the start of a period at which the voltages change, s, see `ParameterEstimator`.
+        switch_s: Time from the start of a period at which the voltages change (by a dead time), s; 0: start.
 
     Attributes:
         size: Number of estimates, 2 n + b.
@@ -221,7 +221,7 @@ class ParameterWindow(ParameterEstimator):
     Args:
         model: Model of the machine with its declared parameters, n coordinates and b belts.
         period: Control period, s.
-        switch_s: Time from the start of a period at which the voltages change, s, see `ParameterEstimator`.
+        switch_s: Time from the start of a period at which the voltages change (by a dead time), s; 0: start.
 
     Attributes:
         size: Number of estimates, 2 n + 2 b + drives.

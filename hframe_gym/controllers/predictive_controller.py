@@ -145,8 +145,8 @@ class PredictiveController(FullStateController):
     def gain(self) -> Array:
         """Compute the derivative of the voltages that `act` returned last with respect to the state.
 
-        It is that of the linear plan; corrections of the plan by simulations are ignored. The analytic policy gradient
-        needs it for a policy that corrects this controller.
+        It is that of the linear plan; corrections of the plan by simulations are ignored. Training by the analytic
+        policy gradient uses it if a policy corrects this controller.
 
         Returns:
             Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).

@@ -71,8 +71,8 @@ class ArrivalPlanner:
         Call it in every control period before these methods; the prediction reaches to the end of the longest plan.
 
         Args:
-            matrices: Linear models A, B and E as `LinearMotion.matrices` returns them, in m, s, V and N, of the shapes
-                (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n).
+            matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N, of the
+                shapes (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n); `LinearMotion.matrices` computes them.
             error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
                 its velocity, m and m/s, shape (B, 2 n).
             force: Force on each coordinate until the tool arrives, for example friction, N, shape (B, n).

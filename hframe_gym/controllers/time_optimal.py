@@ -252,7 +252,7 @@ class HeldVoltageReach:
     (K - 1) and K periods; K grows from that of the free voltages until there is a solution.
 
     Args:
-        machine: Machine whose motion is optimized, with its effects; see `TimeOptimalReach`.
+        machine: Machine whose motion is optimized, with its effects, which must have no memory.
         period: Control period, s.
         band: Radius of the band around the goal, m.
 

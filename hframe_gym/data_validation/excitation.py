@@ -39,7 +39,7 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 
     Args:
         recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
-        data: The same runs, prepared by `identification.prepare`.
+        data: The same runs with initial states, noise and zeros, as `identification.prepare` estimates them.
         machine: Declared machine.
 
     Returns:

@@ -54,7 +54,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     estimated jointly, with white sensor noise and without priors. At most 20000 rows of each run are used.
 
     Args:
-        data: Runs prepared by `identification.prepare` (times, voltages, measurements, noise).
+        data: Runs (times, voltages, measurements, SI) with initial states and noise (`identification.prepare`).
         machine: Declared machine, whose parameter values are the expansion point.
         names: Full names of the parameters. Default: those that identification refits. Parameters whose value is zero
             are left out.
@@ -97,7 +97,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     and back-EMF of a motor brake its motion alike; where nothing separates them, the precision of their sum is given.
 
     Args:
-        data: Runs prepared by `identification.prepare` (times, voltages, measurements, SI), in which the machine moves.
+        data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and noise.
         machine: Declared machine.
 
     Returns:

@@ -92,7 +92,7 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report whether the times of some runs overlap, because the clock restarted with each run.
+    """Report runs whose times overlap: the clock then restarted with each run.
 
     Identification can find a drift (a slow change from run to run) only if all runs have a common clock.
 

@@ -53,8 +53,8 @@ def sensor_motions(machine: Machine) -> Array:
         machine: Machine with sensors.
 
     Returns:
-        Change of each measurement, m or rad, per m or rad of each motion, shape (sensors, motions), with the motions in
-        the order of `machine.rigid_motions`.
+        Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion, shape (sensors,
+        motions), in the order of these coordinates in `machine.rigid_motions`, for example x, y.
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     return machine.sensor_matrix @ motions.T
@@ -126,8 +126,8 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     ratios: encoders are compared with sensors that have a fixed zero.
 
     Args:
-        data: Runs prepared by `identification.prepare` in which the machine moves (times, voltages, measurements, SI),
-            at least one.
+        data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at
+            least one.
         machine: Declared machine.
 
     Returns:

@@ -141,7 +141,7 @@ class BeltEquations(ParameterizedMachine):
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, one value each.
-            belts: State of each belt at this point, from `belt_states(point)`.
+            belts: Extension, stiffness and tension of each belt at this point: the result of `belt_states(point)`.
 
         Returns:
             Force along the belt travel of each coordinate, N (torque / radius for a pulley), shape (...) each.
@@ -191,7 +191,7 @@ def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Val
     Args:
         total: First summand, in the unit of row[i] * values[i]: a float, an array of shape (...) or an expression.
         row: Factor by index, for example the extension of a belt per travel of each coordinate.
-        values: Values that `row` indexes, of the same kind and shape (...) as `total`.
+        values: One value per index, of the same kind and shape (...) as `total`.
 
     Returns:
         The sum, shape (...).

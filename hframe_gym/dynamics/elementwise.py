@@ -277,7 +277,7 @@ def update_if_any(
     Args:
         condition: Function without arguments that returns the condition; it is called only to generate code.
         values: Numbers, arrays of one common shape (...) or symbolic expressions to update, in any units.
-        update: Function from the values to the new values. Where the condition is false it must change nothing.
+        update: Function from the values to the new values. It must not change values whose condition is false.
 
     Returns:
         The updated values, in the order, units and shape (...) of `values`.

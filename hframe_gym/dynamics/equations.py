@@ -62,14 +62,15 @@ class Equations(BeltEquations, SignalEquations):
     # -- drives ----------------------------------------------------------------------------------------------------
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
-        """Add the drives' forces at standstill, N Kt V / (R r) for gear ratio N and pulley radius r, to other forces.
+        """Add the force of each drive at standstill to the force on the one coordinate that it moves.
 
-        The back-EMF is not included, because it is part of the viscous coefficient (eq. 17 of Sollmann et al. 2010).
-        Values are floats, arrays of one common shape (...) or symbolic expressions.
+        With gear ratio N, torque constant Kt, voltage V, resistance R and radius r of the driven pulley, the force is
+        N Kt V / (R r). The viscous coefficient contains the back-EMF (eq. 17 of Sollmann et al. 2010). Values are
+        floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
             forces: Force along the belt travel (radius * angle of a pulley) of each coordinate, N, shape (...) each.
-            motor_voltages: Voltage at the terminals of each motor, V, from `motor_voltages`, shape (...) each.
+            motor_voltages: Voltage at the terminals of each motor, V, in the order of the drives, shape (...) each.
 
         Returns:
             Sums along the belt travel of each coordinate, N, shape (...) each.
@@ -123,7 +124,7 @@ class Equations(BeltEquations, SignalEquations):
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
-            motor_voltages: Voltage at each motor, V, from `motor_voltages`, shape (...) each.
+            motor_voltages: Voltage at the terminals of each motor, V, in the order of the drives, shape (...) each.
             forces: Sum of the forces of belts and drives on each coordinate, N, shape (...) each.
 
         Returns:
@@ -247,7 +248,8 @@ class Equations(BeltEquations, SignalEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
             coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
-            arguments: Inputs of the formula `next_state` of effects with a state, see `force_balance`.
+            arguments: Inputs of the formula `next_state`, which advances the state of an effect, by the effect's index
+                in `instances`: the Coulomb friction force `level`, N or Nm, or the current `i` of the drive, A.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))

@@ -107,7 +107,7 @@ class Kernel:
 
 
 def cache_folder() -> Path:
-    """Return the folder in which generated simulation code and its compiled form are cached; create it if necessary.
+    """Return the folder in which generated simulation code and its compiled form are cached; create it if missing.
 
     It is the first of these folders that can be written and has 32 MB of room: `$HFRAME_CACHE` (if set), `hframe_gym`
     in the user's cache folder, a temporary folder. A warning says if it is not the first one.
@@ -265,6 +265,8 @@ def is_generated(machine: Machine, *, forced: bool) -> bool:
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rearrange values of many machines into blocks of `LANES` machines, which the processor simulates side by side.
+
+    `LANES` is 16 on processors with AVX-512, otherwise 8.
 
     Args:
         values: n values (parameters or states, any unit) of each of B machines, shape (B, n), B >= 1.

@@ -90,8 +90,8 @@ class KernelSource:
     def directions(self, i: int) -> tuple[str, ...]:
         """Return the suffixes by which names of step constants distinguish the directions of motion of a coordinate.
 
-        The constants in `PER_DIRECTION`, for example the factor by which viscous friction reduces the speed in a step,
-        have two values where the viscous friction of the coordinate depends on the direction.
+        Constants that depend on viscous friction, for example the factor by which it reduces the speed in a step, have
+        two values where the viscous friction of the coordinate depends on the direction.
 
         Args:
             i: Index of the coordinate, from 0.

@@ -258,15 +258,16 @@ class ParameterizedMachine:
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
         """Return the state of an effect, such as a bristle deflection or a motor current, at a point of a motion.
 
-        An effect is a deviation from the nominal model. If the states in the point are older than the point itself
-        (`point.elapsed`, s), the state is advanced by this time.
+        An effect is a deviation from the nominal model. If `point.elapsed` is a time, s, the states in the point are
+        those of this time earlier, and the effect's formula `next_state` advances them; None: they are up to date.
 
         Args:
             k: Index of the effect in `instances` (all effects, once per component on which they act).
             point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
                 states of the effects.
-            **arguments: Coulomb friction force `level`, N or Nm, or motor current `i`, A, if the effect's formula
-                `next_state` needs it; floats, arrays of one common shape (...) or symbolic expressions.
+            **arguments: For an effect that replaces dry friction, the Coulomb friction force `level`, N or Nm; for one
+                that changes the current of a drive, the current `i` without this change, A; none for others. Floats,
+                arrays of one common shape (...) or symbolic expressions.
 
         Returns:
             State in the unit of the effect, shape (...); 0 for an effect without state.
@@ -317,8 +318,9 @@ class ParameterizedMachine:
         Args:
             k: Index of the effect in `instances` (all effects, once per component on which they act).
             state: State before the step, in the unit of the effect, shape (...).
-            arguments: Coulomb friction force `level` (N or Nm) or motor current `i` (A) if the effect needs it, shape
-                (...), from `ForceBalance.arguments[k]`; else empty.
+            arguments: For an effect that replaces dry friction, the Coulomb friction force `level`, N or Nm; for one
+                that changes the current of a drive, the current `i` without this change, A; empty for others. Values
+                of shape (...).
             traveled: Change of the belt travel (position, or radius * angle of a pulley) of each coordinate over the
                 step, m, shape (...) each.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s, shape (...) each.

@@ -112,8 +112,8 @@ def rollout_kernel(
 ) -> tuple[Kernel, NDArray[np.float64], NDArray[np.float64]]:
     """Return compiled functions that simulate a machine, with parameters and initial states arranged for them.
 
-    The functions may be shared with machines that have more effects (see `share_kernel`), so that their arrays can have
-    more parameters and states than the machine.
+    The functions may be shared with machines that have more effects (deviations from the nominal model), so that their
+    arrays can have more parameters and states than the machine. `share_kernel` prepares such functions.
 
     Args:
         machine: The machine.
@@ -124,8 +124,8 @@ def rollout_kernel(
 
     Returns:
         kernel: Functions generated for this machine if they exist, else shared ones, else newly generated ones.
-        parameters: SI, shape (B, parameters of the kernel).
-        start: As `start`, with the effect states of the kernel.
+        parameters: Parameters in the order of the kernel, SI, shape (B, parameters of the kernel).
+        start: Belt travel, m, its rate, m/s, and effect states of the kernel, shape (B, states of the kernel).
     """
     if not is_generated(machine, forced=forced):
         for shared in reversed(_SHARED):

@@ -53,7 +53,7 @@ def _cores(process: int) -> int:
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
     """Process blocks of machines in several threads; return when all are done.
 
-    A block is a group of `LANES` machines that the processor simulates side by side.
+    A block is a group of `LANES` (8 or 16) machines that the processor simulates side by side.
 
     Args:
         run: Function (first, end) that processes the blocks first to end - 1. It is called in several threads at once
@@ -141,7 +141,7 @@ def simulate_batch(
         start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
             (B, 2 * coordinates). Further columns are the states of the effects in their order (default: zero). Default:
             at rest at the origin.
-        extra_force: External force, N or Nm, held like `inputs`, shape (n, coordinates) or (B, n, coordinates).
+        extra_force: External force, N or Nm, held until the next sample, shape (n, coordinates) or (B, n, coordinates).
         measured: Measurements that correct the simulation (observer), in the channels' units, shape (n, sensors) or (B,
             n, sensors), NaN where not measured.
         gains: Observer gains, in the coordinates' units per unit of the channel, shape (2 * coordinates, sensors): at
@@ -214,14 +214,14 @@ def _run_kernel(
 
 
 def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
-    """Simulate B machines of the same structure over n samples, without sensors; see `simulate_batch`.
+    """Simulate B machines of the same structure over n samples; return positions, without sensor readings.
 
     Args:
         machine: Machine that gives the structure (`Machine.shape`) and the default parameters.
         time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
         velocities: Whether to append the velocities, m/s or rad/s, to the positions.
-        **options: Keyword arguments of `simulate_batch`, for example `parameters` and `start`.
+        **options: Keyword arguments of `simulate_batch`: `parameters` (SI, shape (B, P)), `start` (initial state), ...
 
     Returns:
         Positions, m or rad, shape (B, n, coordinates), or with velocities (B, n, 2 * coordinates).
@@ -258,7 +258,7 @@ def simulate(
         sensors), at every sample, in m or rad.
 
     Raises:
-        ValueError: If the shapes do not fit the machine, times do not increase or span more than `MOST_STEPS` steps, or
+        ValueError: If the shapes do not fit the machine, times do not increase or span more than 1e9 steps, or
             a value is not finite.
         NotFiniteError: If the motion diverges; the message names time and coordinate.
 

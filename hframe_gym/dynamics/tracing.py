@@ -101,7 +101,7 @@ class Trace:
     def load(self, array: str, row: int | str, name: str, *, invariant: bool = True) -> Expression:
         """Return the expression that loads one row of an array argument of the generated function.
 
-        A row holds one quantity of `LANES` machines, which are computed together.
+        A row holds one quantity of `LANES` (8 or 16) machines, which are computed together.
 
         Args:
             array: Name of the argument in the function's signature; an array of shape (rows, LANES).
@@ -252,14 +252,16 @@ class Trace:
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Append a block `if any_of(condition):` that updates some values to the generated function.
+        """Append to the generated function a block that updates values only if a condition is true.
 
-        Several machines are computed together. The block is skipped if the condition is false for all of them.
+        The block begins with `if any_of(condition):`. The function computes several machines together and skips the
+        block if the condition is false for all of them.
 
         Args:
             condition: Expression of a condition, one truth value per machine.
             values: Expressions and numbers to update.
-            update: Function from the values to the new values; it must change nothing where the condition is false.
+            update: Function from the values to the new values. It must leave the values of a machine unchanged whose
+                condition is false.
 
         Returns:
             Variables with the updated values, in the order of `values`.

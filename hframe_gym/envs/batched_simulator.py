@@ -286,7 +286,7 @@ class BatchedSimulator:
         """Compute the true tool positions of the machines in blocks first to last - 1.
 
         Args:
-            first: Index of the first block of LANES machines; block i holds machines i * LANES to (i + 1) * LANES - 1.
+            first: Index of the first block; block i holds machines i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
             last: Index after the last block. Default: all blocks from `first` on.
 
         Returns:

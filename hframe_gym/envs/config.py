@@ -167,7 +167,7 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Convert the environment option `machine` to a `Machine`, reading a file where necessary.
+    """Convert the environment option `machine` (object, preset name or file) to a `Machine`.
 
     Args:
         machine: A `Machine`, which is returned unchanged, the name of a machine preset, or the path of a machine.json.

@@ -245,7 +245,7 @@ class RandomizeIdentified:
     """Sample the identified parameters from their joint normal distribution around the machine's values.
 
     The distribution is truncated at the limits of each parameter, because the normal approximation of a poorly
-    identified parameter has a tail that no machine has; see `CorrelatedSampler`.
+    identified parameter has a tail that no machine has.
 
     Args:
         widen: Factor on the identified standard deviations.

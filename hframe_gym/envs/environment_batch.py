@@ -219,7 +219,7 @@ class EnvironmentBatch:
         """Advance all environments by one control period.
 
         Args:
-            actions: Result of `check_actions`: voltages as fractions of the rated voltages, shape (count, drives) for
+            actions: Voltages as fractions of the rated voltages, shape (count, drives) for
                 `count` environments; limited to [-1, 1].
 
         Returns:

@@ -51,7 +51,7 @@ class BatchProperties:
 
         Goals are taken as observed (m, or normalized), shape (axes,) or (n, axes). Rewards are a float or an array of
         shape (n,), dimensionless; for the goals that `step` returned they equal its rewards bit by bit. Only the reward
-        "progress" uses `info`; see `StepRewards.compute`.
+        "progress" uses `info`, from which it takes the goals before the step (`previous_achieved_goal`).
 
         Raises:
             AttributeError: With `flat=True`, because the observation then has no goals.
@@ -176,8 +176,9 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
                 ones.
 
         Returns:
-            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
-            info: Distance to the goal, m, and further values, see Episode End of the class.
+            observation: Arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), shape (entries of the
+                key,), as Observation Space of the class describes them.
+            info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
 
         Raises:
             InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
@@ -202,11 +203,12 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             action: Voltages as fractions of the rated voltages, shape (drives,); limited to [-1, 1].
 
         Returns:
-            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
-            reward: Reward, dimensionless, see Rewards of the class.
+            observation: Arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), shape (entries of the
+                key,), as Observation Space of the class describes them.
+            reward: Reward, dimensionless, by the option `reward`; by default it rises towards 0 at the goal.
             terminated: Whether the tool left the workspace; always False unless `ends` is "terminate".
             truncated: Always False; `gym.make` adds the limit of 150 steps.
-            info: Distance to the goal, m, and further values, see Episode End of the class.
+            info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
 
         Raises:
             ValueError: If the action has another shape or an entry is not finite.

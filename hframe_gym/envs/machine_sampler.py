@@ -58,9 +58,9 @@ class ParameterSpace:
         - parameters of an effect: the bounds in its definition; `converter_bits`: 0 (not quantized) to 32;
         - friction (`viscous`, `coulomb`), sensor `noise` and `resolution`: at least 0;
         - `rest_length` of a belt, its unstretched length at position 0: such that the unstretched length stays above
-          `SMALLEST_FRACTION` * v wherever the carriage is in the workspace;
-        - all others, those of the task included: at least `SMALLEST_FRACTION` * v if v is positive, at least 0 if v is
-          0, without limits if v is negative.
+          0.05 v wherever the carriage is in the workspace;
+        - all others, those of the task included: at least 0.05 v if v is positive, at least 0 if v is 0, without
+          limits if v is negative.
 
         Args:
             machine: Machine without randomization.
@@ -212,7 +212,7 @@ class RuleSampler:
         Args:
             base: All N parameters of the parameter space before sampling, SI, shape (k, N), or (1, N) if they are the
                 same in all environments.
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws); see the attribute `draws`.
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws) with the attribute `draws`.
 
         Returns:
             All parameters after sampling, SI, shape (k, N). Identified parameters, and those in the attribute `clipped`
@@ -254,7 +254,7 @@ class MachineSampler:
 
     Args:
         machine: Machine without randomization.
-        randomize: Name of a preset, or a list of rules; see `domain_randomization.as_rules`.
+        randomize: Name of a preset such as "default", or a list of rules.
         count: Number of environments.
         task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
 
@@ -311,7 +311,7 @@ class MachineSampler:
         """Compute the bounds of the randomized parameters divided by their nominal values.
 
         Returns:
-            Smallest and largest result of `normalized` by full name of the parameter, dimensionless.
+            Smallest and largest ratio by full name of the parameter, dimensionless; the value, SI, if its nominal is 0.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

@@ -144,12 +144,12 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the measurements at the end of a control period and store them for `write`; do nothing without sensors.
+        """Take the measurements at the end of a control period and store them; do nothing if the state is observed.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
+            elapsed: Number of control periods since the last reset of each of the `count` environments, shape (count,).
         """
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, self._rows(first, last), elapsed, fresh=False)
@@ -162,9 +162,9 @@ class ObservationBuilder:
         """Allocate arrays, without initial values, that `write` fills.
 
         Returns:
-            observation: Arrays `observation`, `achieved_goal` and, if enabled, `privileged`; float32, shape (count,
-                entries of the key) for `count` environments.
-            tool: Array for true tool positions, m, shape (count, axes); see `tool_array`.
+            observation: Arrays `observation`, `achieved_goal` and, with the constructor's `privileged`, `privileged`;
+                float32, shape (count, entries of the key) for `count` environments.
+            tool: Array for true tool positions, m, shape (count, axes); `achieved_goal` itself without sensors.
         """
         observation = {key: np.empty(shape, _FLOAT32) for key, shape in self._shapes.items()}
         return observation, self.tool_array(observation) if self.measured else observation["achieved_goal"]
@@ -175,7 +175,7 @@ class ObservationBuilder:
         If the state is observed, `achieved_goal` is the true position, so that no second array is needed.
 
         Args:
-            observation: Observation arrays from `blank`.
+            observation: Arrays by key, among them `achieved_goal`, m, shape (count, axes).
 
         Returns:
             Array for positions, m, float32, shape (count, axes): `achieved_goal` itself if the state is observed, else
@@ -199,10 +199,10 @@ class ObservationBuilder:
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            observation: Output, arrays from `blank`, shape (count, entries of the key); other rows are not changed.
-            tool: Output, true tool positions, m, shape (count, axes), from `tool_array`.
-            evaluation: Last four arguments of `evaluate_rows`: number and band (m) of a built-in reward, and the arrays
-                that receive distances, m, and rewards, shape (count,) each. Default: neither is computed.
+            observation: Output, arrays by key, shape (count, entries of the key); rows of other blocks are not changed.
+            tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
+            evaluation: Number of the built-in reward (0 dense, 1 sparse), its band, m, and the arrays that receive
+                distances, m, and rewards, dimensionless, shape (count,) each. Default: neither is computed.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.

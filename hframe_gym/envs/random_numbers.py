@@ -80,8 +80,8 @@ def uniform(key: Any, step: Any, channel: Any) -> float:
 
     Args:
         key: Key of the episode, which takes the place of a seed, uint64.
-        step: Index of the control period since the reset, from 0, or `RESET_STEP` for numbers that the reset uses;
-            integer.
+        step: Index of the control period since the reset, from 0; 2^62 (`RESET_STEP`) for numbers that the reset
+            itself uses; integer.
         channel: Index of the random number within the step, from 0; integer.
 
     Returns:
@@ -160,12 +160,12 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
 
 @compiled
 def normal_pairs(keys: Any, steps: Any, channel: Any, first: Any, second: Any) -> None:
-    """Call `normal_pair` for k episodes, in loops that the compiler vectorizes, and write the results to two arrays.
+    """Generate two independent normal random numbers (mean 0, variance 1) for each of k episodes, in two arrays.
 
     Args:
         keys: Keys of the episodes, uint64, shape (k,).
         steps: Index of the control period since the reset of each episode, from 0; int64, shape (k,).
-        channel: As for `normal_pair`, integer, the same for all episodes.
+        channel: Index of the first of two random numbers within the step, integer, the same for all episodes.
         first: Output, first number of each pair, dimensionless, shape (k,).
         second: Output, second number of each pair, dimensionless, shape (k,).
     """
@@ -192,7 +192,7 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
     """Generate the uniform random numbers that the resets of k episodes use.
 
     Args:
-        keys: Keys of the new episodes from `episode_keys`, uint64, shape (k,).
+        keys: Keys of the new episodes, which take the place of seeds, uint64, shape (k,).
         count: Random numbers per episode.
 
     Returns:

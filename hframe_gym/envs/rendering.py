@@ -56,7 +56,7 @@ class Scene:
 
         Returns:
             Scene with tool position and goal, m, angles of the first two motor pulleys, rad, belt tensions, N, and the
-            trail; for a moving goal also its path during the first `PATH_S` seconds of the episode.
+            trail; for a moving goal also its path during the first 3 s of the episode.
         """
         index = np.array([b])
         position = batch.simulator.positions(b)
@@ -100,7 +100,7 @@ def tension_color(tension: float | None) -> Color:
     """Return the color in which a picture shows a belt: gray at its pretension, blue below, red above.
 
     Args:
-        tension: Tension minus pretension, N; None if unknown. Beyond `FULL_COLOR_TENSION` the color does not change.
+        tension: Tension minus pretension, N; None if unknown. Beyond +-40 N the color does not change.
 
     Returns:
         Red, green and blue, 0 to 255.
@@ -181,7 +181,7 @@ class Renderer:
             scene: Positions, tensions and goal of an environment.
 
         Returns:
-            Picture, uint8, shape (HEIGHT, WIDTH, 3), in mode "rgb_array"; None in mode "human" (updates the window).
+            Picture, uint8, shape (660, 880, 3), in mode "rgb_array"; None in mode "human" (updates the window).
         """
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))

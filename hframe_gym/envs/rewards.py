@@ -150,7 +150,7 @@ class BuiltinReward:
 
 @REWARDS.register("dense")
 class DenseReward(BuiltinReward):
-    """Reward -mean(d / (d + scale)) over the five lengths `SCALES`, with the distance d to the goal, m.
+    """Reward -mean(d / (d + scale)) over the five lengths 0.2 m, 20 mm, ..., 20 um (`SCALES`), with the distance d.
 
     It is 0 at the goal and approaches -1 far from it. In between it resembles -log d: its slope at 0.1 mm is about a
     hundred times that at 10 mm, so that the last tenths of a millimeter still change the reward measurably.

@@ -118,14 +118,15 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     def step_wait(
         self,
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Advance by one control period with the actions of `step_async`.
+        """Advance by one control period with the actions that `step_async` has received.
 
         Returns:
             observation: Arrays by key, shape (num_envs, entries of the key). Where an episode ended, this is the first
                 observation of the next one.
             reward: Rewards, dimensionless, shape (num_envs,).
             done: Whether the episode ended, by termination or truncation, shape (num_envs,).
-            infos: One dict per environment, empty unless its episode ended; see the class.
+            infos: One dict per environment, empty unless its episode ended; then with `terminal_observation`,
+                `TimeLimit.truncated`, `is_success` and `distance_m`, which the class documents.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
@@ -172,7 +173,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Return an attribute of the vector environment, which is the same for all environments.
 
         Args:
-            attr_name: Name of an attribute of `envs`.
+            attr_name: Name of an attribute of `HFrameVectorEnv`.
             indices: Index or indices of environments; None for all.
 
         Returns:
@@ -187,7 +188,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Set an attribute of the vector environment. It applies to all environments.
 
         Args:
-            attr_name: Name of an attribute of `envs`.
+            attr_name: Name of an attribute of `HFrameVectorEnv`.
             value: New value.
             indices: Not used, because single environments have no attributes.
         """
@@ -197,7 +198,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Call a method of the vector environment once.
 
         Args:
-            method_name: Name of a method of `envs`.
+            method_name: Name of a method of `HFrameVectorEnv`.
             *args: Positional arguments of the method.
             indices: Index or indices of environments; None for all. They only set the length of the result.
             **kwargs: Keyword arguments of the method.

@@ -101,7 +101,7 @@ class SensorSuite(ABC):
         """Select the sensors of a machine whose measurements are in the observation.
 
         Args:
-            machine: Machine that `apply` of this suite returned.
+            machine: Machine that declares the sensors of this suite, as `apply` returns it.
 
         Returns:
             Sensors in the order of their measurements in the observation.
@@ -164,7 +164,7 @@ class Sensors(SensorSuite):
         """Select the sensors in the observation: the lasers on the tool's axes, then the encoders.
 
         Args:
-            machine: Machine that `Sensors.apply` returned.
+            machine: Machine that declares these sensors, as `apply` returns it.
 
         Returns:
             Sensors in the order of the observation. Lasers or encoders are missing if the attribute is None.

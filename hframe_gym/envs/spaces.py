@@ -56,7 +56,7 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
         Specifications (name, unit, bounds) of all positions, then of all velocities, in the order of `names`.
 
     Raises:
-        InputError: If the machine has no workspace; see `workspace_of`.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
     """
     workspace = workspace_of(machine)
     # m/s of belt: without load at rated voltage, times a margin
@@ -115,7 +115,7 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
         has the name of the coordinate, or of the sensor's channel if several sensors measure the same coordinate.
 
     Raises:
-        InputError: If the machine has no workspace; see `workspace_of`.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
     """
     coordinates = [sensor.coordinate for sensor in sensors]
     specs = state_signals(machine, coordinates)
@@ -143,7 +143,7 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
         Specifications (name, unit, bounds) of the positions of all coordinates, their velocities, then the parameters.
 
     Raises:
-        InputError: If the machine has no workspace; see `workspace_of`.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
     """
     observed = [spec.coordinate for spec in state_signals(machine) if not spec.velocity]
     others = [name for name in machine.coordinate_names if name not in observed]
@@ -170,15 +170,15 @@ def observation_signals(
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.
-        privileged: Entries of the array `privileged` for a critic, see `privileged_signals`. Default: no such array.
+        privileged: Entries of the array `privileged` for a critic (true state, parameters). Default: no such array.
 
     Returns:
         Specifications (name, unit, bounds) by key, in alphabetical order of the keys as in a space of Gymnasium:
-        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, and if requested `preview` (axes *
-        previews entries) and `privileged`.
+        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, with `previews` > 0 `preview` (axes *
+        previews entries), and `privileged` unless it is empty.
 
     Raises:
-        InputError: If the machine has no workspace; see `workspace_of`.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
     """
     workspace = workspace_of(machine)
 
@@ -209,14 +209,14 @@ def observation_space(
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.
-        privileged: Entries of the array `privileged` for a critic, see `privileged_signals`. Default: no such array.
+        privileged: Entries of the array `privileged` for a critic (true state, parameters). Default: no such array.
 
     Returns:
         Bounded float32 boxes by key: `observation`, shape (entries,), `achieved_goal` and `desired_goal`, shape
-        (axes,), and if requested `preview`, shape (axes * previews,), and `privileged`, shape (entries,).
+        (axes,), with `previews` > 0 `preview`, shape (axes * previews,), and `privileged` unless it is empty.
 
     Raises:
-        InputError: If the machine has no workspace; see `workspace_of`.
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
     """
     signals = observation_signals(machine, previews, observed=observed, privileged=privileged)
     return spaces.Dict({key: box(*bounds_of(specs)) for key, specs in signals.items()})
@@ -319,7 +319,7 @@ class ObservationFormat:
         return values if self.entries is None else np.concatenate(list(values.values()), axis=1)
 
     def goal_in_meters(self, goal: ArrayLike) -> NDArray[np.float32]:
-        """Convert goals as they are observed to positions; the inverse of `goal_as_observed`.
+        """Convert goals as they are observed (in meters or normalized) to positions.
 
         Args:
             goal: Achieved or desired goals as observed (m, or dimensionless if normalized), shape (axes,) or (n, axes).

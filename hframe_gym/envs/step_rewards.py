@@ -70,7 +70,7 @@ class ProgressReward:
             desired: Goal positions, m, float32, shape (n, axes).
 
         Returns:
-            Bonus PRECISION_BONUS / (1 + d / BONUS_SCALE) with the distance d, dimensionless, shape (n,).
+            Bonus 1 / (1 + d / 2 mm) with the distance d, dimensionless, shape (n,).
         """
         return PRECISION_BONUS / (1.0 + distances(achieved, desired) / BONUS_SCALE)
 

@@ -125,8 +125,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
         Returns:
             observation: Arrays by key of all environments, shape (num_envs, entries of the key).
-            info: Arrays by key, see Episode End of `HFrameEnv`, shape (num_envs,); zero for environments that are not
-                reset. As usual in Gymnasium, for each key the mask "_" + key tells which environments have a value.
+            info: Arrays by key, `distance_m` to the goal, m, `is_success` and others (Episode End of `HFrameEnv`
+                describes them), shape (num_envs,); zero for environments that are not reset. As usual in Gymnasium, for
+                each key the mask "_" + key tells which environments have a value.
 
         Raises:
             InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
@@ -171,8 +172,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             reward: Rewards, dimensionless, shape (num_envs,).
             terminated: Whether the tool left the workspace, with `ends="terminate"`, shape (num_envs,).
             truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
-            info: Arrays by key, see Episode End of `HFrameEnv`, shape (num_envs,). As usual in Gymnasium, for each key
-                the mask "_" + key tells which environments have a value.
+            info: Arrays by key, `distance_m` to the goal, m, `is_success` and others (Episode End of `HFrameEnv`
+                describes them), shape (num_envs,). As usual in Gymnasium, for each key the mask "_" + key tells which
+                environments have a value.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.

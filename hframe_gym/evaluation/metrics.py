@@ -54,11 +54,11 @@ def score_episodes(
         episodes: B recorded episodes: positions and goals, m, voltages, V, energy, J, belt forces, N.
         bound_s: Shortest possible settling times, s, shape (B,), NaN where unknown; None if unknown for all.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
-        metrics: Name of a metric set (see `METRICS`). Default: "track" if the episodes have a path, else "reach".
+        metrics: "reach" (fixed goal), "track" (path) or another registered set. Default: "track" if there is a path.
 
     Returns:
-        The results of the metric set (see `reach_metrics` and `track_metrics`) and four further scores, each with
-        `mean` and `ci95`, the 95 % confidence interval of the mean over the episodes:
+        The metrics of this set, and four further scores, each with `mean` and `ci95`, the 95 % confidence interval of
+        the mean over the episodes:
         `energy_J`: electrical energy drawn minus energy fed back, J.
         `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
         `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
@@ -83,20 +83,20 @@ def score_episodes(
 def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
     """Compute the metrics of moves to a fixed goal: success, settling time, overshoot, and error at the end.
 
-    A band is a largest distance to the goal. An episode settles in a band if the tool stays within it until the end.
+    An episode settles within 1, 0.2 or 0.05 mm if the tool stays within this distance of the goal until the end.
 
     Args:
         episodes: B recorded episodes with fixed goals.
-        bound_s: Shortest possible settling time of each episode in the band `BOUND_BAND`, s, shape (B,), NaN where
-            unknown; None if it is unknown for all.
+        bound_s: Shortest possible settling times within 0.2 mm, s, shape (B,), NaN where unknown; None for all unknown.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
-        `success`: fraction of episodes that settle, 0 to 1, by name of the band in `BANDS`.
-        `settling_s`: by band, `mean`, `median`, `p95` (quantile) and `ci95` (confidence interval of the mean) of the
+        `success`: fraction of episodes that settle, 0 to 1, by distance ("1mm", "0.2mm", "0.05mm").
+        `settling_s`: likewise, `mean`, `median`, `p95` (quantile) and `ci95` (confidence interval of the mean) of the
         settling times, s; an episode that does not settle counts with its complete length.
-        `over_bound`: ratio of settling times to bounds as `ratio_to_bound` returns it; None without bounds.
-        `overshoot_mm`, `final_error_mm`: `mean` and `ci95` over the episodes, mm.
+        `over_bound`: mean ratio of settling time to bound, with `ci95`, under the key "0.2mm"; None without bounds.
+        `overshoot_mm`: distance by which the tool passes the goal on the line from start to goal, mm, and
+        `final_error_mm`: distance to the goal at the end, mm; `mean` and `ci95` over the episodes each.
 
     Raises:
         ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
@@ -132,7 +132,7 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
         seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
-        `success`: fraction of episodes whose contour error never exceeds a limit, 0 to 1, by limit (`BANDS`).
+        `success`: fraction of episodes whose contour error never exceeds 1, 0.2 or 0.05 mm, 0 to 1, by this limit.
         `contour_mm`, `tracking_mm`: `rms` and `max` of the error in an episode, mm. `delay_ms`: delay of the tool, ms.
         Each has the `mean` over the episodes and `ci95`, its 95 % confidence interval.
 
@@ -240,9 +240,9 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
         seed: Seed of the bootstrap resampling.
 
     Returns:
-        None if no bound is known; else a dictionary with the key `BOUND_BAND` (the settling band of the bounds) and:
+        None if no bound is known; else a dictionary with the key "0.2mm" (distance within which bounds settle) and:
         `mean`, `ci95`: mean of the ratios time / bound over the episodes, and its 95 % confidence interval.
-        `ratio_of_means`: mean time / mean bound as `ratio_of_means` returns it; weights episodes by their bounds.
+        `ratio_of_means`: `mean` and `ci95` of mean time / mean bound, which weights episodes by their bounds.
         `episodes`: number of episodes with a bound.
 
     Raises:

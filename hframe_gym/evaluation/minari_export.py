@@ -71,12 +71,12 @@ def export_dataset(
     controller, the machine with all parameters, the options of the environment and the version of this package.
 
     Args:
-        name: Name of the controller as for `make_controller`, or the folder of a trained agent.
+        name: Name of a registered controller, such as "pid", `module:name` of one, or folder of a trained agent.
         scenario: Machine, task, randomization, sensors, drives, number of episodes, seed, period and duration.
         out: Folder for data sets; created if it does not exist.
-        normalize: Whether observations and goals are stored as (value - center) / scale, see `SignalSpec`, about -1 to
-            1. The controller always receives SI units.
-        flat: Whether a stored observation is one array instead of a dict of arrays, as of `HFrameFlat-v0`.
+        normalize: Whether observations and goals are stored as (value - center) / scale, about -1 to 1: positions over
+            their range, velocities over the no-load speed. The controller always receives SI units.
+        flat: Whether a stored observation is one array instead of a dict of arrays.
         author: Author in the metadata. Default: none.
 
     Returns:

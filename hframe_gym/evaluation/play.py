@@ -141,7 +141,7 @@ class PlayedStage:
         """Draw this stage from above in its present state, with goal and trail of the tool.
 
         Returns:
-            Pygame surface of `WIDTH` x `HEIGHT` pixels, which the next call overwrites.
+            Pygame surface of 880 x 660 pixels, which the next call overwrites.
         """
         self.view.draw(Scene.of(self.env.batch, 0, self._trail))
         return self.view.surface

@@ -22,7 +22,7 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
     """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and voltages.
 
     Args:
-        episodes: Recorded episodes of one controller, as `rollout` returns them.
+        episodes: Recorded episodes of one controller: positions and goals, m, voltages, V, and times, s.
         episode: Index of the episode, from 0 to the number of episodes - 1.
         title: Title of the figure; empty for none.
 
@@ -56,7 +56,7 @@ def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: 
 
     Args:
         path: File to write; the suffix is .png, .svg or .pdf.
-        episodes: Recorded episodes of one controller, as `rollout` returns them.
+        episodes: Recorded episodes of one controller: positions and goals, m, voltages, V, and times, s.
         episode: Index of the episode, from 0 to the number of episodes - 1.
         title: Title of the figure; empty for none.
 

@@ -43,7 +43,7 @@ class _Strict(BaseModel):
 
 
 class EntryTable(_Strict):
-    """What was scored; see `Entry`."""
+    """What was scored: name in results, kind, and SHA-256 hash of the files of the controller or agent."""
 
     name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^|<>`\n]+$")]
     kind: Literal["controller", "agent"]
@@ -80,10 +80,10 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
     Args:
         protocol: Benchmark that was run.
         entry: Name, kind and hash of the controller or agent.
-        draws: Values of all episodes (draws), by part of the protocol and metric, as `run_protocol` returns them.
+        draws: Values of all episodes (draws), by part of the protocol and metric, in the unit of the metric.
 
     Returns:
-        Content of the file, see `ResultFile`.
+        Name and digest of the protocol, entry, package versions, scores by part and metric, and the draws.
     """
     return {
         "schema": SCHEMA,
@@ -119,7 +119,7 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
     """Compute the scores of one part of a protocol (a task) from the metrics of its single draws (episodes).
 
     Args:
-        values: Values of the B draws by metric, as `draw_values` returns them; None for a draw that does not settle.
+        values: Values of the B draws by metric, e.g. `final_error_mm`, mm, or `settling_s.1mm`, s, None if not settled.
         duration_s: Length of an episode, s, which counts as the settling time of a draw that does not settle.
 
     Returns:
@@ -155,7 +155,7 @@ def result_file_name(content: Mapping[str, Any]) -> str:
     """Return the name of a result file, made of the names of the protocol and of the controller or agent.
 
     Args:
-        content: Content of the file, as `result_content` returns it.
+        content: Content of the file, of which names of protocol and entry are used.
 
     Returns:
         For example "reach-v1_adaptive-pid.json".
@@ -170,8 +170,8 @@ def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
     If this fails, an existing file stays unchanged.
 
     Args:
-        folder: Folder, which is created if necessary.
-        content: Content, as `result_content` returns it.
+        folder: Folder; created if it does not exist.
+        content: Names of protocol and entry, scores and draws, which `result_content` has collected.
 
     Returns:
         Path of the file, PROTOCOL_ENTRY.json.

@@ -94,7 +94,7 @@ class Protocol:
         """Return the settings with which the episodes of a part (task) are simulated.
 
         Args:
-            part: Name of the part, a key of `parts`.
+            part: Name of the part, for example "reach".
 
         Returns:
             Machine, task, randomization, sensors, drives, period, number of episodes and seed. The machine includes
@@ -118,10 +118,10 @@ class Protocol:
     def declared_scenario(self, part: str) -> Scenario:
         """Return the settings from which a controller is designed that will run in a part (task).
 
-        They differ from `scenario`: the machine lacks undeclared effects, and the full state is observed.
+        They differ from the simulated ones: the machine lacks undeclared effects, and the full state is observed.
 
         Args:
-            part: Name of the part, a key of `parts`.
+            part: Name of the part, for example "reach".
 
         Returns:
             Scenario with the declared machine, its randomization, and full state in place of the sensors.
@@ -154,7 +154,7 @@ class Protocol:
         """Check that this installation gives the same settings and draws, so that its scores are comparable.
 
         Raises:
-            InputError: If the computed digest differs from `digest`.
+            InputError: If the digest (hash) of settings and draws differs from the one that the protocol declares.
         """
         digest = self.compute_digest()
         if digest != self.digest:
@@ -235,13 +235,13 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     """Run a controller or an agent through all parts of a protocol.
 
     Args:
-        name: Name as for `make_controller` (a registered controller, `module:name`, a shipped agent or an agent's
-            folder), or a folder with one agent per task in the folders `reach` and `track`.
+        name: Name of a registered controller, `module:name` of one, a shipped agent or an agent's folder, or a folder
+            with one agent per task in the folders `reach` and `track`.
         protocol: Benchmark to run.
 
     Returns:
         entry: Name, kind and hash of the controller or agent.
-        draws: Values of all draws (episodes), by part (task) and metric, as `draw_values` returns them for a part.
+        draws: Values of all draws (episodes), by part (task) and metric, in the unit of the metric.
 
     Raises:
         InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges, or the
@@ -269,9 +269,9 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
     full state, or an agent that was trained with it, receives the estimates of a `StateEstimator`.
 
     Args:
-        name: Name as for `make_controller`, or a folder with one agent per task in the folders `reach` and `track`.
+        name: Controller such as "pid", agent or its folder, or folder with one agent each in `reach` and `track`.
         protocol: Benchmark in which it will run.
-        part: Name of the part, a key of `protocol.parts`.
+        part: Name of the part, for example "reach".
 
     Returns:
         entry: Name, kind and hash of the controller or agent.
@@ -327,9 +327,9 @@ def draw_values(episodes: Episodes) -> Draws:
         episodes: B recorded episodes of a part.
 
     Returns:
-        List of B values for each metric, rounded to `DECIMALS`. For moves to a point: `settling_s.BAND`, the settling
-        time, s, for each name of a band in `BANDS`, None if the draw does not settle; and `final_error_mm`, mm. For
-        paths: `contour_rms_mm`, `contour_max_mm` and `tracking_rms_mm`, mm.
+        List of B values for each metric, rounded to 6 decimals. For moves to a point: `settling_s.1mm`,
+        `settling_s.0.2mm` and `settling_s.0.05mm`, time until the tool stays this close to the goal, s, None if it does
+        not; and `final_error_mm`, mm. For paths: `contour_rms_mm`, `contour_max_mm` and `tracking_rms_mm`, mm.
     """
     if episodes.contour is None:
         values: Draws = {}

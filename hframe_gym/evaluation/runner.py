@@ -58,7 +58,7 @@ def evaluate(
     """Simulate controllers on identical episodes and score them.
 
     Args:
-        controllers: One or several names as for `make_controller`, or controllers by the names that results show.
+        controllers: Names of controllers (such as "pid"), agents or folders; or controllers by the names in results.
         machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
         task: "reach", "track", the name of another registered task, or a task object.
         randomize: Preset name or list of randomization rules for the machine's parameters.
@@ -227,8 +227,8 @@ def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
     """Write the scores of an evaluation to scores.json; if this fails, an existing file stays unchanged.
 
     Args:
-        folder: Folder, which is created if necessary.
-        scores: `scores` of an `Evaluation`.
+        folder: Folder; created if it does not exist.
+        scores: Description of the scenario, and the scores by name of the controller (`Evaluation.scores`).
 
     Returns:
         Path of the written file.

@@ -325,7 +325,7 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
 
 
 def period_concern(machine: Machine, period: float) -> str | None:
-    """Return a warning if the slowest vibration of a machine on its belts is too fast for a control period.
+    """Return a warning if even the slowest vibration of a machine on its belts is above half the control rate.
 
     A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
 

@@ -33,8 +33,8 @@ def write_scorecard(
     """Write scorecard.html: verdict, scores side by side with 95 % intervals, and the first episode of each controller.
 
     Args:
-        folder: Folder, which is created if necessary.
-        scores: Contents of scores.json, as `evaluate` returns them.
+        folder: Folder; created if it does not exist.
+        scores: Contents of scores.json: description of the scenario, and the scores by name of the controller.
         recorded: Recorded episodes by name of the controller, for the plots of the first episode. Default: no plots.
         warnings: Sentences about results that cannot be trusted.
 

@@ -171,10 +171,10 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
 
 
 def with_absent_effects(machine: Machine) -> Machine:
-    """Return a copy of a machine that has all effects of `EFFECT_FAMILIES`, switched off.
+    """Return a copy of a machine with 21 kinds of effects (of friction, drives, belts, ...), switched off.
 
     Switched off means that the parameters of an effect are such that it has no influence. Only `current_limit` acts
-    even so, with the limit of the drives "rig".
+    even so, with the 12 A limit of the drives "rig".
 
     Args:
         machine: The H-frame without these effects.
@@ -195,11 +195,13 @@ def with_absent_effects(machine: Machine) -> Machine:
 
 
 def effect_rules() -> tuple[RandomizeParameter, ...]:
-    """Return the randomization rules that switch on, in every episode, some effects of `with_absent_effects`.
+    """Return the randomization rules that switch on some of the added effects in every episode.
+
+    `with_absent_effects` has added these effects to the machine in such a way that they have no influence.
 
     Returns:
         For each effect at each of its sites, one rule for its size with the distribution `Sometimes`, which leaves most
-        effects off, and one rule for each other parameter that varies, with its distribution in `EFFECT_FAMILIES`.
+        effects off, and one rule for each other parameter that varies, such as a phase or a period.
     """
     rules = []
     for family in EFFECT_FAMILIES:
@@ -217,7 +219,7 @@ def acting_effects(machine: Machine, parameters: Array) -> Machine:
     """Return the machine of one episode, with its sampled parameters and without the effects that are off.
 
     Args:
-        machine: Machine of the environment, with the effects of `with_absent_effects`.
+        machine: Machine of the environment, with all effects that an episode may switch on.
         parameters: Values of the P `Machine.parameters` in the episode, SI, shape (P,).
 
     Returns:

@@ -46,7 +46,8 @@ def vibration_speeds(machine: Machine) -> dict[str, float]:
         machine: Machine with or without belts.
 
     Returns:
-        Natural frequency times the angle of `stretch_angles`, rad/s, by name of each pulley with a sensor.
+        Natural frequency times the angle by which the drives stretch the belts, rad/s, by name of each pulley with a
+        sensor.
     """
     speeds = {}
     for name, angle in stretch_angles(machine, moving=True).items():

@@ -49,7 +49,7 @@ class Candidate:
         columns: Basis functions of the effect (for example sine and cosine), whose weighted sum is the effect. Each is
             a complete set of effect parameters, by parameter name, with the amplitude at its typical size. An effect
             without an amplitude has a single set, which is the effect itself.
-        scales: Typical sizes at the site, by unit of the effect's parameters, see `TypicalScales.of`.
+        scales: Typical sizes at the site (force, speed, ...), by unit of the effect's parameters.
     """
 
     effect: Effect
@@ -110,15 +110,15 @@ def candidates(
         data: Prepared recordings (times, voltages, measurements).
         scales: Typical sizes of force, speed and so on, by which relative starting values are multiplied.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
-            the force that the model lacks, in the coordinate's units, see `residual.missing_force`. Its strongest
-            periods over the position are the starting values for effects that are periodic in position.
-        slow_friction: Whether friction that is periodic in position is also tried with the long periods of
-            `slow_rates`.
+            the force that the model lacks, in the coordinate's units. Its strongest periods over the position are the
+            starting values for effects that are periodic in position.
+        slow_friction: Whether friction that is periodic in position is also tried with long periods, of which the range
+            of the positions holds 0.5 to 6.
 
     Returns:
         One candidate per effect, site and set of starting values, at most 64 per effect and site. Not included are
         effects that the machine has already, those that a refit of its parameters can represent, and those that
-        replace a part of the model, which `screening.screen_structures` tries.
+        replace a part of the model (added coordinates, dry friction); `screening.screen_structures` tries the latter.
     """
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
@@ -204,10 +204,10 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
     """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
-    The optimizer changes one dimensionless variable theta per parameter, see `FreeParameter`. A parameter that must be
-    positive is start * exp(theta), with its starting value; an amplitude, a phase, or a parameter that may be zero or
-    negative is start + size * theta, with its typical size. The ordinates of a table (a curve given by its values at
-    knots) are size * theta.
+    The optimizer changes one dimensionless variable theta per parameter. A parameter that must be positive is
+    start * exp(theta), with its starting value; an amplitude, a phase, or a parameter that may be zero or negative is
+    start + size * theta, with its typical size. The ordinates of a table (a curve given by its values at knots) are
+    size * theta.
 
     Args:
         effect: Effect (deviation from the nominal model) with its starting values.

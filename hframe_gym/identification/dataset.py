@@ -55,7 +55,7 @@ class PreparedRecording:
 
     @property
     def count(self) -> float:
-        """Number of independent measured values that enter the residual, dimensionless: the sum of `counted`."""
+        """Number of independent measured values that enter the residual, dimensionless; repeated ones count once."""
         return float(self.counted.sum())
 
     def initial_state(self, machine: Machine) -> Array:
@@ -132,15 +132,14 @@ class Dataset:
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     """Prepare recordings for a fit: fill gaps, and estimate initial states and properties of the sensors.
 
-    The estimated properties are zeros (measurements at position 0), quantization steps and noise.
-
     Args:
         recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least one.
         machine: Machine with the rig's coordinates, belts and sensors.
 
     Returns:
-        Data set with one prepared recording per run (measurements of shape (n, sensors), m or rad), and noise and
-        quantization step of each sensor, m or rad, shape (sensors,).
+        Data set with one prepared recording per run: its initial state, and its measurements minus the sensors' zeros
+        (measurements at position 0), m or rad, shape (n, sensors). For all runs: noise and quantization step of each
+        sensor, m or rad, shape (sensors,), and the zeros of those encoders that kept them in all runs.
     """
     recordings = [fill_gaps(recording) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
@@ -171,7 +170,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Leave out the runs whose initial position no sensor determines, because a simulation needs it.
+    """Leave out the runs whose initial position no sensor determines, so that they cannot be simulated.
 
     Args:
         data: Data set of prepared runs (times, voltages, measurements, SI).
@@ -235,7 +234,7 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     """Correct the estimated zeros (measurements at position 0) of the encoders with a fitted machine.
 
     `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
-    forces that stretch the belts at rest, and so the errors of these zeros, see `encoder_zero_errors`.
+    forces that stretch the belts at rest; this stretch is the error of the zeros.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
@@ -309,7 +308,8 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
     """Compute typical sizes of forces, speeds, positions, currents and belt extensions from a motion.
 
     Other functions state starting values and scales of parameters relative to these sizes. A speed is the 99th
-    percentile, a position the range, a current the maximum over the motion; a force is that of `typical_force`.
+    percentile, a position the range, a current the maximum over the motion; a force is a tenth of that of all
+    drives together at rated voltage.
 
     Args:
         machine: Machine that moved.
@@ -318,7 +318,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes by coordinate and, for belts, in general, all positive. `TypicalScales` lists keys and units.
+        Typical sizes by coordinate ("force", "speed", ... in its units) and in general ("A", ... in SI), all positive.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

@@ -55,7 +55,7 @@ class EncoderZeros(NamedTuple):
         """Read the zeros (measurements at position 0) from the sensors of a machine.
 
         Args:
-            machine: Machine; the sensors of an identified one may have a zero, see `machine.Sensor`.
+            machine: Machine; the sensors of an identified one may have a zero (attribute `Sensor.zero`).
 
         Returns:
             Zeros of all sensors, m or rad, shape (sensors,); NaN (unknown) where the machine file has none.
@@ -162,8 +162,8 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
         quanta: Quantization steps of the sensors, in their units, shape (sensors,).
 
     Returns:
-        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of twice the angle of
-        `max_held_angle`, four standard deviations and two quantization steps.
+        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of four standard deviations, two
+        quantization steps, and twice the angle by which friction can hold the pulley away from unstretched belts.
     """
     # Friction can hold the pulley in one direction in this run, and in the other one in those that gave the zeros.
     return np.asarray(2 * max_held_angle(machine) + _MAX_SCATTER * zeros.spread + 2 * quanta)

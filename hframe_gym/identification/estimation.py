@@ -88,7 +88,7 @@ def fit(
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
     The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors.
-    The optimizer changes one dimensionless variable theta per free parameter, see `FreeParameter`.
+    The optimizer changes a dimensionless theta per parameter: value = center * exp(theta) or center + scale * theta.
 
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
@@ -139,7 +139,7 @@ def fit(
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
     """Return the cost of a machine: the sum of the squared residuals of its predictions over all runs.
 
-    The residuals are prediction errors divided by the sensors' noise, see `prediction_residuals`.
+    The residuals are measured minus predicted values divided by the standard deviation of the sensors' noise.
 
     Args:
         machine: Machine that predicts.

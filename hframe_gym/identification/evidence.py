@@ -227,7 +227,7 @@ def _block_sums(rows: Array, size: int) -> Array:
 def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
     """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
 
-    Confirmation by other runs and chance are tested only if the error without the effect is close to the noise.
+    Confirmation by other runs and chance are tested only if chi-squared per sample without it is below 1.5.
 
     Args:
         current: Fit (machine, parameters theta, shape (k,), cost) without the effect.

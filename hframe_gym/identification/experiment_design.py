@@ -105,8 +105,8 @@ def design_discriminating_experiment(
 ) -> ExperimentDesign | None:
     """Design the run that decides between an identified effect (deviation from the nominal model) and its best rival.
 
-    A rival is another effect that explains the same data equally well. The run is the one on which the predictions of
-    the machines with either effect differ most, see `separate_machines`.
+    A rival is another effect that explains the same data equally well. Steps, sines and other voltages are simulated
+    with both machines; the run is the one on which their predictions differ most.
 
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
@@ -119,7 +119,7 @@ def design_discriminating_experiment(
     Returns:
         Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural, if no
         rival remains, if the machine with the rival diverges, or if the predictions of the two machines differ by less
-        than `MINIMUM_SIGMA` (10) standard deviations of the noise on every simulated run.
+        than 10 standard deviations of the noise on every simulated run.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -150,7 +150,7 @@ def separate_machines(
 
     Returns:
         Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if the predictions
-        differ by less than `MINIMUM_SIGMA` (10) standard deviations of the noise in total on every simulated run.
+        differ by less than 10 standard deviations of the noise in total on every simulated run.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

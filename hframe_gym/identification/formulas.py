@@ -54,7 +54,7 @@ class ProposedFormula:
             chi-squared per sample); None if the formula was fitted only to the values of the table.
         held_out: Root-mean-square error of the simulated held-out runs by channel, in units of the sensor noise; empty
             if the formula was fitted only to the values of the table.
-        recommended: Whether it is the recommended formula for the table (see the module's docstring).
+        recommended: Whether it is the simplest formula whose error is at most 1.1 times the smallest one.
     """
 
     effect: FormulaEffect
@@ -144,7 +144,7 @@ class TableComparison:
 
         Returns:
             "table": label (name@site) of the table; "complexity": number of its values; "fitted" and "held_out": errors
-            with the table on runs, in units of the sensor noise; "formulas": see `ProposedFormula.as_json`.
+            with the table on runs, in units of the sensor noise; "formulas": equation, values and errors of each.
         """
         return {
             "table": self.table.label,
@@ -173,7 +173,7 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
     Args:
         machine: Identified machine with the table. The covariance of its parameters weights the values; without it,
             all values have the same weight.
-        table: One of `tables_of(machine)`.
+        table: Effect of the machine that is such a table.
 
     Returns:
         At most three formulas by increasing number of parameters; one is recommended. Their errors on runs are not
@@ -195,7 +195,7 @@ def compare_formulas(
     parameters of the machine are fitted again. A formula with which the machine diverges is left out.
 
     Args:
-        result: Result of `identify`.
+        result: Result of an identification: machines, selected effects and fitted runs.
         log: Called with a line of text for every table and formula.
 
     Returns:

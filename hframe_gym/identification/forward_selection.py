@@ -141,7 +141,7 @@ class EffectSearch:
         Other runs must confirm an effect, chance must not explain its gain, the machine must stay stable, and its force
         must exceed the one that remains unexplained (`evidence`). Effects that fail a test are added to `considered`.
         After each effect, the bandwidth of the observer that corrects predictions by the measurements is chosen anew,
-        see `model_error.fit_with_model_error`, and earlier effects may be replaced by ones that now explain more.
+        so that it maximizes the likelihood, and earlier effects may be replaced by ones that now explain more.
 
         Args:
             current: Fit of the machine with the effects selected so far.

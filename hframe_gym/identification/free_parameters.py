@@ -59,7 +59,7 @@ class FreeParameter:
 
     @property
     def theta_limit(self) -> float:
-        """Largest |theta| that a fit may reach, dimensionless: 4 prior standard deviations; infinite with `scale`."""
+        """Largest |theta| in a fit, dimensionless: 4 prior standard deviations of a logarithm, otherwise infinite."""
         return _MAXIMUM_DEVIATION * self.prior if self.scale is None else math.inf
 
     def at_limit(self, theta: float) -> bool:
@@ -69,7 +69,7 @@ class FreeParameter:
             theta: Dimensionless optimizer variable that the fit returned.
 
         Returns:
-            True if |theta| is more than 99 % of `theta_limit`.
+            True if |theta| is more than 99 % of its limit, 4 standard deviations of the prior; False without limit.
         """
         return abs(theta) > (1.0 - _LIMIT_TOLERANCE) * self.theta_limit
 
@@ -112,7 +112,7 @@ class FreeParameter:
 
 
 def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
-    """Convert the optimizer's variables theta to parameter values.
+    """Convert the optimizer's variables theta to values: center * exp(theta), or center + scale * theta.
 
     Args:
         free: Free parameters, k of them.
@@ -163,8 +163,9 @@ def second_difference_penalty(count: int) -> Array:
 def prior_precision(free: Sequence[FreeParameter]) -> Array:
     """Return the inverse covariance of the Gaussian prior of theta, the dimensionless variables of the optimizer.
 
-    The prior has mean 0 and independent components with the standard deviations `FreeParameter.prior`. In addition, the
-    second differences of the ordinates of a curve have a prior with unit variance, which favors smooth curves.
+    The prior has mean 0 and independent components with the standard deviations `FreeParameter.prior`. Parameters that
+    are the ordinates of one table (a curve given by its values at knots) have a further prior: their second differences
+    have unit variance, which favors smooth curves.
 
     Args:
         free: Free parameters, k of them.

@@ -50,8 +50,8 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
 def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
     """Return the fraction of the squared error of the held-out runs that one of several effects removes.
 
-    The machine with all effects is compared with the same machine without this effect and otherwise equal parameters,
-    see `error_reduction`; if the effect added coordinates, with the machine as it was fitted before the effect.
+    The machine with all effects is compared with the same machine without this effect and otherwise equal parameters;
+    if the effect added coordinates, with the machine as it was fitted before the effect.
 
     Args:
         selected: Effect (deviation from the nominal model) that the search selected.
@@ -75,8 +75,9 @@ def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
 def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
     """Return by which fraction the squared error of a machine is smaller than that of another machine.
 
-    The error is the prediction error in units of the sensors' noise. Only with the widest observer (60 rad/s) and for
-    machines that permit inverse dynamics, it is the error of the drives' force, see `inverse_dynamics.force_error`.
+    The error is the prediction error in units of the sensors' noise. With the widest observer (60 rad/s), for machines
+    without belts and with a drive and a sensor for each coordinate, it is the error of the drives' force instead:
+    force by the voltages minus force that the measured motion requires (`inverse_dynamics.force_error`).
 
     Args:
         without: Machine to compare with, for example without an effect (deviation from the nominal model).

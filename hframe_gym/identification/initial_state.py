@@ -191,7 +191,7 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
     """Return the angles at rest of all pulleys whose encoder has a known zero and resolves the stretch of the belts.
 
     The zero of an encoder is its measurement at position 0, from which the angle counts. For an eccentric pulley, the
-    angle is that of a concentric pulley with the same belt travel, see `concentric_angle`.
+    angle is that of a concentric pulley with the same belt travel.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
@@ -328,7 +328,7 @@ def correct_encoder_zeros(initial: InitialState, machine: Machine, errors: Array
     Args:
         initial: Measured initial state.
         machine: Machine with the sensors and coordinates of that state.
-        errors: Values to add to the zeros, in the sensors' units, shape (sensors,), see `encoder_zero_errors`.
+        errors: Values to add to the zeros, in the sensors' units, shape (sensors,); 0 for zeros that are kept.
 
     Returns:
         Copy with corrected zeros, m or rad, shape (sensors,), and corrected positions; its `zeros_refined` is True.

@@ -196,7 +196,7 @@ class ResidualModel:
         data: Runs to predict.
         bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
-        rows_per_block: How many samples are combined into one row, see `prediction.residuals`.
+        rows_per_block: How many samples are combined into one row (sum / square root of the number).
     """
 
     machine: Machine
@@ -210,7 +210,7 @@ class ResidualModel:
         """Return the machine with the parameter values that the optimizer's variables theta describe.
 
         Args:
-            theta: Dimensionless variables of the k free parameters, see `FreeParameter`, shape (k,).
+            theta: Dimensionless variables of the k free parameters, shape (k,); 0 gives the central values.
 
         Returns:
             Copy of the machine with these parameter values.
@@ -226,7 +226,7 @@ class ResidualModel:
 
         Returns:
             (measured - predicted) / noise, dimensionless, shape (batch, rows), all sensors of one sample before the
-            next. Blocks of `rows_per_block` samples are combined to one, see `prediction.residuals`.
+            next. `rows_per_block` samples become one: their sum divided by the root of this number.
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
 

@@ -127,7 +127,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Most likely fit, see `likelihood_loss`: machine, theta, shape (k,), cost and bandwidth, rad/s.
+        Most likely fit: machine, parameters theta, shape (k,), cost and bandwidth, rad/s.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
@@ -330,13 +330,13 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
 def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
-    It is the largest of three limits: one for the kind of prediction, one for the total over few samples, and a
-    fraction of the error beyond the noise.
+    It is the largest of three limits, by default: 0.01 for one-step prediction (observer of 60 rad/s, strong feedback
+    of the measurements), 0.003 for narrower observers and simulation; 200 / number of samples; and 10 % of the error
+    beyond the noise (chi-squared per sample minus 1).
 
     Args:
-        current: Fit without the effect. Its observer bandwidth selects the first limit: one-step prediction (60 rad/s,
-            strong feedback of the measurements), or narrower observers and simulation.
-        criteria: Decision thresholds.
+        current: Fit without the effect, at the observer bandwidth that selects the first limit.
+        criteria: Decision thresholds, from which the limits are taken.
 
     Returns:
         Required reduction of chi-squared per sample, dimensionless.

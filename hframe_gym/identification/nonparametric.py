@@ -50,18 +50,19 @@ def table_candidates(
     """Propose the tables (forces or friction levels over one variable) that explain most of the missing force.
 
     The missing force is the force that would have to be added to the model for it to follow the measurements. Several
-    tables are proposed for each coordinate:
+    tables are proposed for each coordinate. A force on one coordinate also appears in the missing force of the others;
+    the best table alone could therefore be the wrong one. Proposed are:
 
-    - the few that explain most, because a force on one coordinate also appears in the missing force of the others;
-    - one over time, because a position that differs from run to run correlates with time;
-    - one over the position of the coordinate, because refitted friction can reproduce a part of such a force, which is
-      then absent from the missing force.
+    - the three best tables (`max_tables_per_coordinate`);
+    - the best one over time, even if others explain more;
+    - the best one over the position of the coordinate, even if others explain more. The refitted friction may contain a
+      part of such a force, and the missing force then shows only the rest.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
         data: Prepared recordings (times, voltages, measurements, SI).
         scales: Typical sizes on this machine; a fraction of the typical force is the unit of the ordinates.
-        criteria: Decision thresholds; `max_tables_per_coordinate` is the number of best tables per coordinate.
+        criteria: Decision thresholds, among them `max_tables_per_coordinate`.
 
     Returns:
         These tables as candidates, coordinate by coordinate, without those that the machine has already; each has one
@@ -185,7 +186,7 @@ def add_tables(
         current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
         selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        criteria: Decision thresholds, among them the smallest reduction of chi-squared per sample by a table.
+        criteria: Decision thresholds, among them the smallest gain of a table, 0.02 per sample (`min_table_gain`).
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that is fitted to all data.
 

@@ -258,8 +258,9 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
     """List for each identified parameter why its value may be unreliable.
 
-    The reasons are: a value at a bound or at the limit of the fit, a parameter of which the data determine only a sum
-    with others, a large standard deviation, a value that the prior determines, and a correlation above 0.95.
+    The reasons are: a value at a bound or at the limit of the fit; a parameter of which the data determine only a sum
+    with others; a standard deviation above 20 % of the value (of a phase: 0.3 rad), or above 60 % of the prior's, so
+    that the declared value determines it; and a correlation above 0.95.
 
     Args:
         machine: Identified machine with its uncertainty.

@@ -62,7 +62,7 @@ def identify(
     Args:
         recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least two.
         machine: Machine as declared.
-        held_out: Names of the runs to evaluate on. Default: every fourth, see `hold_out`.
+        held_out: Names of the runs to evaluate on. Default: every fourth, of fewer than four the last one.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text after each part of the work. Default: nothing is reported.
 

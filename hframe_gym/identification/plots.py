@@ -34,12 +34,13 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, see `result.plot_data` for names, shapes and units.
+        curves: Curves by name, such as "force/after", SI, shape (m,); `result.plot_data` lists all.
         machine: Identified machine with the selected effects (deviations from the nominal model).
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (for each run one panel per channel),
-        residual_force, tables, coverage. A plot that does not apply has no panels.
+        residual_force, tables, coverage. The list of a plot without data, such as tables of a machine without tables,
+        is empty.
     """
     channels = list(machine.output_channels)
     return {
@@ -66,7 +67,7 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
     The file of a plot without panels is deleted, so that no plot of an earlier result remains.
 
     Args:
-        panels: Panels (axes with a drawing function) by name of the plot, see `report_panels`.
+        panels: Panels (axes with a drawing function) by name of the plot, such as "error_over_time".
         folder: Folder for the files; created if it does not exist.
 
     Returns:
@@ -88,7 +89,7 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
 
 
 def readable_unit(channel: str, largest: float) -> tuple[float, str]:
-    """Choose a unit (µm, mm, m; mrad, rad) in which the errors of a channel are numbers below 1000.
+    """Choose the smallest unit (µm, mm, m; mrad, rad) in which a value of a channel is below 1000.
 
     Args:
         channel: Name of the output channel, which ends with its unit, for example "x_m".
@@ -251,8 +252,8 @@ def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
     There, friction shows how it depends on a low speed. The top speed is the 99th percentile.
 
     Args:
-        curves: Curves by name, see `result.plot_data`. Those named "coverage/velocity of C" are velocities of the
-            coordinate C, m/s or rad/s, shape (m,); all others are ignored.
+        curves: Curves by name. Those named "coverage/velocity of C" are velocities of the coordinate C, m/s or rad/s,
+            shape (m,); all others are ignored.
 
     Returns:
         Fraction as text, such as "23 %", by name of each coordinate that moves.

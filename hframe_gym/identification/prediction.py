@@ -93,7 +93,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     Args:
         machine: Machine whose sensors are fed back.
         period: Sampling period, s.
-        bandwidth: Observer bandwidth of encoders, rad/s, see `sensor_bandwidths`.
+        bandwidth: Observer bandwidth of encoders, rad/s; that of lasers beside encoders is 5/12 of it.
 
     Returns:
         Corrections of positions (first half of the rows) and velocities (second half) at each sample, in the
@@ -176,7 +176,8 @@ def predict(
 def mechanical_rows_per_block(data: Dataset) -> int:
     """Return how many rows of a residual may be combined into one, which saves time in the search for effects.
 
-    Mechanical effects hardly change the residual within 4 ms. `residuals` describes how rows are combined.
+    Mechanical effects hardly change the residual within 4 ms. Combined rows are summed and divided by the root of
+    their number.
 
     Args:
         data: Data set, for its sampling period.
@@ -206,16 +207,16 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
     """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
-    A zero is the measurement at position 0. `rest_measurement.sensor_zero_error` estimates the constant errors from the
-    rows at rest and, within limits, from the complete run.
+    A zero is the measurement at position 0. The constant error is the mean error over the complete run for encoders
+    behind belts; for other sensors it differs from that over the rows at rest by at most half a quantization step.
 
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
-        fitted: True for the residual of a fit: the limits are those of `rest_measurement.max_fitted_zero_means`, and
-            measurements with the same rounding error count as one in the means (`run.weights`). False for an
-            evaluation: the narrower limits of `rest_measurement.max_zero_means`, and equal weights.
+        fitted: True for the residual of a fit: the mean over the complete run also for sensors without quantization
+            that measured at rest, and measurements with the same rounding error count as one in the means
+            (`run.weights`). False for an evaluation: equal weights.
 
     Returns:
         Errors in the sensors' units, shape (batch, n, sensors); meaningless numbers where nothing was measured.
@@ -239,7 +240,7 @@ def residuals(
 ) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the sensors' noise.
 
-    The constant error that uncertain sensor zeros cause is subtracted first, see `prediction_error`.
+    The constant error that uncertain sensor zeros (measurements at position 0) cause is estimated and subtracted first.
 
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
@@ -247,8 +248,8 @@ def residuals(
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
         rows_per_block: Number of consecutive rows that are combined into one: their sum divided by the root of this
             number. White noise keeps its standard deviation, slow residuals keep their sum of squares.
-        fitted: As in `prediction_error`; if True, measurements with the same rounding error also count as one in the
-            sum of squared residuals.
+        fitted: True for the residual of a fit: measurements with the same rounding error count as one, and the zeros
+            of sensors that measured at rest without quantization are corrected without limit. False: evaluation.
 
     Returns:
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or

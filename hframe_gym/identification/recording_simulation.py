@@ -61,9 +61,10 @@ class SimulatedRecording(NamedTuple):
 def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
-    The simulation starts from the most probable state, see `initial_state_of_recording`, and uses no feedback of the
-    measurements. Samples that the logger dropped are filled in before the simulation. Outliers are ignored, and so is
-    motion that precedes the rest at the beginning of the run.
+    The simulation starts from the most probable state, which is estimated from the measurements at rest and the motion,
+    and uses no feedback of the measurements. Samples that the logger dropped are filled in before the simulation. It
+    ignores outliers (up to five consecutive samples of a sensor that leave its motion and return to it) and motion that
+    precedes the rest at the beginning of the run.
 
     Args:
         machine: Machine, declared or identified.

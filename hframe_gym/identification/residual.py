@@ -59,7 +59,8 @@ class Dependence(NamedTuple):
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Simulate a run; return measured minus simulated values, without the constant errors of uncertain sensor zeros.
 
-    A zero is the measurement at position 0, see `prediction.prediction_error`.
+    A zero is the measurement at position 0. Its error is estimated from the rows at rest and, within limits, from the
+    complete run.
 
     Args:
         machine: Machine, simulated without feedback from its most probable initial state in this run.
@@ -154,8 +155,9 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
 def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
-    The corrections of an observer, see `force_residual`, show the missing force after a low-pass filter with two equal
-    poles at the observer's bandwidth. This function inverts the filter for frequencies up to 40 Hz.
+    An observer corrects the predicted velocities by the measurements. The corrections times the mass are the missing
+    force after a low-pass filter with two equal poles at the observer's bandwidth. This function inverts the filter for
+    frequencies up to 40 Hz.
 
     Args:
         machine: Machine that predicts.

@@ -45,8 +45,8 @@ class InitialState:
         zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
-        position_known: Whether sensors with a known zero determine the position at rest, if necessary by later
-            measurements.
+        position_known: Whether sensors with a known zero determine the position at rest; where none measures at rest,
+            by later measurements.
         reading: Measurements at rest minus the known zeros, in the sensors' units, NaN where there is none, shape
             (sensors,).
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
@@ -276,7 +276,7 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
             not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Limit of the difference, in the sensors' units, shape (sensors,), see `max_zero_means`.
+        max_mean: Limit of the difference, in the sensors' units, shape (sensors,); infinite for none.
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
@@ -300,7 +300,7 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
     `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
 
     Args:
-        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
+        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
@@ -318,7 +318,7 @@ def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDA
     remained in the residual, parameters would adapt to it.
 
     Args:
-        behind: True for encoders behind belts, see `behind_belts`, shape (sensors,).
+        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
         at_rest: True for sensors that measured at rest, shape (sensors,). For all others the limits do not differ,
             because their later measurements determine the initial position.

@@ -43,7 +43,7 @@ class PredictionErrors:
 
     Attributes:
         channels: Simulation error by output channel.
-        force: Relative error of the drives' force, see `inverse_dynamics.force_error`; None where it is not defined.
+        force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
     """
 
     channels: dict[str, ChannelError]
@@ -264,11 +264,11 @@ def write_result(
     All files appear together or not at all; within a `with output_batch(folder)` block, at the end of the block.
 
     Args:
-        result: Result of `identify`.
+        result: Result of an identification: machines, selected effects and fitted runs.
         folder: Folder to write to; created if it does not exist.
         warnings: Findings about the recordings, one line of text each, which report.json repeats.
-        formulas: Formulas that may replace the tables (forces interpolated over one variable) of the machine, see
-            `formulas.compare_formulas`.
+        formulas: For each table (force interpolated over one variable) of the machine, formulas that may replace it,
+            with their errors.
 
     Raises:
         InputError: If another process writes to the folder.
@@ -297,7 +297,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
     have fewer than 8000 points.
 
     Args:
-        result: Result of `identify`.
+        result: Result of an identification: machines, selected effects and fitted runs.
 
     Returns:
         Arrays by name, where RUN is the name of a held-out run (not fitted) with n samples.

@@ -29,13 +29,13 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
     """Sort trial fits of different effects by preference: of equally good ones, that with fewest parameters first.
 
     Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost by
-    no more than a margin.
+    no more than a margin: 0.002 per measured value, or 3 % of the best fit's reduction of the cost if this is more.
 
     Args:
         trials: Fits with one candidate effect (deviation from the model) each.
         current: Fit without candidates, at the same bandwidth (rad/s) of the observer that corrects predictions.
         data: Prepared recordings (times, voltages, measurements, SI).
-        criteria: Decision thresholds, among them the margin.
+        criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
         First the fits that are as good as the best one, by the number k of their parameters (theta, shape (k,)); then
@@ -53,11 +53,14 @@ def close_rivals(
 ) -> tuple[AppliedEffect, ...]:
     """Return the rivals of a selected effect: effects of other trial fits that explain the data about equally well.
 
+    Their cost (sum of squared residuals in units of the noise) exceeds that of the selected effect by less than 0.002
+    per measured value, or by less than 3 % of the reduction that the selected effect brings if this is more.
+
     Args:
         trials: Fits with one candidate effect (deviation from the model) each, that of the selected effect first.
         current: Fit without candidates, at the same bandwidth (rad/s) of the observer that corrects predictions.
         data: Prepared recordings (times, voltages, measurements, SI).
-        criteria: Decision thresholds, among them the margin within which costs count as equal.
+        criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
         Rivals with their fitted parameters, each effect and site once, in the order of the trials.
@@ -91,7 +94,8 @@ def compare_rivals(
 ) -> ComparedRivals:
     """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
 
-    A difference counts if chance does not explain it, see `evidence.long_run_variance`.
+    A rival replaces the effect, or is excluded, only if the difference in likelihood exceeds what chance may cause:
+    `min_chance_gain` of the criteria, increased where the residual is correlated in time.
 
     Args:
         current: Fit of the machine with all effects (deviations from the model).

@@ -166,7 +166,7 @@ class SavedResult:
         report: Content of report.json.
         machine: Identified machine with the selected effects.
         declared: Machine as declared.
-        curves: Curves of the plots by name, see `result.plot_data`.
+        curves: Curves of the plots by name, such as "RUN/measured", SI; `result.plot_data` lists them.
     """
 
     report: dict[str, Any]
@@ -182,8 +182,8 @@ def load_result(folder: Path) -> SavedResult:
         folder: Folder that `write_result` wrote.
 
     Returns:
-        Report, machines and curves of the plots (arrays by name, SI, shape (m,) or (n, sensors), see
-        `result.plot_data`).
+        Report, machines and curves of the plots (arrays by name such as "RUN/measured", SI, shape (m,) or
+        (n, sensors)).
 
     Raises:
         InputError: If a file is missing, damaged or inconsistent with the others; the message names the file.

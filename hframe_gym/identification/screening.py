@@ -47,8 +47,8 @@ _FITTED_STRUCTURES = 3  # effects that replace a part of the model and are fitte
 class Perturbation(NamedTuple):
     """Forces and changes of measurements that the basis functions of candidate effects cause along a motion.
 
-    One column is one basis function of an effect at its typical size, see `Candidate.columns`; n is the number of
-    samples.
+    One column is one basis function of an effect (for example a sine or a cosine) at its typical size; n is the number
+    of samples.
 
     Attributes:
         force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).

@@ -88,7 +88,7 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
     """Estimate the standard deviation of a sensor's noise, at least that of the rounding error, quantum / sqrt(12).
 
-    With too few rows at rest it is the declared value or, if none is declared, comes from third differences.
+    With fewer than 30 rows at rest it is the declared value or, if there is none, comes from third differences.
 
     Args:
         channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
@@ -237,7 +237,7 @@ def saturation_ranges(
 ) -> dict[str, Range]:
     """Find the sensors that saturate: many measurements are at the outermost value while the machine moves.
 
-    Encoders do not saturate; they show whether the machine moves.
+    By default: 1 % of the rows, while encoders move by at least 300 standard deviations of the sensor's noise.
 
     Args:
         recordings: All runs of the rig (times, s; voltages, V; measurements, m or rad).
@@ -310,7 +310,7 @@ def _end(
 def blank_saturated(
     recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> Recording:
-    """Replace the saturated measurements of a recording by NaN: those at the end of a sensor's range, within its noise.
+    """Replace saturated measurements by NaN: those beyond or within four noise deviations of the end of a range.
 
     Args:
         recording: One run (times, s; voltages, V; measurements, m or rad).

@@ -81,7 +81,7 @@ def initial_state_projection(
         initial_state: Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect
             states,). Default: `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
-        rows_per_block: Number of consecutive rows combined into one, as in `residuals`.
+        rows_per_block: Number of consecutive rows that are combined into one (sum / square root of the number).
 
     Returns:
         Projection for residuals and for columns of a Jacobian, shape (batch, rows). None if nothing is uncertain or the
@@ -113,8 +113,8 @@ def prediction_residuals(
 ) -> Array:
     """Return a machine's prediction errors over a run, each divided by the standard deviation of the sensor's noise.
 
-    The part of the errors that an unknown initial stretch of the belts can explain is removed, as in a fit, see
-    `initial_state_projection`.
+    The part of the errors that an unknown initial stretch of the belts (or another unknown part of the initial state)
+    can explain is removed, as in a fit.
 
     Args:
         machine: Machine that predicts.
@@ -213,7 +213,7 @@ def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: d
 def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Return the state from which a prepared run most probably began, given all of its measurements.
 
-    It is the state of maximum posterior density of `most_probable_start`.
+    It is the state of maximum posterior density: it fits the measurements and is near the state measured at rest.
 
     Args:
         machine: Machine to simulate.
@@ -236,9 +236,9 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
     """Correct the encoder zeros and the initial states of effects of all runs with a fitted machine.
 
-    The zeros are the measurements at position 0, see `dataset.refine_encoder_zeros`. The corrected states are those of
-    effects that remember motion before the recording, such as hysteresis. They must be close to the true ones, because
-    a fit linearizes the influence of their uncertainty.
+    The zeros are the measurements at position 0; forces that stretch the belts at rest falsify their first estimate.
+    The corrected states are those of effects that remember motion before the recording, such as hysteresis. They must
+    be close to the true ones, because a fit linearizes the influence of their uncertainty.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
@@ -268,8 +268,8 @@ def most_probable_start(
     """Return the state from which a run most probably began, given all of its measurements.
 
     It is the state of maximum posterior density. It minimizes the sum of squared simulation errors in units of the
-    noise plus the sum of squared displacements from the measured state in units of their standard deviations, see
-    `start_displacements`. The squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
+    noise plus the sum of squared displacements from the measured state in units of their standard deviations. The
+    squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
 
     Args:
         machine: Machine to simulate.

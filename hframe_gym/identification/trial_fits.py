@@ -100,7 +100,7 @@ def structural_trial_fits(
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
-        trials: Trials with other effects. Candidates with a much smaller linearized gain than the best of these
+        trials: Trials with other effects. Candidates with a linearized gain below 10 % of the best gain of these
             (`criteria.min_structural_promise`) are not fitted.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         enough: Smallest useful reduction of chi-squared per sample, dimensionless.
@@ -122,7 +122,7 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
     """Return which fraction of the present fit's error beyond the noise the best trial fit leaves.
 
     The error beyond the noise is chi-squared per sample (mean squared error / noise variance) minus its value for a
-    correct model: 1, or `criteria.one_step_floor` at an observer bandwidth of 60 rad/s (one-step prediction), where
+    correct model: 1, or `criteria.one_step_floor` (1.1) at the bandwidth of 60 rad/s (one-step prediction), where
     quantization keeps it above 1.
 
     Args:
@@ -167,7 +167,7 @@ def replacement_fit(
 
     Returns:
         Converged fit (machine, parameters theta, shape (k,), cost) with the other effect. None if linearization
-        predicts a much smaller reduction of the cost than by the replaced effect.
+        predicts a reduction of the cost below 60 % of that by the replaced effect.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
@@ -339,7 +339,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
-        Typical sizes by coordinate and in general, SI, see `TypicalScales`.
+        Typical sizes by coordinate ("force", "speed", ... in its units) and in general ("A", ... in SI).
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)

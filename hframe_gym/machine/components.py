@@ -182,8 +182,8 @@ class Drive:
     def device_parameters(self) -> dict[str, float]:
         """Parameters of the digital-to-analog converter by name; they do not enter the equations of motion.
 
-        `converter_bits` (number of bits, 0 for a continuous voltage) and `voltage_range` (largest voltage in either
-        direction, V; by default the rated voltage).
+        They are `converter_bits`, the number of bits (0: continuous voltage), and `voltage_range`, the largest voltage
+        in either direction, V (by default the rated voltage).
         """
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
         return {"converter_bits": self.converter_bits, "voltage_range": limit}
@@ -277,8 +277,8 @@ class Sensor:
     def device_parameters(self) -> dict[str, float]:
         """Noise and resolution of the sensor by name; they do not enter the equations of motion.
 
-        `noise` (standard deviation) and `resolution` (quantization step, 0 for a continuous sensor), in the channel's
-        unit.
+        They are `noise`, its standard deviation, and `resolution`, its quantization step (0: continuous), in the
+        channel's unit.
         """
         return {"noise": self.noise, "resolution": self.resolution}
 

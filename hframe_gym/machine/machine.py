@@ -165,9 +165,9 @@ class Machine:
 
     @cached_property
     def tool_axes(self) -> tuple[str, ...]:
-        """Names of the linear coordinates that are the tool position, in the machine's order.
+        """Names of the linear coordinates that give the tool position, in the order of its axes.
 
-        All linear coordinates if there are at most two; otherwise x and y, or none without these names.
+        With at most two linear coordinates, all of them; with more, ("x", "y") if both names exist, otherwise ().
         """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
         if len(linear) > 2:

@@ -149,7 +149,7 @@ def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
         machine: Machine; its effects (deviations from the nominal model) are ignored.
 
     Returns:
-        By name of the coordinate that leads the motion (see `rigid_motions`): moving inertia, kg or kg m^2; force of
+        By name of the coordinate that leads the motion, which the others follow: moving inertia, kg or kg m^2; force of
         the drives at standstill minus Coulomb friction, N or Nm; steady speed, m/s or rad/s. All refer to this
         coordinate.
     """

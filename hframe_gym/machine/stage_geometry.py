@@ -207,7 +207,7 @@ class CoreXYGeometry(StageGeometry):
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
-        machine: Machine with the kinematics of a CoreXY stage, see `stage_geometry`.
+        machine: Machine with the kinematics of a CoreXY stage (a belt for each motor).
         bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y).
         travel: Belt travel at each drive per travel along x and y, 1 or -1, shape (2, 2).
     """
@@ -302,7 +302,7 @@ def stage_geometry(machine: Machine) -> StageGeometry:
     """Choose how to draw a machine from above (plan view) by its kinematics; names of belts do not matter.
 
     Args:
-        machine: Machine with one or two tool axes; an axis without a range is drawn with `DEFAULT_RANGE`.
+        machine: Machine with one or two tool axes; an axis without a range is drawn from -0.25 m to 0.25 m.
 
     Returns:
         `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a belt for

@@ -121,12 +121,15 @@ def repetitions(values: Array) -> int:
 def without_repetitions(recording: Recording) -> Recording:
     """Replace repeated measurements of sensors that are slower than the log by NaN (not measured).
 
+    A sensor is slower if, during motion, its measurement changes by several quantization steps in one row and then not
+    at all in the next ones.
+
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad), with n rows.
 
     Returns:
-        Copy whose measurements, m or rad, shape (n, sensors), keep the first of the rows that repeat a measurement, see
-        `repetitions`; the same object if no sensor is slower.
+        Copy whose measurements, m or rad, shape (n, sensors), keep the first of the rows that repeat a measurement; the
+        same object if no sensor is slower.
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:
@@ -172,7 +175,8 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 def only_measurements(recording: Recording, machine: Machine) -> Recording:
     """Keep only what sensors measured: replace repetitions of slow sensors, then outliers, by NaN (not measured).
 
-    `repetitions` and `outlier_mask` say how these are recognized.
+    A log repeats the value of a sensor that measures less often than the log has rows. Outliers are up to five samples
+    that leave the motion around them and return to it. `repetitions` and `outlier_mask` state the criteria.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).
@@ -185,7 +189,11 @@ def only_measurements(recording: Recording, machine: Machine) -> Recording:
 
 
 def without_outliers(recording: Recording, machine: Machine) -> Recording:
-    """Replace the outliers of a recording (see `outlier_mask`) by NaN (not measured).
+    """Replace the outliers of a recording by NaN (not measured).
+
+    Outliers are up to five consecutive samples of a sensor that leave the motion around them and return to it, by much
+    more than noise, resolution and the changes of speed explain. Kinks and steps of a real motion are kept.
+    `outlier_mask` describes the criterion.
 
     Args:
         recording: Run to clean (times, s; voltages, V; measurements, m or rad).

@@ -59,7 +59,7 @@ class LogConverter:
 
         Args:
             log: Opened log.
-            sources: Column and conversion of the times and of each channel, from `map_columns`.
+            sources: For the times and each channel, column of the log and conversion to SI (`map_columns` finds them).
             progress: Called with the number of bytes read since the last call.
 
         Returns:

@@ -122,7 +122,7 @@ def log_name(path: Path) -> str:
         path: File of the log.
 
     Returns:
-        The name.
+        The name, for example "test_3" for test_3.csv.gz.
     """
     return Path(path.name.removesuffix(".gz")).stem
 

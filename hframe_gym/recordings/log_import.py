@@ -66,7 +66,7 @@ def import_logs(
 
     Args:
         logs: A log, or a folder of logs.
-        out: Folder for the recordings; it is created if necessary. Existing runs are never replaced.
+        out: Folder for the recordings; created if it does not exist. Existing runs are never replaced.
         machine: Machine that was logged; the names of its input and output channels are the columns of the recordings.
         settings: Mapping of columns, and whether to cut the logs into runs.
         say: Called with a line of text for everything that was done or assumed.

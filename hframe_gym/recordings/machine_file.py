@@ -53,7 +53,7 @@ def save_machine(machine: Machine, path: str | Path) -> None:
 
     Args:
         machine: Machine to write.
-        path: Path of the file; its folder is created if necessary, and an existing file is replaced.
+        path: Path of the file; a missing folder is created, an existing file is replaced.
 
     Raises:
         OSError: If the file cannot be written.

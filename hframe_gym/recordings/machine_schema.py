@@ -270,7 +270,7 @@ def field_descriptions(table: type[Table]) -> dict[str, str]:
     the object's class and of `Table`.
 
     Args:
-        table: Class of the object, one of `TABLES`.
+        table: Class of the object, such as `DriveEntry` or `SensorEntry`.
 
     Returns:
         Description by name of the field in the file; the field `comment` is last.
@@ -287,7 +287,7 @@ def table_summary(table: type[Table]) -> str:
     """Return the description of one kind of object in machine.json, such as a drive, for the JSON Schema and the docs.
 
     Args:
-        table: Class of the object, one of `TABLES`.
+        table: Class of the object, such as `DriveEntry` or `SensorEntry`.
 
     Returns:
         Text of the docstring before the section `Attributes`, in one line.

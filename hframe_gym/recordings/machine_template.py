@@ -102,7 +102,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     ratio.
 
     Args:
-        like: Template, one of `TEMPLATES`.
+        like: Template: "hframe", "axis" or "corexy".
         name: Name of the new machine.
         options: Values that replace those of the template.
 
@@ -131,9 +131,9 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
     """Write a machine.json with comments that explain its fields.
 
     Args:
-        like: Template of the machine, one of `TEMPLATES`.
+        like: Template of the machine: "hframe", "axis" or "corexy".
         machine: Machine that `new_machine` created from it.
-        path: File to write; its folder is created if necessary, and an existing file is replaced.
+        path: File to write; a missing folder is created, an existing file is replaced.
 
     Raises:
         InputError: If a value of the machine is not allowed; nothing is written then.

@@ -152,7 +152,7 @@ def wrong_unit_error(problem: str, channels: tuple[str, ...], unit: str) -> Wron
     Args:
         problem: File, columns and values, in words.
         channels: Names of the channels.
-        unit: Unit that the values probably have, a key of `UNIT_WORDS`.
+        unit: Unit that the values probably have: "mm", "um", "deg", "ms" or "%".
 
     Returns:
         The error; its message ends with a question about the unit.
@@ -206,7 +206,8 @@ def normalize_unit(text: str) -> str:
         text: Unit as written in a log or an option, possibly in brackets.
 
     Returns:
-        A key of `UNITS`, `SPEED_UNITS` or `DUTY_UNITS`; the text without brackets if the unit is not among them.
+        Unit of time, voltage, length, angle or speed, "%" or "pu" (of the rated voltage), such as "ms", "V" or "rpm";
+        the text without brackets if it is no known unit.
     """
     plain = text.strip().strip("[](){}<>").strip()
     lower = plain.lower()
@@ -234,8 +235,8 @@ def split_unit(header: str) -> tuple[str, str]:
 
     Returns:
         name: Name without the unit.
-        unit: Unit as `normalize_unit` spells it, "" if the header has none. Any text in brackets is a unit. Without
-            brackets, only the units of `UNITS`, `SPEED_UNITS` and `DUTY_UNITS` are recognized.
+        unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in brackets is a
+            unit. Without brackets, only known units of time, voltage, length, angle, speed and duty are recognized.
     """
     match = _BRACKETED.fullmatch(header)
     if match and match["name"]:

@@ -84,7 +84,7 @@ def load_recordings(
         machine: Machine that was recorded; its channels name the columns.
         progress: Called with the number of bytes read so far and the total number.
         max_rows: Largest number of rows of all runs together. If they have more, only the beginning of a long run is
-            read: max_rows / number of runs, but at least `MIN_ROWS` rows. Default: everything is read.
+            read: max_rows / number of runs, but at least 20,000 rows. Default: everything is read.
         log: Called with a line of text for each run of which only the beginning is read.
 
     Returns:

@@ -175,8 +175,8 @@ def open_parquet(path: Path) -> Any:
         File, an object of the class `pyarrow.parquet.ParquetFile`.
 
     Raises:
-        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns have too
-            many values or expand to more than `file_limits.expansion_limit`.
+        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns have more
+            than 1e9 values or expand to more than 100 times the size of the file (and 64 MB).
     """
     try:
         import pyarrow.parquet as parquet
@@ -202,7 +202,7 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
 
     Args:
         path: Path of the file, for messages.
-        file: File from `open_parquet`.
+        file: The file as opened by `open_parquet` (a `pyarrow.parquet.ParquetFile`).
         name: Name of the column.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 

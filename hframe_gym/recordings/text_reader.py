@@ -48,7 +48,7 @@ def read_columns(
 
     Args:
         path: Text file, possibly compressed by gzip.
-        layout: Format of its table (encoding, separator, columns, ...), from `detect_format`.
+        layout: Format of its table: encoding, separator, columns, ... (`detect_format` finds it).
         columns: Indices of the columns to read, from 0.
         lenient: Whether to leave out comment lines, rows without a value, and the last row if it is incomplete.
         progress: Called with the number of bytes read since the last call.

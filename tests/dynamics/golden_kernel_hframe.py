@@ -524,9 +524,9 @@ def rollout(
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
         parameters: Machine parameters, SI, shape (B, PARAMETERS).
         start: Belt travel (radius * angle), m, its rate, m/s, and effect states at first, shape (B, STATES - 1).
-        measured: Measurements for `inject_outputs`, m or rad, shape (1 or B, n, SENSORS), NaN where missing; or empty.
-        gains: Gains of the output injection (m and m/s per m or rad), shape (2 * COORDINATES, SENSORS).
-        extra: External forces, N, shape (1 or B, n, COORDINATES), held, if the kernel is `FORCED`.
+        measured: Measurements to correct the state, m or rad, shape (1 or B, n, SENSORS), NaN where missing; or empty.
+        gains: Corrections per difference to a measurement (m and m/s per m or rad), shape (2 * COORDINATES, SENSORS).
+        extra: External forces, N, held, shape (1 or B, n, COORDINATES); ignored by a kernel that is generated without.
         longest_step: Largest step of the integrator, s.
         first: Index of the first block.
         last: Index after the last block.
@@ -599,7 +599,7 @@ def advance_blocks(state, parameters, derived, inputs, h: float, steps: int, fir
     Args:
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, STATES, LANES).
         parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
-        derived: Constants of a step of length h, from `prepare_blocks`, shape (blocks, DERIVED, LANES).
+        derived: Constants that `prepare_blocks` computes from parameters and h, shape (blocks, DERIVED, LANES).
         inputs: Voltages, V, shape (blocks, INPUTS, LANES); if a drive is delayed, one set per step, shape
             (blocks, steps * INPUTS, LANES).
         h: Step of the integrator, s.

@@ -91,8 +91,7 @@ class Task(ABC):
         """Compute the goals of n episodes, at one time or at m times each.
 
         Args:
-            plan: Plans from `begin` or `aim`, which define the goals at all times, in the task's format, shape
-                (n, plan_size).
+            plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
             elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
 
         Returns:
@@ -105,7 +104,7 @@ class Task(ABC):
         This default calls `goal`; a task may override it with a faster method.
 
         Args:
-            plan: Plans from `begin` or `aim`, in the task's format, shape (n, plan_size).
+            plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
             elapsed_s: Present times since the reset, s, not negative, shape (n,).
             ahead_s: Times from the present to the goals, s, 0 for the present goal, shape (m,).
             goals: Array that receives the goal positions, m, shape (n, m, axes).
@@ -121,7 +120,7 @@ class Task(ABC):
             target: Target positions of k episodes, m, shape (k, axes).
 
         Returns:
-            Plans, as `begin` returns them, shape (k, plan_size).
+            Plans in the task's format, shape (k, plan_size).
 
         Raises:
             InputError: If the task has no target that can be set; this is the default.
@@ -132,7 +131,7 @@ class Task(ABC):
         """Compute the contour error: the distance from the tool to the path on which the goal moves.
 
         Args:
-            plan: Plans of n episodes from `begin`, in the task's format, shape (n, plan_size).
+            plan: Plans (goals at all times) of n episodes in the task's format, shape (n, plan_size).
             points: One tool position per episode, m, shape (n, axes).
             elapsed_s: Times since the reset, s, shape (n,). The nearest point is searched around the goals of these
                 times, because a path may cross itself.
@@ -189,7 +188,7 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
 class ReferenceTrajectories:
     """Keep the plans of `count` environments and compute their goals over time.
 
-    A plan is the row of numbers from which a task computes the goals of an episode, see `Task`.
+    A plan is the row of numbers from which a task computes the goals of an episode.
 
     Args:
         task: Task of all environments.
@@ -228,7 +227,7 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,).
-            plans: Plans (goals at all times) from `Task.begin` or `Task.aim`, shape (k, plan_size).
+            plans: Plans, which define the goals at all times in the task's format, shape (k, plan_size).
         """
         if plans.shape[1] != self._plans.shape[1]:
             self._plans = np.zeros((len(self._plans), plans.shape[1]))
@@ -271,7 +270,7 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Arrays by key from `add_blank`. Written are `desired_goal`, m, shape (count, axes), and for a
+            observation: Arrays by key. Written are `desired_goal`, m, shape (count, axes), and for a
                 task with p future goals `preview`, m, shape (count, axes * p): all axes of the first future goal, then
                 of the second, ...
         """

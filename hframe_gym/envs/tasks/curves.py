@@ -52,7 +52,7 @@ class Curve(Protocol):
 
     @property
     def data(self) -> CurveData:
-        """The curve as compiled functions such as `write_points` take it; `CurveData` documents the arrays' shapes."""
+        """Radius (m), vertices (m, shape (n, 2)) and arc lengths (m, shape (n,)) for compiled functions."""
 
     @property
     def extent(self) -> Array:
@@ -94,7 +94,7 @@ class Circle(Curve):
 
     @property
     def data(self) -> CurveData:
-        """The circle as compiled functions such as `write_points` take it; `CurveData` documents the arrays' shapes."""
+        """Radius (m), no vertices (shape (0, 2)) and arc lengths (m, shape (2,)) for compiled functions."""
         return CurveData(self.radius, True, np.zeros((0, 2)), np.array([0.0, self.length]))
 
     @property
@@ -210,7 +210,7 @@ def write_points(s: Any, curve: Any, x: Any, y: Any) -> None:
 
     Args:
         s: Arc lengths from the start of the curve, m, any real number, shape (n,).
-        curve: `CurveData` of the curve.
+        curve: Radius, vertices and arc lengths of the curve (`CurveData`).
         x: Output, first coordinate of the points, m, shape (n,).
         y: Output, second coordinate of the points, m, shape (n,).
     """

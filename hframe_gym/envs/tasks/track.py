@@ -331,8 +331,8 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     at the end; a speed above length / lead_s is reduced to this value.
 
     Args:
-        plan: Plans from `Track.begin`, shape (n, 6). Used are direction (+1 or -1), arc length at the start (m) and
-            speed (m/s).
+        plan: Path of each episode, shape (n, 6). Columns 3 to 5 are used: direction (+1 or -1), arc length at the start
+            (m) and speed (m/s).
         elapsed_s: Times since the reset, s, not negative, shape (n, m).
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
         length: Length of the path, m; infinite for a closed path.
