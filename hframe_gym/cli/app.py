@@ -77,7 +77,7 @@ RayOption = Annotated[
     str | None,
     typer.Option(
         metavar="[ADDRESS]",
-        help="Run on Ray: the cluster's auto or HOST:PORT; without an address, Ray is started on this machine.",
+        help="Run on a Ray cluster at HOST:PORT, or auto to find it; with --ray alone, Ray starts on this machine.",
     ),
 ]
 

@@ -134,11 +134,12 @@ class PredictiveController(FullStateController):
 
     @property
     def estimates(self) -> Array:
-        """Estimated errors of the model's parameters and missing voltages, dimensionless, shape (B, size).
+        """Estimated errors of the model's parameters and missing voltages of B machines, dimensionless.
 
-        The columns are logarithms of the ratios of estimated to declared values (0.1: about 10 % above): of the Coulomb
-        friction and the mass of every coordinate, and of the stiffness EA and the length of every belt. The last
-        columns, one per drive, are the voltages that the simulation lacks, as fractions of the rated voltages.
+        Shape (B, 2 n + 2 b + drives) with n coordinates and b belts. Columns in this order: Coulomb friction of every
+        coordinate, mass of every coordinate, stiffness EA of every belt, length of every belt, each as ln(estimated /
+        declared value), where 0.1 is about 10 % above; then for each drive the voltage that the simulation lacks, as a
+        fraction of the rated voltage.
         """
         return self.estimator.estimates
 

@@ -248,8 +248,8 @@ def simulate(
         time_s: Times of n samples, s, strictly increasing, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,);
-            further values are the states of the effects in their order. Default: at rest at the origin with unstretched
-            belts. States that are not given are zero.
+            further values are the internal states of effects that have one (a hysteresis, for example), in the order of
+            `machine.effects`; those not given are zero. Default: at rest at the origin with unstretched belts.
         offset: Constant that is added to the readings of each sensor, in its unit, shape (sensors,) or one number.
         longest_step: Largest step of the integrator, s.
 

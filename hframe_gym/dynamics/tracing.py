@@ -88,13 +88,13 @@ class Trace:
         return self._unique("number", (repr(number),), invariant=True)
 
     def argument(self, name: str) -> Expression:
-        """Return the expression of a scalar argument of the generated function, for example the step length h.
+        """Return the symbol of a scalar argument of the function whose source code this trace writes, for example h.
 
         Args:
             name: Name of the argument in the function's signature.
 
         Returns:
-            Variable that is constant: the function never assigns a new value to it.
+            Symbol for use in expressions; the function never assigns a new value to it.
         """
         return self._unique("variable", (name, 0), invariant=True)
 

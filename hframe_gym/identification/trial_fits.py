@@ -306,7 +306,7 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
 
     Args:
         current: Fit of the machine with the effect; the new one has the same observer bandwidth.
-        label: Label of the effect, name@site.
+        label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         plain: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.

@@ -158,7 +158,7 @@ class BeltGeometry(StageGeometry):
 
         Args:
             x: Tool position along x, m.
-            y: Tool position along y, m; only the position of the bridge matters.
+            y: Tool position along y, m. Of x and y, only the one along which the bridge moves has an influence.
 
         Returns:
             Centers (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this

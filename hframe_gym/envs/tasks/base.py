@@ -78,8 +78,8 @@ class Task(ABC):
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
             uniforms: Uniform random numbers in (0, 1), shape (k, draws), `draws` being the attribute of the task.
-            parameters: Randomized values of the property `parameters`, SI, shape (k,) each, by name without "task.".
-                Default: nominal values.
+            parameters: Values of the task's randomized parameters, SI, one array of shape (k,) for each of the names
+                that the task declares (in randomization rules these have the prefix "task."). Default: nominal values.
 
         Returns:
             start: Start positions of the tool, m, shape (k, axes).
