@@ -18,11 +18,7 @@ from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_kno
 from .estimation import Fit, with_uncertainty
 from .evidence import drive_force, effect_force
 from .experiment_design import design_discriminating_experiment
-from .forward_selection import (
-    ConsideredEffect,
-    Log,
-    SelectedEffect,
-)
+from .forward_selection import ConsideredEffect, Log, SelectedEffect
 from .held_out import contradicting_held_out_runs, error_reduction, held_out_gain, hold_out, is_excited
 from .initial_rest import without_moving_start
 from .initial_state import merge_run_warnings
@@ -43,6 +39,7 @@ _HELD_OUT_CONTRADICTION = (
     "and sensors), or it shows what the fitted runs do not excite (hold out another run with --hold-out). The "
     "errors on held-out runs include it."
 )
+_CAUSED_ERROR = -1.0  # gain on a held-out run below which an effect causes its error: half of the squared error or more
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
@@ -107,9 +104,19 @@ def identify(
 
 
 def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:
-    """Return the names of the held-out runs that contradict the machine which explains the fitted runs."""
-    refined = refine_starts(held_out_runs, outcome.after.machine, outcome.data)
-    return contradicting_held_out_runs(outcome.after, refined)
+    """Return the names of the held-out runs that contradict the machine which explains the fitted runs.
+
+    A run whose error an effect causes does not count: it refutes the effect, see `_without_unconfirmed`.
+    """
+    after = outcome.after
+    refined = refine_starts(held_out_runs, after.machine, outcome.data)
+
+    def caused_by(selected: SelectedEffect, name: str) -> bool:
+        gain = held_out_gain(selected, after.machine, refined.with_runs([name]), after.bandwidth)
+        return gain < _CAUSED_ERROR
+
+    names = contradicting_held_out_runs(after, refined)
+    return tuple(name for name in names if not any(caused_by(s, name) for s in outcome.selected))
 
 
 def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:

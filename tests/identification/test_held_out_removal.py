@@ -14,7 +14,8 @@ from hframe_gym.identification import (
     fit,
     prepare,
 )
-from hframe_gym.identification.pipeline import _without_unconfirmed
+from hframe_gym.identification.held_out import contradicting_held_out_runs
+from hframe_gym.identification.pipeline import _contradicting_held_out_runs, _without_unconfirmed
 from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.identification.search import SearchOutcome
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -65,3 +66,16 @@ def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(pushed, 1)], axis)
     _, outcome = outcome_with_force(axis, data, 0.3, False)
     assert _without_unconfirmed(outcome, validation, lambda line: None) == outcome
+
+
+@pytest.mark.parametrize(("hidden", "contradicting"), [(0.0, ()), (0.9, ("run_1",))])
+def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
+    axis: Machine, hidden: float, contradicting: tuple[str, ...]
+) -> None:
+    """A constant force that only the fitted run has spoils the other run; a larger one there is not its fault."""
+    force = EFFECTS["constant_force"]
+    pushed, other = (axis.with_effects(force.at("x", size=size)) for size in (0.3, hidden))
+    data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(other, 1)], axis)
+    _, outcome = outcome_with_force(axis, data, 0.3, False)
+    assert contradicting_held_out_runs(outcome.after, validation) == ("run_1",)
+    assert _contradicting_held_out_runs(outcome, validation) == contradicting
