@@ -136,10 +136,10 @@ class PredictiveController(FullStateController):
     def estimates(self) -> Array:
         """Estimated errors of the model's parameters and missing voltages of B machines, dimensionless.
 
-        An array of shape (B, 2 n + 2 b + drives) for n coordinates and b belts. Columns in this order: Coulomb friction of every
-        coordinate, mass of every coordinate, stiffness EA of every belt, length of every belt, each as ln(estimated /
-        declared value), where 0.1 is about 10 % above; then for each drive the voltage that the simulation lacks, as a
-        fraction of the rated voltage.
+        An array of shape (B, 2 n + 2 b + drives) for n coordinates and b belts. Columns in this order: Coulomb friction
+        of every coordinate, mass of every coordinate, stiffness EA of every belt, length of every belt, each as
+        ln(estimated / declared value), where 0.1 is about 10 % above; then for each drive the voltage that the
+        simulation lacks, as a fraction of the rated voltage.
         """
         return self.estimator.estimates
 
