@@ -21,7 +21,7 @@ from hframe_gym.identification.residual import Dependence
 from hframe_gym.machine import Uncertainty
 from hframe_gym.web_page import COLORS, Panel, number, panel_svg
 from tests.browser import SCHEMES, WIDTHS, chromium, faults_of, open_page
-from tests.identification.axis_results import AXIS, axis_result, axis_runs
+from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
@@ -40,7 +40,7 @@ def report_page(kind: str, folder: Path) -> Path:
         plan = ExperimentDesign(
             ("stribeck_friction@x", "presliding@x"), np.arange(5) * 1e-3, np.zeros((5, 1)), 40.0, 0.5, "x_m"
         )
-        rivals = ("presliding@x",)
+        rivals = (PRESLIDING,)
     elif kind == "table":
         curve = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)}
         curve |= {f"f{i:02d}": 0.1 * np.sin(i) for i in range(KNOTS)}

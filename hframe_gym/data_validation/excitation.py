@@ -24,7 +24,7 @@ _SLOW = 0.1  # fraction of the top speed; motion below is slow
 _SLOW_TIME = 0.05  # fraction of the moving time that should be slow, to determine friction at low speed
 _MOVING = 0.01  # fraction of the top speed; motion below is rest
 _WINDOW = 0.02  # s, time over which speed is measured
-TOP_PERCENTILE = 99  # percentile of the speeds that counts as top speed; the maximum would be noise
+_TOP_PERCENTILE = 99  # percentile of the speeds that counts as top speed; the maximum would be noise
 _MIN_SPECTRUM_ROWS = 9  # rows of a run; the spectrum of a shorter one has hardly any frequencies
 _MODE_MARGIN = 0.7  # fraction of the lowest belt frequency; power above it excites the belts
 _MODE_POWER = 1e-3  # fraction of the total power that should be near or above the lowest belt frequency
@@ -184,7 +184,7 @@ def _check_speed(name: str, speed: Array, machine: Machine) -> list[Finding]:
     if len(speed) == 0:
         return []
     unit = machine.coordinate(name).unit("speed")
-    top = float(np.percentile(np.abs(speed), TOP_PERCENTILE))
+    top = float(np.percentile(np.abs(speed), _TOP_PERCENTILE))
     moving = speed[np.abs(speed) > _MOVING * top]
     if top == 0.0 or len(moving) == 0:
         return []

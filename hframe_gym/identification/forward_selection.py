@@ -43,18 +43,20 @@ class SelectedEffect:
 
     Attributes:
         effect: The effect with its fitted parameters.
-        rivals: Labels of effects that explain the data equally well, and descriptions of causes that no recording can
-            distinguish from this effect.
         gain: Reduction of chi-squared per sample on the fitted runs.
         machine_without: The machine as it was fitted before the effect was added.
-        rival_effects: The rivals among the fitted candidates.
+        rival_effects: Other effects, with fitted parameters, that explain the data equally well.
     """
 
     effect: AppliedEffect
-    rivals: tuple[str, ...]
     gain: float
     machine_without: Machine
     rival_effects: tuple[AppliedEffect, ...] = ()
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Labels of the rival effects, then causes in words that no recording can distinguish from the effect."""
+        return (*(rival.label for rival in self.rival_effects), *self.effect.definition.equivalent)
 
     def with_values(self, machine: Machine) -> SelectedEffect:
         """Return a copy in which the effect has the parameter values of another fitted machine.
@@ -67,18 +69,6 @@ class SelectedEffect:
         """
         effect = next(e for e in machine.effects if e.label == self.effect.label)
         return dataclasses.replace(self, effect=effect)
-
-    def with_rivals(self, remaining: tuple[AppliedEffect, ...]) -> SelectedEffect:
-        """Return a copy with only some of its rivals, and with the causes that no recording can distinguish from it.
-
-        Args:
-            remaining: Rivals that remain.
-
-        Returns:
-            Copy with these rivals.
-        """
-        names = (*(rival.label for rival in remaining), *self.effect.definition.equivalent)
-        return dataclasses.replace(self, rivals=names, rival_effects=remaining)
 
 
 # Fit of a machine with all selected effects, and these effects.
@@ -161,8 +151,7 @@ class EffectSearch:
             best = trials[0]
             effect, gain = best.machine.effects[-1], (without.cost - best.cost) / data.count  # the new effect is last
             rivals = close_rivals(trials, without, data, criteria)
-            rival_names = (*(e.label for e in rivals), *effect.definition.equivalent)
-            selected = (*selected, SelectedEffect(effect, rival_names, gain, without.machine, rivals))
+            selected = (*selected, SelectedEffect(effect, gain, without.machine, rivals))
             current, selected = self._exchange(fit_with_model_error(best, data), selected)
         for s in selected:
             self.considered.pop(s.effect.label, None)
@@ -231,7 +220,7 @@ class EffectSearch:
             effect = better.machine.effects[-1]
             self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
             total = (reduced.cost - better.cost) / data.count
-            new = SelectedEffect(effect, effect.definition.equivalent, total, reduced.machine)
+            new = SelectedEffect(effect, total, reduced.machine)
             others = tuple(s for s in selected if s is not old)
             return self._exchange(fit_with_model_error(better, data), (*others, new))
         return current, selected
@@ -273,9 +262,9 @@ class EffectSearch:
             if compared.better is not None:
                 effect = compared.better.machine.effects[-1]
                 self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
-                new = SelectedEffect(effect, effect.definition.equivalent, old.gain, old.machine_without)
+                new = SelectedEffect(effect, old.gain, old.machine_without)
                 return self.settle_rivals(compared.better, (*(s for s in selected if s is not old), new))
-            settled = (*settled, old.with_rivals(compared.remaining))
+            settled = (*settled, dataclasses.replace(old, rival_effects=compared.remaining))
         return current, tuple(s.with_values(current.machine) for s in settled)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:

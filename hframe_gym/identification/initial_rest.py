@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import simulate_batch
-from ..machine import Machine
+from ..machine import Machine, Sensor
 from ..recordings import Recording
 from .belt_stretch import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
@@ -169,12 +169,7 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
     at_rest = InitialVelocity(np.zeros(len(rigid)), np.zeros((0, len(rigid))))
     if len(recording.time_s) <= _MIN_VELOCITY_ROWS or count_resting_rows(recording, machine) > 1:
         return at_rest
-    noise = np.array(
-        [
-            max(difference_noise([y]), sensor_quantum([y], s.resolution) / np.sqrt(12), s.noise, 1e-12)
-            for y, s in zip(recording.outputs.T, machine.sensors, strict=True)
-        ]
-    )
+    noise = np.array([_noise(y, y, s) for y, s in zip(recording.outputs.T, machine.sensors, strict=True)])
     vibration = vibration_speeds(machine)
     vibrations = np.array([vibration.get(s.coordinate, 0.0) for s in machine.sensors])
     seen = machine.sensor_matrix @ rigid
@@ -186,7 +181,7 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
     rates = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
     costs = _costs_of_starts(rates @ rigid.T, recording, machine, rigid, noise)
     best = int(np.argmin(costs))
-    similar = costs <= costs[best] / _CERTAIN  # the other starts can be excluded
+    similar = costs <= costs[best] / _CERTAIN  # all others are excluded
     if best == 0 and not similar[1:].any():
         return at_rest
     distance = np.linalg.norm(rates[similar] - rates[best], axis=1).max()
@@ -263,11 +258,14 @@ def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Arra
     for values, sensor in zip(recording.outputs.T, machine.sensors, strict=True):
         measured = values[np.isfinite(values)]
         span = float(np.ptp(measured)) if len(measured) else 0.0
-        rounding = sensor_quantum([values], sensor.resolution) / np.sqrt(12)
-        noise = max(difference_noise([values[:rows]]), rounding, sensor.noise)
-        tolerances.append(max(_STILL_NOISE * noise, _STILL_SPAN * span))
+        tolerances.append(max(_STILL_NOISE * _noise(values[:rows], values, sensor), _STILL_SPAN * span))
         spans.append(span)
     return np.array(tolerances), np.array(spans)
+
+
+def _noise(values: Array, of_run: Array, sensor: Sensor) -> float:
+    """Return the standard deviation of some measurements: measured, declared or of the rounding error, the largest."""
+    return max(difference_noise([values]), sensor_quantum([of_run], sensor.resolution) / np.sqrt(12), sensor.noise)
 
 
 def _block_medians(outputs: Array, size: int) -> Array:

@@ -212,7 +212,7 @@ def add_tables(
         log(f"  {effect.label} {describe_gain(current, best)}")
         if gain < min_gain:
             break
-        selected = (*selected, SelectedEffect(effect, (), gain, current.machine))
+        selected = (*selected, SelectedEffect(effect, gain, current.machine))
         current = best
     return current, tuple(s.with_values(current.machine) for s in selected)
 

@@ -240,7 +240,7 @@ def _corrected(
     labels = {e.label for e in limits}
     fitted = fitted.replace(effects=tuple(e for e in fitted.effects if e.label not in labels))
     selected = tuple(s for s in selected if s.effect.label not in labels)
-    selected += tuple(SelectedEffect(e, (), 0.0, fitted) for e in limits)
+    selected += tuple(SelectedEffect(e, 0.0, fitted) for e in limits)
     return fitted.with_effects(*limits), selected
 
 

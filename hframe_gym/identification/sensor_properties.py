@@ -25,7 +25,7 @@ Range = tuple[float, float]
 
 UNLIMITED = 10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
 _MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
-MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
+_MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
 
 
 def quantum_of(values: Array) -> float:
@@ -82,7 +82,7 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
             parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
             squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
             rows += len(at_rest) - 3
-    return float(np.sqrt(squares / rows)) if rows >= MIN_RESTING_ROWS else None
+    return float(np.sqrt(squares / rows)) if rows >= _MIN_RESTING_ROWS else None
 
 
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:

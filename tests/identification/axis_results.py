@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 
 from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, IdentificationResult, SelectedEffect, prepare
 from hframe_gym.identification.inverse_dynamics import force_error
 from hframe_gym.identification.residual import channel_errors
 from hframe_gym.identification.result import ModelEvaluation, PredictionErrors
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording
 
 AXIS = BUILTIN_MACHINES["axis"]()
 NOISE = 20e-6  # m
+PRESLIDING = EFFECTS["presliding"].at("x", s0=3e3, s1=1.0)
 
 
 def axis_runs(truth: Machine, *, rows: int, volts: float) -> Dataset:
@@ -32,7 +34,7 @@ def axis_runs(truth: Machine, *, rows: int, volts: float) -> Dataset:
 
 
 def axis_result(
-    data: Dataset, after: Machine, *, gain: float = 0.9, rivals: tuple[str, ...] = (), **fields: Any
+    data: Dataset, after: Machine, *, gain: float = 0.9, rivals: tuple[AppliedEffect, ...] = (), **fields: Any
 ) -> IdentificationResult:
     """Return a result with a corrected machine, evaluated on the last run; `fields` replace the default values."""
     held_out = data.with_runs(["run_2"])
@@ -45,7 +47,7 @@ def axis_result(
         declared=before,
         before=before,
         after=last,
-        effects=tuple(SelectedEffect(e, rivals, 1.0, AXIS) for e in after.effects),
+        effects=tuple(SelectedEffect(e, 1.0, AXIS, rivals) for e in after.effects),
         gains={e.label: gain for e in after.effects},
         sizes={e.label: 0.1 for e in after.effects},
         considered=(),

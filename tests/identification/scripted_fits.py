@@ -37,7 +37,7 @@ def fit_with(*effects: AppliedEffect, chi2: float, free: int = 4, bandwidth: flo
 
 def selected(effect: AppliedEffect, gain: float = 1.0) -> SelectedEffect:
     """Return a selected effect."""
-    return SelectedEffect(effect, (), gain, AXIS)
+    return SelectedEffect(effect, gain, AXIS)
 
 
 def runs(names: str) -> Any:

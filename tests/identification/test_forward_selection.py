@@ -39,8 +39,8 @@ def test_effects_are_added_until_only_noise_is_left(scripted: Scripted) -> None:
     fitted, effects = scripted.search().run(fit_with(chi2=10.0))
     assert [s.effect for s in effects] == [PUSH, SPRING]
     assert [s.gain for s in effects] == pytest.approx([8.0, 0.995])
-    assert effects[0].rivals[0] == DRAG.label
     assert effects[0].rival_effects == (DRAG,)
+    assert effects[0].rivals == (DRAG.label, *PUSH.definition.equivalent)
     assert effects[0].machine_without.effects == ()
     assert effects[1].machine_without.effects == (PUSH,)
     assert fitted.chi2 == pytest.approx(1.005)

@@ -44,7 +44,7 @@ def outcome_with_force(axis: Machine, data: Dataset, size: float, before_explain
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
     machine = axis.with_effects(EFFECTS["constant_force"].at("x", size=size))
     after = fit(machine, default_free_parameters(machine), data, SIMULATION, iterations=1)
-    selected = SelectedEffect(machine.effects[0], (), 1.0, axis).with_values(after.machine)
+    selected = SelectedEffect(machine.effects[0], 1.0, axis).with_values(after.machine)
     return before, SearchOutcome(before, before_explains, True, "effect_found", after, (selected,), (), data)
 
 

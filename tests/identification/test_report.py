@@ -22,7 +22,7 @@ from hframe_gym.identification.result import PredictionErrors, Verdict, plot_dat
 from hframe_gym.identification.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
-from tests.identification.axis_results import AXIS, axis_result, axis_runs
+from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs
 
 pytestmark = pytest.mark.unit
 STRIBECK = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02))
@@ -49,7 +49,7 @@ def result_of(
         data,
         after,
         gain=gain,
-        rivals=("presliding@x",) if plan else (),
+        rivals=(PRESLIDING,) if plan else (),
         verdict=verdict,
         dependence=(Dependence("velocity of x", "x", 0.8),),
         experiment=plan,
