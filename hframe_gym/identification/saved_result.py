@@ -263,7 +263,8 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
     curves, channels = saved.curves, len(saved.machine.output_channels)
     needed: dict[str, int] = {}  # dimensions by name
     for run in saved.report["runs"]["held_out"]:
-        needed |= {f"{run}/time_s": 1, f"{run}/before": 2, f"{run}/after": 2}
+        needed |= {f"{run}/time_s": 1}
+        needed |= {f"{run}/{name}": 2 for name in ("measured", "declared", "before", "after")}
     if "force/variable" in curves:
         needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
         if not saved.report["residual"]["depends_on"]:

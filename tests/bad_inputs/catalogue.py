@@ -44,6 +44,7 @@ ARRAYS: dict[str, Any] = {
     "cube": np.zeros((3, 4, 5)),
     "bomb": np.zeros(20_000_000),
     "text": "a text",
+    "absent": None,  # of a .npz file: it is left out
 }
 
 
@@ -93,7 +94,8 @@ def _write(path: Path, content: dict[str, Any]) -> None:
     if "parquet" in content:
         _write_parquet(path, content["parquet"])
     if "npz" in content:
-        np.savez_compressed(path, **(answer_curves() | {name: ARRAYS[key] for name, key in content["npz"].items()}))
+        arrays = answer_curves() | {name: ARRAYS[key] for name, key in content["npz"].items()}
+        np.savez_compressed(path, **{name: values for name, values in arrays.items() if values is not None})
     if "mat" in content:
         from scipy import io
 
