@@ -20,6 +20,7 @@ from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, EffectParameter, Machine
 from .dataset import Dataset, TypicalScales
 from .free_parameters import FreeParameter
+from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_peaks, slow_rates
 from .screening import replaces_model_part
 from .sensor_properties import UNLIMITED
 
@@ -27,16 +28,7 @@ Array = NDArray[np.float64]
 _MAX_SHAPES = 64  # Sets of starting values per effect and site.
 _END_FRACTION = 0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
 
-# Periodogram. Rates are counted in periods over the range of the positions. Less than one period of a force cannot be
-# distinguished from a spring.
-_MIN_FRICTION_PERIODS, _MIN_FORCE_PERIODS, _MAX_PERIODS = 0.5, 1.0, 1000.0
-_ROWS_PER_PERIOD = 4.0  # Shorter periods, of which most of the motion has fewer rows, are not tried.
 _LEAST_PERIOD_PRIOR = 0.1  # relative
-_POINTS_PER_PERIOD = 4  # Rates of the grid per period over the range.
-_CELLS_PER_POINT = 16  # Cells of the position per point of the grid: the shortest period has 64 cells.
-_BAND_EDGES = (3.0, 12.0, 40.0, 150.0)
-_SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
-_MAX_RATES = 7
 
 
 @dataclass(frozen=True)
@@ -170,7 +162,7 @@ def _shapes(
             grids[p.name] = [g * scales.get(p.unit, 1.0) for g in p.grid]
         elif p.role in ("rate", "period"):
             motion = missing_force[machine.coordinate_of_site(site, effect.site) or ""]
-            rates = periodogram_peaks(motion, friction=effect.coulomb is not None)
+            rates = periodogram_peaks(motion, data.period, friction=effect.coulomb is not None)
             if slow_friction and effect.coulomb:
                 rates = np.concatenate([rates, slow_rates(motion[:, 0])])
             grids[p.name] = [float(rate) if p.role == "rate" else float(2 * np.pi / rate) for rate in rates]
@@ -243,7 +235,7 @@ def _period_prior(parameter: EffectParameter, value: float, scales: Mapping[str,
     """Return the relative standard deviation of a period or rate: half a period over the range of the positions."""
     span = scales.get("position", 0.0)  # range of the positions
     periods = span * value / (2 * np.pi) if parameter.role == "rate" else span / value
-    return max(_LEAST_PERIOD_PRIOR, 0.5 / max(periods, _MIN_FRICTION_PERIODS))
+    return max(_LEAST_PERIOD_PRIOR, 0.5 / max(periods, MIN_FRICTION_PERIODS))
 
 
 def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> tuple[float, float]:
@@ -253,97 +245,5 @@ def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float
     """
     lower, upper = parameter.lower, min(parameter.upper, parameter.largest * scales.get(parameter.unit, 1.0))
     if parameter.role == "rate" and "position" in scales:
-        lower = max(lower, 2 * np.pi * _MIN_FORCE_PERIODS / scales["position"])
+        lower = max(lower, 2 * np.pi * MIN_FORCE_PERIODS / scales["position"])
     return min(lower, value), max(upper, value)
-
-
-def periodogram_peaks(motion: Array, *, friction: bool) -> Array:
-    """Find the periods over the position at which a missing force varies most (least-squares periodogram).
-
-    The missing force is the force that the model lacks. At each spatial rate (2 pi / period), a sine and a cosine of
-    the position are fitted to it by least squares, together with a constant, viscous and dry friction. Rates from 1
-    (friction: 0.5) to 1000 periods over the range of the positions are tried, but no period of which most of the motion
-    has fewer than four rows.
-
-    Args:
-        motion: Position, velocity and missing force of one coordinate, in its units, one column each, shape (n, 3).
-        friction: True for a periodic friction level, whose force changes sign with the velocity; False for a periodic
-            force.
-
-    Returns:
-        At most seven spatial rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
-        (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
-        Empty if the position does not change.
-
-    References:
-        Lomb (1976), Least-squares frequency analysis of unequally spaced data.
-    """
-    position, velocity, force = motion.T
-    span = float(np.ptp(position))
-    if span <= 0.0:
-        return np.zeros(0)
-    fewest = _MIN_FRICTION_PERIODS if friction else _MIN_FORCE_PERIODS
-    moving = np.abs(velocity) > 0.02 * np.percentile(np.abs(velocity), 99)
-    travel = float(np.percentile(np.abs(np.diff(position))[moving[1:]], 25))  # from one row to the next
-    most = min(_MAX_PERIODS, max(span / (_ROWS_PER_PERIOD * travel), 2.0 * fewest)) if travel > 0.0 else _MAX_PERIODS
-    position, velocity, force = (column[moving] for column in (position, velocity, force))
-    # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
-    basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
-    force = force - basis @ (basis.T @ force)
-    sign = np.sign(velocity) if friction else np.ones_like(velocity)
-    points = np.arange(round(_POINTS_PER_PERIOD * fewest), round(_POINTS_PER_PERIOD * most) + 1)
-    power = _explained_power(points, position, sign, force, basis)
-    # First the best rate of each band, because the noise of the missing force grows with it; then the best of all.
-    band = np.searchsorted(_BAND_EDGES, points / _POINTS_PER_PERIOD)
-    best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
-    peaks: list[int] = []
-    for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
-        if all(abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks):  # not the flank of another peak
-            peaks.append(int(points[k]))
-        if len(peaks) == _MAX_RATES:
-            break
-    return 2 * np.pi / (_POINTS_PER_PERIOD * span) * np.array(peaks)
-
-
-def slow_rates(position: Array) -> Array:
-    """Return starting values for the spatial rate (2 pi / period) of friction that varies slowly over the position.
-
-    They form a grid of 0.5 to 6 periods over the range of the positions and are tried besides `periodogram_peaks`,
-    which may miss slow variations: the force that the model lacks is estimated with much noise. A simulation with such
-    a variation can nevertheless predict the positions better.
-
-    Args:
-        position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).
-
-    Returns:
-        Rates, rad per unit of position, shape (rates,); empty if the position does not change.
-    """
-    span = float(np.ptp(position))
-    return np.asarray(2 * np.pi / span * _SLOW_PERIODS if span > 0.0 else np.zeros(0))
-
-
-def _explained_power(points: NDArray[np.int64], position: Array, sign: Array, force: Array, basis: Array) -> Array:
-    """Return the square sum that a sine and a cosine at each point of the grid explain beyond the basis (points,).
-
-    Their products with force and basis are Fourier transforms over the position. Each row is distributed over the two
-    nearest cells of a grid of positions, in proportion to its distance from them, so that the transforms are fast ones.
-    """
-    cells = 2 ** int(np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1))))  # over _POINTS_PER_PERIOD times the range
-    place = (position - position.min()) * (cells / (_POINTS_PER_PERIOD * np.ptp(position)))
-    left = place.astype(np.int64)
-
-    def transform(values: Array, points: NDArray[np.int64]) -> NDArray[np.complex128]:
-        weight = values * (place - left)
-        sums = np.bincount(left, values - weight, cells) + np.bincount(left + 1, weight, cells)
-        # The division undoes the smoothing by the distribution over two cells.
-        return np.asarray(np.fft.rfft(sums)[points].conj() / np.sinc(points / cells) ** 2)
-
-    projection = transform(sign * force, points)
-    in_basis = np.stack([transform(sign * column, points) for column in basis.T], axis=1)
-    double_rate = transform(np.ones_like(position), 2 * points)
-    cc = 0.5 * (len(position) + double_rate.real) - np.sum(in_basis.real**2, axis=1)
-    ss = 0.5 * (len(position) - double_rate.real) - np.sum(in_basis.imag**2, axis=1)
-    cs = 0.5 * double_rate.imag - np.sum(in_basis.real * in_basis.imag, axis=1)
-    determinant = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
-    explained = ss * projection.real**2 + cc * projection.imag**2 - 2 * cs * projection.real * projection.imag
-    return np.asarray(explained / determinant)

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 # Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
 _RESIDUAL_CUTOFF = 30.0
-_MISSING_FORCE_CUTOFF = 40.0
+MISSING_FORCE_CUTOFF = 40.0
 _DEPENDENCE_BINS = 16
 _MINIMUM_DEPENDENCE = 0.05  # fraction of the variance
 _WHITENESS_BLOCK_S = 0.02
@@ -175,7 +175,7 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     def of_run(run: PreparedRecording) -> Array:
         motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
         # f + 2 T f' + T^2 f'' inverts the low-pass 1 / (1 + T s)^2.
-        force = _low_pass(force_residual(machine, run, data), _MISSING_FORCE_CUTOFF, data.period)
+        force = _low_pass(force_residual(machine, run, data), MISSING_FORCE_CUTOFF, data.period)
         first_derivative = np.gradient(force, run.time_s, axis=0)
         second_derivative = np.gradient(first_derivative, run.time_s, axis=0)
         unfiltered = force + 2 * time_constant * first_derivative + time_constant**2 * second_derivative

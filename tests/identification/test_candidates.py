@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.candidates import Candidate, candidates, effect_parameters, periodogram_peaks, slow_rates
+from hframe_gym.identification.candidates import Candidate, candidates, effect_parameters
 from hframe_gym.identification.criteria import SelectionCriteria
 from hframe_gym.identification.dataset import TypicalScales
 from hframe_gym.identification.nonparametric import table_candidates
+from hframe_gym.identification.periodogram import periodogram_peaks, slow_rates
 from hframe_gym.machine import Machine
 from tests.identification.axis_results import AXIS, axis_runs
 
@@ -31,13 +32,13 @@ def motion(rate: float, *, friction: bool) -> np.ndarray:
 def test_the_rate_of_a_sine_is_the_first_peak(rate: float, friction: bool) -> None:
     data = motion(rate, friction=friction)
     resolution = 2 * np.pi / np.ptp(data[:, 0])
-    peaks = periodogram_peaks(data, friction=friction)
+    peaks = periodogram_peaks(data, 1e-3, friction=friction)
     assert abs(peaks - rate).min() < 0.5 * resolution
     assert abs(peaks[0] - rate) < 0.5 * resolution
 
 
 def test_a_coordinate_that_rests_has_no_periods() -> None:
-    assert len(periodogram_peaks(np.zeros((100, 3)), friction=False)) == 0
+    assert len(periodogram_peaks(np.zeros((100, 3)), 1e-3, friction=False)) == 0
     assert len(slow_rates(np.zeros(100))) == 0
 
 
@@ -74,8 +75,8 @@ def test_the_recorded_motion_limits_what_a_fit_may_reach(hframe: Machine) -> Non
 def test_a_force_has_at_least_one_period(hframe: Machine) -> None:
     data = motion(0.6 * 2 * np.pi / 0.5, friction=False)
     span = np.ptp(data[:, 0])
-    assert periodogram_peaks(data, friction=False).min() >= 2 * np.pi / span * 0.999
-    assert periodogram_peaks(data, friction=True).min() < 2 * np.pi / span
+    assert periodogram_peaks(data, 1e-3, friction=False).min() >= 2 * np.pi / span * 0.999
+    assert periodogram_peaks(data, 1e-3, friction=True).min() < 2 * np.pi / span
 
 
 def test_a_table_that_the_machine_has_is_not_proposed_again() -> None:
@@ -92,7 +93,7 @@ def test_the_rate_of_many_short_periods_is_the_first_peak() -> None:
     """300 periods over the range of the motion, of which slow motion has enough rows."""
     rate = 300 * 2 * np.pi / np.ptp(motion(1.0, friction=False)[:, 0])
     data = motion(rate, friction=False)
-    assert abs(periodogram_peaks(data, friction=False)[0] - rate) < 0.5 * rate / 300
+    assert abs(periodogram_peaks(data, 1e-3, friction=False)[0] - rate) < 0.5 * rate / 300
 
 
 def test_second_cogging_is_a_candidate_only_beside_cogging() -> None:

@@ -1,0 +1,157 @@
+"""Find the periods over the position at which the force that a model lacks (missing force) varies.
+
+The periodogram is that of least squares, for positions at unequal distances. `residual.missing_force` estimates the
+missing force up to a cut-off frequency. A fast motion passes a short period within a shorter time, so that the estimate
+shows little of it, or shows it with the wrong sign. Each period is therefore compared with slow enough motion only.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .residual import MISSING_FORCE_CUTOFF
+
+Array = NDArray[np.float64]
+
+# Numbers of periods over the range of the positions. Less than one period of a force cannot be distinguished from a
+# spring.
+MIN_FRICTION_PERIODS, MIN_FORCE_PERIODS = 0.5, 1.0
+_MAX_PERIODS = 1000.0
+_ROWS_PER_PERIOD = 4.0  # Rows that show a period; of motion with fewer rows per period, nothing is used.
+_SLOWEST = 0.02  # Slowest rows that are used, relative to the fastest; at rest, dry friction has no certain direction.
+_MIN_ROWS = 50  # Slow rows, below which a period is not tried: ten for each of the five fitted coefficients.
+_POINTS_PER_PERIOD = 4  # Rates of the grid per period over the range.
+_CELLS_PER_POINT = 16  # Cells of the position per point of the grid: the shortest period has 64 cells.
+_BAND_RATIO = 2.0**0.5  # Highest rate over the lowest of those that are fitted to the same rows.
+_BAND_EDGES = (3.0, 12.0, 40.0, 150.0)  # of the bands whose strongest period is always returned, periods
+_SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
+_MAX_RATES = 7
+
+
+def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) -> Array:
+    """Find the periods over the position at which a missing force varies most (least-squares periodogram).
+
+    The missing force is the force that the model lacks. At each spatial rate (2 pi / period), a sine and a cosine of
+    the position are fitted to it by least squares, together with a constant, viscous and dry friction. Rates from 1
+    (friction: 0.5) to 1000 periods over the range of the positions are tried. For each, the rows are used in which the
+    motion is so slow that a period has at least four rows and passes at less than `MISSING_FORCE_CUTOFF` (40 Hz).
+
+    Args:
+        motion: Position, velocity and missing force of one coordinate, in its units, one column each, shape (n, 3).
+        sampling_period: Time from one row to the next, s.
+        friction: True for a periodic friction level, whose force changes sign with the velocity; False for a periodic
+            force.
+
+    Returns:
+        At most seven spatial rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
+        (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
+        Strength is the square sum that sine and cosine explain. Empty if the position does not change, or never slowly
+        enough.
+
+    References:
+        Lomb (1976), Least-squares frequency analysis of unequally spaced data.
+    """
+    span = float(np.ptp(motion[:, 0]))
+    if span <= 0.0:
+        return np.zeros(0)
+    fewest = MIN_FRICTION_PERIODS if friction else MIN_FORCE_PERIODS
+    points, power = _spectrum(motion, sampling_period, fewest, friction=friction)
+    # First the best rate of each band, because the noise of the missing force grows with it; then the best of all.
+    band = np.searchsorted(_BAND_EDGES, points / _POINTS_PER_PERIOD)
+    best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
+    peaks: list[int] = []
+    for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
+        if all(abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks):  # not the flank of another peak
+            peaks.append(int(points[k]))
+        if len(peaks) == _MAX_RATES:
+            break
+    return 2 * np.pi / (_POINTS_PER_PERIOD * span) * np.array(peaks, float)
+
+
+def slow_rates(position: Array) -> Array:
+    """Return starting values for the spatial rate (2 pi / period) of friction that varies slowly over the position.
+
+    They form a grid of 0.5 to 6 periods over the range of the positions and are tried besides `periodogram_peaks`,
+    which may miss slow variations: the force that the model lacks is estimated with much noise. A simulation with such
+    a variation can nevertheless predict the positions better.
+
+    Args:
+        position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).
+
+    Returns:
+        Rates, rad per unit of position, shape (rates,); empty if the position does not change.
+    """
+    span = float(np.ptp(position))
+    return np.asarray(2 * np.pi / span * _SLOW_PERIODS if span > 0.0 else np.zeros(0))
+
+
+def _spectrum(
+    motion: Array, sampling_period: float, fewest: float, *, friction: bool
+) -> tuple[NDArray[np.int64], Array]:
+    """Return the points of the grid of rates, and the square sum that each explains, shape (points,) each.
+
+    A point k is the rate of k / `_POINTS_PER_PERIOD` periods over the range of the positions.
+    """
+    position, velocity, force = motion.T
+    speed, span = np.abs(velocity), float(np.ptp(position))
+    position = position - position.min()
+    top = float(np.percentile(speed, 99))
+    highest = min(MISSING_FORCE_CUTOFF, 1.0 / (_ROWS_PER_PERIOD * sampling_period))  # periods per second
+    edges = [_POINTS_PER_PERIOD * fewest]
+    while edges[-1] < _POINTS_PER_PERIOD * _MAX_PERIODS:
+        edges.append(edges[-1] * _BAND_RATIO)
+    all_points, all_power = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for first, end in itertools.pairwise(np.ceil(edges).astype(np.int64)):
+        points = np.arange(first, min(end, round(_POINTS_PER_PERIOD * _MAX_PERIODS) + 1))
+        fastest = highest * _POINTS_PER_PERIOD * span / end
+        rows = (speed > _SLOWEST * min(fastest, top)) & (speed < fastest)
+        if len(points) == 0 or np.count_nonzero(rows) < _MIN_ROWS:
+            continue
+        sign = np.sign(velocity[rows]) if friction else np.ones(np.count_nonzero(rows))
+        all_points.append(points)
+        all_power.append(_explained_power(points, span, position[rows], velocity[rows], sign, force[rows]))
+    return np.concatenate(all_points), np.concatenate(all_power)
+
+
+def _explained_power(
+    points: NDArray[np.int64], span: float, position: Array, velocity: Array, sign: Array, force: Array
+) -> Array:
+    """Return the square sum that a sine and a cosine at each point of the grid explain, shape (points,).
+
+    Their products with the force and with constant, viscous and dry friction are Fourier transforms over the position.
+    Each row is distributed over the two nearest cells of a grid of positions, in proportion to its distance from them,
+    so that the transforms are fast ones.
+
+    Args:
+        points: Rates, in periods over `_POINTS_PER_PERIOD` times the range.
+        span: Range of the positions.
+        position: Positions above the lowest, shape (n,).
+        velocity: Velocities, shape (n,).
+        sign: Factor of sine and cosine in each row: the direction of motion for friction, else 1, shape (n,).
+        force: Missing force, shape (n,).
+    """
+    # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
+    basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
+    force = force - basis @ (basis.T @ force)
+    cells = 2 ** int(np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1))))  # over _POINTS_PER_PERIOD times the range
+    place = position * (cells / (_POINTS_PER_PERIOD * span))
+    left = place.astype(np.int64)
+
+    def transform(values: Array, points: NDArray[np.int64]) -> NDArray[np.complex128]:
+        weight = values * (place - left)
+        sums = np.bincount(left, values - weight, cells) + np.bincount(left + 1, weight, cells)
+        # The division undoes the smoothing by the distribution over two cells.
+        return np.asarray(np.fft.rfft(sums)[points].conj() / np.sinc(points / cells) ** 2)
+
+    projection = transform(sign * force, points)
+    in_basis = np.stack([transform(sign * column, points) for column in basis.T], axis=1)
+    double_rate = transform(np.ones_like(position), 2 * points)
+    cc = 0.5 * (len(position) + double_rate.real) - np.sum(in_basis.real**2, axis=1)
+    ss = 0.5 * (len(position) - double_rate.real) - np.sum(in_basis.imag**2, axis=1)
+    cs = 0.5 * double_rate.imag - np.sum(in_basis.real * in_basis.imag, axis=1)
+    determinant = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
+    explained = ss * projection.real**2 + cc * projection.imag**2 - 2 * cs * projection.real * projection.imag
+    return np.asarray(explained / determinant)
