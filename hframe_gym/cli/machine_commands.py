@@ -40,7 +40,7 @@ def simulate(
     recording = load_recording(inputs, declared, outputs_needed=False)
     simulation = simulate_recording(declared, recording)
     for warning in simulation.initial.warnings:
-        log(f"warning: {warning}")
+        log(f"warning: {recording.name}: {warning}")
     write_trajectory(out, simulation.trajectory, recording.inputs, declared)
     log(f"wrote {out}: {len(recording.time_s)} rows of {declared.name}")
 

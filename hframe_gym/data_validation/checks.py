@@ -155,8 +155,8 @@ def _describe_motion(recording: Recording, rest: InitialRest, names: Sequence[st
             "to rest before the recording"
         )
     return (
-        "the machine moves before the first input, so only the first row counts as at rest, with a velocity of 0. Let "
-        "it come to rest before the recording, unless a force or an offset of the voltage moves it"
+        "the machine moves before the first input, so its initial velocity is estimated from the first measurements. "
+        "Let it come to rest before the recording, unless a force or an offset of the voltage moves it"
     )
 
 

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from ..atomic_files import write_text
 from ..errors import InputError
+from ..recordings import name_runs
 
 Severity = Literal["fault", "advice", "note"]
 
@@ -67,8 +68,7 @@ def group_findings(findings: Sequence[Finding]) -> list[Finding]:
 
 def _merged(group: list[Finding]) -> Finding:
     """Return the first finding of a group with the number of further runs, if the group has several runs."""
-    first, others = group[0], len({finding.run for finding in group}) - 1
-    return replace(first, run=f"{first.run} and {others} more run{'s' if others > 1 else ''}") if others else first
+    return replace(group[0], run=name_runs([finding.run for finding in group]))
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:

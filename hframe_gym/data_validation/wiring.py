@@ -53,8 +53,8 @@ def sensor_motions(machine: Machine) -> Array:
         machine: Machine with sensors.
 
     Returns:
-        Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion, shape (sensors,
-        motions), in the order of these coordinates in `machine.rigid_motions`, for example x, y.
+        Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for example x, y),
+        in the order of `rigid_motions(machine)`, shape (sensors, motions).
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     return machine.sensor_matrix @ motions.T
@@ -131,8 +131,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
         machine: Declared machine.
 
     Returns:
-        Findings (severity, run, channel, message) about all runs together, and faults of single runs; empty if no
-        mistake is suspected.
+        Findings (severity, run, channel, message) about all runs together, and faults of single runs.
     """
     # Matrices that undo one mistake (a sign, or two swapped channels), by its description.
     output_corrections, input_corrections = _single_corrections(machine)
@@ -150,8 +149,10 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
         for run, speeds, predictions in zip(runs, measured, simulated, strict=True):
             alone = _signs_and_swaps(speeds, predictions, output_corrections, labels, machine)
             findings += [dataclasses.replace(f, run=run.name) for f in alone if f.severity == "fault"]
+    units = _units(all_measured, all_simulated[0], data, machine)
     # A wrong unit of one channel makes the ratios of others wrong as well.
-    return findings + (_units(all_measured, all_simulated[0], data, machine) or _ratios(data, machine))
+    ratios = [] if any(finding.severity == "fault" for finding in units) else _ratios(data, machine)
+    return findings + units + [ratio for ratio in ratios if ratio.channel not in {unit.channel for unit in units}]
 
 
 def _speeds(outputs: Array, time_s: Array) -> Array:
@@ -214,11 +215,10 @@ def _signs_and_swaps(
     agreement, misfit = _agreement(measured, simulated[0]), rigid_misfit(measured, machine)
     if initial_score is None or (agreement > _GOOD_AGREEMENT and misfit < _GOOD_MISFIT):
         return []
+    of_outputs = {label: (simulated[0], matrix) for label, matrix in output_corrections.items()}
+    of_inputs = {label: (simulated[i], unchanged) for i, label in enumerate(input_labels, start=1)}
     all_scores = {
-        label: _score(measured, simulated[0], matrix, machine) for label, matrix in output_corrections.items()
-    }
-    all_scores |= {
-        label: _score(measured, simulated[i], unchanged, machine) for i, label in enumerate(input_labels, start=1)
+        label: _score(measured, *correction, machine) for label, correction in (of_outputs | of_inputs).items()
     }
     scores = {label: score for label, score in all_scores.items() if score is not None}
     best = max(scores.values())
@@ -229,11 +229,8 @@ def _signs_and_swaps(
             return [Finding("fault", "", "", f"{likely}: {remedy}")]
         return [Finding("advice", "", "", f"{likely}? The speeds would agree better with the simulated ones")]
     if agreement < _POOR_AGREEMENT:
-        message = (
-            f"measured and simulated speeds do not agree (correlation {agreement:.2f}): is the machine file that of "
-            "the recorded machine?"
-        )
-        return [Finding("advice", "", "", message)]
+        message = f"measured and simulated speeds do not agree (correlation {agreement:.2f}): "
+        return [Finding("advice", "", "", message + "is the machine file that of the recorded machine?")]
     return []
 
 
@@ -278,19 +275,19 @@ def _channel_unit(sensor: Sensor, machine: Machine) -> str:
 
 
 def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report encoders that move too far for the travel that the sensors with a fixed zero measure.
+    """Report encoders that move too far or too little for the travel that sensors with a fixed zero measure.
 
-    Positions are compared over complete runs, because fast motion also stretches the belts. A small ratio is advice,
-    not a fault: a scale error of the other sensors, which identification can find, has the same appearance.
+    Positions are compared over complete runs, because fast motion also stretches the belts. A small deviation is
+    advice, not a fault: a scale error of the other sensors, which identification can find, has the same appearance.
     """
     findings = []
     kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
-    encoders = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]
-    for column in encoders:
+    compared = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]
+    for column in compared:
         parts = []
         for run in data.runs:
             fixed_only = run.outputs.copy()
-            fixed_only[:, encoders] = np.nan  # other encoders may have the same mistake
+            fixed_only[:, compared] = np.nan  # other encoders may have the same mistake
             prediction = rigid_prediction(fixed_only, column, machine)
             both = np.column_stack([run.outputs[:, column], prediction[0]]) if prediction else np.zeros((0, 2))
             both = both[np.isfinite(both).all(axis=1)]
@@ -311,7 +308,8 @@ def _ratio_finding(machine: Machine, sensor: Sensor, ratio: float) -> Finding:
         cause = "a unit, scale factor or gear ratio is wrong"
         message = f"moves {ratio:.3g} times as far as the sensors with a fixed zero measure: {cause}"
         return Finding("fault", "", sensor.channel, message)
-    coordinate, too_far = machine.coordinate(sensor.coordinate), f"{100 * (ratio - 1):+.1f} % too far"
+    coordinate, direction = machine.coordinate(sensor.coordinate), "far" if ratio > 1 else "little"
+    too_far = f"{100 * abs(ratio - 1):.1f} % too {direction}"
     message = f"moves {too_far} for what other sensors measure: its scale factor or a gear ratio is wrong"
     if coordinate.kind == "rotary":
         radii = f"{coordinate.radius / ratio:.4g} m instead of {coordinate.radius:.4g} m"

@@ -12,5 +12,5 @@ EFFECT = Effect(
     source="Hanselman, Brushless Permanent Magnet Motor Design, chapter 7: the detent torque is a Fourier series",
     force=force,
     parameters=COGGING.parameters,
-    beside=COGGING.name,
+    requires=COGGING.name,
 )

@@ -1,41 +1,38 @@
 """Typical stretch and vibration of the belts when a run begins.
 
-At rest, friction holds the stretch; in motion, the drives cause it. Encoders on pulleys measure both beside the motion
-of the carriages.
+At rest, friction holds the stretch; in motion, the drives cause it. Encoders on pulleys measure the stretch and the
+vibration in addition to the motion of the carriages.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..dynamics import stiffness_matrix
 from ..machine import Machine
 
-# Fraction of the motors' Coulomb friction that typically remains as belt tension when the stage has come to rest, and
-# fraction of the torque at rated voltage that typically stretches the belts in motion.
-_HELD_FRICTION, _MOVING_TORQUE = 0.1, 0.5
-_SMALLEST_ANGLE = 1e-6  # rad; keeps the column of a motor without friction away from zero
+# Torques that typically stretch the belts: at rest, the part of the motors' Coulomb friction that a decaying vibration
+# leaves; in motion, the part of the torque at rated voltage that does not accelerate the motors or overcome back-EMF.
+_HELD_FRICTION, _MOVING_TORQUE = 0.2, 0.25
+_SMALLEST_ANGLE = 1e-6  # rad; a motor that is declared without friction still has some
 
 
 def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
-    """Return the angles by which the stretch of the belts typically turns the pulleys at the beginning of a run.
+    """Return the typical difference between the angle of each pulley and that of unstretched belts.
 
     Args:
         machine: Machine with or without belts.
-        moving: Whether the run begins in motion, in which the drives stretch the belts; otherwise friction does, at
-            rest.
+        moving: True if the run begins in motion (the drives stretch the belts), False at rest (friction holds the
+            stretch).
 
     Returns:
-        Angle, rad, by name of each rotary coordinate with a sensor and without a spring; empty without belts.
+        Angle, rad, by name of each rotary coordinate with belts and a sensor, and without a spring.
     """
-    if not machine.belts:
-        return {}
-    measured = {s.coordinate for s in machine.sensors}
-    driven = {d.coordinate: _MOVING_TORQUE * abs(d.gain) * d.rated_voltage for d in machine.drives if moving}
-    torques = {c.name: _HELD_FRICTION * c.coulomb + driven.get(c.name, 0.0) for c in machine.coordinates}
+    torques = {c.name: _HELD_FRICTION * c.coulomb for c in machine.coordinates}
+    for drive in machine.drives if moving else ():
+        torques[drive.coordinate] += _MOVING_TORQUE * abs(drive.gain) * drive.rated_voltage
     return {
-        c.name: max(torques[c.name] / c.radius**2 / _stiffness(machine), _SMALLEST_ANGLE)
-        for c in machine.coordinates
-        if c.kind == "rotary" and c.name in measured and c.name not in machine.spring_loaded
+        name: max(torques[name] / stiffness, _SMALLEST_ANGLE) for name, stiffness in _pulley_stiffness(machine).items()
     }
 
 
@@ -46,16 +43,31 @@ def vibration_speeds(machine: Machine) -> dict[str, float]:
         machine: Machine with or without belts.
 
     Returns:
-        Natural frequency times the angle by which the drives stretch the belts, rad/s, by name of each pulley with a
-        sensor.
+        Amplitude of the velocity, rad/s, of a vibration at the pulley's natural frequency with the stretch that the
+        drives cause, by name of each pulley with a sensor.
     """
-    speeds = {}
-    for name, angle in stretch_angles(machine, moving=True).items():
-        pulley = machine.coordinate(name)
-        speeds[name] = angle * float(np.sqrt(_stiffness(machine) * pulley.radius**2 / pulley.mass))
-    return speeds
+    angles = stretch_angles(machine, moving=True)
+    return {
+        name: angles[name] * float(np.sqrt(stiffness / machine.coordinate(name).mass))
+        for name, stiffness in _pulley_stiffness(machine).items()
+    }
 
 
-def _stiffness(machine: Machine) -> float:
-    """Return the mean stiffness of the belt sections, N/m."""
-    return float(np.mean([b.EA / b.rest_length for b in machine.belts]))
+def _pulley_stiffness(machine: Machine) -> dict[str, float]:
+    """Return the torque per angle, Nm/rad, by name of each pulley with a sensor; carriages and other motors are held.
+
+    Pulleys without a sensor (idlers) turn with the belt, so that its division into sections does not matter.
+    """
+    if not machine.belts:
+        return {}
+    matrix = stiffness_matrix(machine)
+    measured = {s.coordinate for s in machine.sensors}
+    rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary" and matrix[i, i] > 0.0]
+    idlers = [i for i in rotary if machine.coordinates[i].name not in measured]
+    stiffness = {}
+    for i in rotary:
+        coordinate = machine.coordinates[i]
+        if i not in idlers and coordinate.name not in machine.spring_loaded:
+            turning = [i, *idlers]
+            stiffness[coordinate.name] = 1.0 / float(np.linalg.inv(matrix[np.ix_(turning, turning)])[0, 0])
+    return stiffness

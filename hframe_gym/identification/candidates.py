@@ -118,12 +118,25 @@ def candidates(
         if replaces_model_part(effect) or effect.refitted:
             continue
         for site in effect_sites(effect, machine):
-            if f"{effect.name}@{site}" in present or (effect.beside and f"{effect.beside}@{site}" not in present):
+            if f"{effect.name}@{site}" in present or (effect.requires and f"{effect.requires}@{site}" not in present):
                 continue
             at_site = _scales_at(effect, site, machine, scales)
             for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
                 proposed.append(Candidate(effect, site, _columns(effect, shape, at_site), at_site))
     return proposed
+
+
+def is_required(machine: Machine, label: str) -> bool:
+    """Check whether another effect of the machine is identified only beside an effect (`Effect.requires`).
+
+    Args:
+        machine: Machine with effects (deviations from the nominal model).
+        label: Label (name@site) of the effect that may be required.
+
+    Returns:
+        True if another effect at the same site requires it.
+    """
+    return any(f"{e.definition.requires}@{e.site}" == label for e in machine.effects)
 
 
 def _scales_at(effect: Effect, site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:

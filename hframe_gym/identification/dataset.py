@@ -177,14 +177,13 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
 
     Returns:
         data: Copy without these runs (measurements of shape (n, sensors) each); the given one if no run would remain.
-        warnings: One sentence for each run that was left out.
+        warnings: A sentence that names the runs that were left out; none if there are none.
     """
     located = [run.name for run in data.runs if run.initial.position_known]
     if not located or len(located) == len(data.runs):
         return data, ()
-    reason = "is not used: no sensor with a known zero determines its initial position"
-    warnings = tuple(f"{run.name} {reason}." for run in data.runs if run.name not in located)
-    return data.with_runs(located), warnings
+    lost = ", ".join(run.name for run in data.runs if run.name not in located)
+    return data.with_runs(located), (f"Not used, because no sensor with a known zero measures the start: {lost}.",)
 
 
 def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Sequence[float]) -> float:

@@ -10,7 +10,7 @@ Fits take their initial states from here; `recording_simulation` determines that
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,28 +55,10 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
         return initial
     channels = ", ".join(np.array(machine.output_channels)[moved])
     warning = (
-        f"{recording.name}: {channels} does not count from its zero in the other runs, so the encoder was switched on "
+        f"{channels} does not count from its zero in the other runs, so the encoder was switched on "
         "anew; the belts are assumed to be in static equilibrium at rest."
     )
     return dataclasses.replace(initial, warnings=(*initial.warnings, warning))
-
-
-def merge_run_warnings(warnings: Iterable[str]) -> tuple[str, ...]:
-    """Merge the warnings that differ only in the name of the run.
-
-    Args:
-        warnings: Sentences, those about a run of the form "RUN: ...".
-
-    Returns:
-        Each different warning once, in the order of first occurrence; one of several runs begins with the name of the
-        first and the number of the others.
-    """
-    runs: dict[str, list[str]] = {}
-    for warning in dict.fromkeys(warnings):
-        run, colon, text = warning.partition(": ")
-        runs.setdefault(colon + text if colon else warning, []).append(run if colon else "")
-    names = {text: f"{r[0]} and {len(r) - 1} more run{'s' if len(r) > 2 else ''}" for text, r in runs.items()}
-    return tuple((names[text] if len(r) > 1 else r[0]) + text for text, r in runs.items())
 
 
 def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros, quanta: Array) -> NDArray[np.bool_]:

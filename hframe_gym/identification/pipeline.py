@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..machine import Machine
-from ..recordings import Recording, without_outliers, without_repetitions
+from ..recordings import Recording, merge_run_warnings, without_outliers, without_repetitions
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions
@@ -21,7 +21,6 @@ from .experiment_design import design_discriminating_experiment
 from .forward_selection import ConsideredEffect, Log, SelectedEffect
 from .held_out import contradicting_held_out_runs, error_reduction, held_out_gain, hold_out, is_excited
 from .initial_rest import without_moving_start
-from .initial_state import merge_run_warnings
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
@@ -155,7 +154,7 @@ def _prepare(
         log(f"saturated at the end of the range: {', '.join(ranges)}")
         usable = [blank_saturated(r, ranges, machine, everything.noise, criteria) for r in recordings]
         everything = prepare(usable, machine)
-    for warning in merge_run_warnings(warning for run in everything.runs for warning in run.initial.warnings):
+    for warning in merge_run_warnings((run.name, w) for run in everything.runs for w in run.initial.warnings):
         log(f"warning: {warning}")
     return everything, ranges
 
@@ -180,7 +179,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         log(f"  {weakest.effect.label} is removed: it {reason}")
         refined = refine_starts(data, after.machine)
         reduced = without_effect(after, weakest.effect.label, refined, before.machine)
-        if reduced is None:  # another effect acts on a coordinate that this one added
+        if reduced is None:  # another effect acts on a coordinate that this one added, or requires it
             break
         entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
         selected = tuple(s for s in selected if s is not weakest)

@@ -216,7 +216,7 @@ def evaluate_held_out(
     channels = errors_by_channel(list(errors.values()), machine, held_out.noise)
     if diverged:  # an error over the other runs would be compared with those of other machines over all runs
         channels = dict.fromkeys(channels, ChannelError(None, None))
-    warnings = tuple(warning for _, lines, _ in results for warning in lines)
+    warnings = tuple((run.name, w) for run, (_, texts, _) in zip(refined.runs, results, strict=True) for w in texts)
     return ModelEvaluation(
         machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings, diverged
     )

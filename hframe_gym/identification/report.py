@@ -280,8 +280,8 @@ def _remaining_error(report: Mapping[str, Any]) -> list[str]:
 
 def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
     """Return a sentence about the variable that explains most of the residual force, if there is one."""
-    strongest = sorted(report["residual"]["depends_on"], key=lambda dependence: dependence["share"])[-1:]
     text = "The force that the model lacks on {} depends most on {}, which explains {:.0f} % of its variance."
+    strongest = report["residual"]["depends_on"][:1]  # `rank_dependences` has sorted them
     return [text.format(d["coordinate"], d["variable"], 100 * d["share"]) for d in strongest]
 
 

@@ -1,7 +1,8 @@
-"""Estimate from the measurements at rest the initial position of a run and the zero of every sensor.
+"""Estimate from the first measurements the initial position of a run and the zero of every sensor.
 
-A recording begins at rest; the rows before the first input change measure the position there (`initial_rest`). The
-zero of a sensor is its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position
+A recording should begin at rest; the rows before the first input change measure the position there (`initial_rest`). If
+it begins in motion, its first row has a position and a velocity (`initial_velocity`). The zero of a sensor is its
+measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position
 of the tool. The angles of the pulleys follow from unstretched belts or from encoders whose zero is known. An unknown
 zero is the measurement at rest minus the reading that the model computes for the estimated state.
 """
@@ -20,14 +21,14 @@ from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros
-from .initial_rest import count_resting_rows, initial_velocity
+from .initial_rest import count_resting_rows
+from .initial_velocity import InitialVelocity, initial_velocity
 
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
 _FIRST_ROWS = 5  # rows from which the zero of a noisy sensor is estimated if only one row is at rest
-# m; typical stretch of the belts at full voltage or speed, and the part of it that a linear model leaves.
-_TYPICAL_STRETCH, _STRETCH_RESIDUAL = 0.3e-3, 0.1e-3
+_STRETCH_RESIDUAL = 1.0 / 3.0  # of the belts' stretch under the drives' force, which a linear model leaves
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class InitialState:
 
     @property
     def position(self) -> Array:
-        """Positions at rest, in the coordinates' units, shape (coordinates,)."""
+        """Positions at rest, or at the first row of a run that begins in motion, m or rad, shape (coordinates,)."""
         return self.state[: len(self.state) // 2]
 
     @property
@@ -161,9 +162,9 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         later = _later_measurements(recording, measurement, machine, rigid)
         replaced = fixed & ~measured & np.isfinite(later)
         reading, usable = np.where(replaced, later, reading), usable | replaced
-        warnings = (_position_warning(recording, machine, fixed & ~measured, replaced),)
-    velocity = initial_velocity(recording, machine, rigid)
-    weight = np.where(usable, _position_weights(machine, zeros, moving=len(velocity.deviations) > 0), 0.0)
+        warnings = (_position_warning(machine, fixed & ~measured, replaced),)
+    velocity = InitialVelocity.at_rest(machine) if rows > 1 else initial_velocity(recording, machine, rigid)
+    weight = np.where(usable, _position_weights(machine, zeros, site, moving=len(velocity.deviations) > 0), 0.0)
     # Weighted least squares for the motion that stretches no belt.
     position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
     reading = np.where(usable, reading, np.nan)
@@ -187,13 +188,20 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     )
 
 
-def _position_weights(machine: Machine, zeros: EncoderZeros, *, moving: bool) -> Array:
-    """Return the weights of the sensors' measurements for the motions that stretch no belt, shape (sensors,)."""
+def _position_weights(machine: Machine, zeros: EncoderZeros, site: list[int], *, moving: bool) -> Array:
+    """Return the weights of the sensors' measurements for the motions that stretch no belt, shape (sensors,).
+
+    Args:
+        machine: Machine with the sensors.
+        zeros: Zeros of the encoders.
+        site: Index of the coordinate of each sensor.
+        moving: Whether the run begins in motion, so that the drives stretch the belts.
+    """
     stretched = zeros.resolves_stretch | moving
     encoders = np.where(zeros.known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
     weights = np.where([not s.incremental for s in machine.sensors], 1.0, encoders)
     # An angle is as accurate as a length once it is multiplied by the radius.
-    return weights * machine.travel_per_unit[[machine.coordinate_names.index(s.coordinate) for s in machine.sensors]]
+    return np.asarray(weights * machine.travel_per_unit[site])
 
 
 def rigid_basis(machine: Machine) -> Array:
@@ -236,7 +244,7 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
     pull /= np.maximum(np.abs(pull).max(axis=0), 1e-12)
     regressors = np.hstack([np.ones((len(pull), 1)), pull])
     # Ridge: if the motion does not separate stretch and position, the stretch is assumed to be small.
-    prior = _STRETCH_RESIDUAL / _TYPICAL_STRETCH * np.eye(regressors.shape[1])[1:]
+    prior = _STRETCH_RESIDUAL * np.eye(regressors.shape[1])[1:]
     for j in range(len(machine.sensors)):
         rows = np.isfinite(start[:, j])
         if rows.any():
@@ -246,18 +254,16 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
     return unknown
 
 
-def _position_warning(
-    recording: Recording, machine: Machine, silent: NDArray[np.bool_], replaced: NDArray[np.bool_]
-) -> str:
+def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDArray[np.bool_]) -> str:
     """Return a sentence about how an unmeasured position was determined."""
     channels = np.array(machine.output_channels)
     if silent.any() and np.array_equal(silent, replaced):
         return (
-            f"{recording.name}: {', '.join(channels[silent])} measures nothing at rest; its initial position follows "
+            f"{', '.join(channels[silent])} measures nothing at rest; its initial position follows "
             "from later measurements and the encoders."
         )
     return (
-        f"{recording.name}: the initial position cannot be determined, because no sensor with a known zero "
+        "The initial position cannot be determined, because no sensor with a known zero "
         "measures it; the encoders are assumed to count from the machine's zero, and positions without any measurement "
         "are assumed to be 0."
     )

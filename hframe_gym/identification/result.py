@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, output_batch, remove_file, write_text
 from ..machine import AppliedEffect, Machine
-from ..recordings import save_machine
+from ..recordings import merge_run_warnings, save_machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
-from .initial_state import merge_run_warnings
 from .parameter_diagnostics import inseparable_parameters, parameters_at_limit
 from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
 
@@ -76,14 +75,14 @@ class ModelEvaluation:
         held_out: Errors on the held-out runs.
         errors: Simulation errors by name of the held-out run, in the sensors' units, NaN where not measured, shape
             (n, sensors) each.
-        warnings: What could not be determined about the initial states of these runs, one sentence each.
+        warnings: Name of a run and sentence about what could not be determined about its initial state, each.
         diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
     """
 
     machine: Machine
     held_out: PredictionErrors
     errors: Mapping[str, Array] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[tuple[str, str], ...] = ()
     diverged: tuple[str, ...] = ()
 
 
@@ -198,8 +197,8 @@ class IdentificationResult:
     @property
     def run_warnings(self) -> tuple[str, ...]:
         """Warnings about runs that were not used and about uncertain initial states, one sentence each."""
-        fitted = (warning for run in self.fitted.runs for warning in run.initial.warnings)
-        return merge_run_warnings([*self.excluded, *fitted, *self.after.warnings])
+        fitted = [(run.name, warning) for run in self.fitted.runs for warning in run.initial.warnings]
+        return (*self.excluded, *merge_run_warnings([*fitted, *self.after.warnings]))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json, schema 1, without warnings and formulas.

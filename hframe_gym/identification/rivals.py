@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ..machine import AppliedEffect
+from .candidates import is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
@@ -101,7 +102,7 @@ def compare_rivals(
         current: Fit of the machine with all effects (deviations from the model).
         label: Label (name@site) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
-            not tried.
+            not tried; none is if another effect requires the effect to compare.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
@@ -110,7 +111,7 @@ def compare_rivals(
     """
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]
-    if not possible:
+    if not possible or is_required(current.machine, label):
         return ComparedRivals(None, tuple(rivals))
 
     def by_chance(fitted: Fit, of: str) -> float:

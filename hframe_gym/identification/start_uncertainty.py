@@ -163,13 +163,11 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
     spreads = _effect_state_spreads(machine)
     of_effects = np.diag(spreads)[spreads > 0.0]
     count = len(machine.coordinates)
-    of_velocity = np.zeros((len(velocities), 2 * count + len(spreads)))
-    of_velocity[:, count : 2 * count] = velocities
-    blocks = [
+    blocks = (
         np.pad(displacements, ((0, 0), (0, count + len(spreads)))),
-        of_velocity,
+        np.pad(velocities, ((0, 0), (count, len(spreads)))),
         np.pad(of_effects, ((0, 0), (2 * count, 0))),
-    ]
+    )
     return np.vstack(blocks)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import share_kernel
 from ..machine import AppliedEffect, Machine
-from .candidates import candidates, effect_parameters
+from .candidates import candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
 from .estimation import Fit, fit, prediction_cost
@@ -28,7 +28,7 @@ from .screening import ScoredCandidate, screen, screen_structures
 
 Array = NDArray[np.float64]
 _SHAPES = 2  # starting values of an effect at a site that are fitted
-_TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # A trial need not converge fully to be ranked.
+_TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
 
 
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
@@ -57,8 +57,7 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
 
 def _at_declared_parameters(current: Fit, data: Dataset) -> Fit:
     """Return the machine of a fit with the declared parameters (theta 0), except those of its effects."""
-    kept = np.array(["@" in f.name for f in current.free])
-    theta = np.where(kept, current.theta, 0.0)
+    theta = np.where(["@" in f.name for f in current.free], current.theta, 0.0)
     machine = current.machine.replace(values_at(current.free, theta))
     cost = prediction_cost(machine, data, current.bandwidth)
     return dataclasses.replace(current, machine=machine, theta=theta, cost=cost)
@@ -66,10 +65,10 @@ def _at_declared_parameters(current: Fit, data: Dataset) -> Fit:
 
 def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
     """Return fits with the most promising candidates, ranked at the parameters of `start` and fitted from there."""
-    if not math.isfinite(start.cost):
-        return []
-    scales, ranked = _ranked_candidates(start, data)
     trials: list[Fit] = []
+    if not math.isfinite(start.cost):
+        return trials
+    scales, ranked = _ranked_candidates(start, data)
     best_promise = 0.0  # largest linearized gain of a candidate that explains the data
     promising = _promising(start, ranked, data, enough, criteria)
     share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
@@ -240,12 +239,11 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
         data: Prepared recordings to fit (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) that suffices to rank the candidate, not fully converged.
+        Fit (machine, parameters theta, shape (k,), cost), not fully converged.
     """
     machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
     added = effect_parameters(machine.effects[-1], machine, scales)
-    values = machine.parameters
-    theta = np.concatenate([current.theta, [f.theta(values[f.name]) for f in added]])
+    theta = np.concatenate([current.theta, [f.theta(machine.parameters[f.name]) for f in added]])
     return _trial_fit(machine, (*current.free, *added), theta, current, data)
 
 
@@ -312,20 +310,22 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) without the effect. None if the effect cannot be removed,
-        because another effect acts on a coordinate that it adds.
+        Fit (machine, parameters theta, shape (k,), cost) without the effect. None if another effect requires it or acts
+        on a coordinate that it adds.
     """
+    if is_required(current.machine, label):
+        return None
     others = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=others)
     if any(e.definition.structure for e in current.machine.effects if e.label == label):
         try:
             machine = plain.with_effects(*(e for e in others if e not in plain.effects))
-        except ValueError:  # a site is missing
-            return None
+        except ValueError:
+            return None  # a site is missing
         kept_values = {name: value for name, value in current.machine.parameters.items() if name in machine.parameters}
         machine = machine.replace(kept_values)
-    kept = [i for i, free in enumerate(current.free) if free.name in machine.parameters]
-    free, theta = tuple(current.free[i] for i in kept), current.theta[kept]
+    kept = np.array([free.name in machine.parameters for free in current.free])
+    free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
     if not thorough:
         return _trial_fit(machine, free, theta, current, data)
     return fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
@@ -344,7 +344,6 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
     )
-    positions, velocities = (
-        np.concatenate([getattr(m, key)[0] for m in motions]) for key in ("positions", "velocities")
-    )
+    positions = np.concatenate([motion.positions[0] for motion in motions])
+    velocities = np.concatenate([motion.velocities[0] for motion in motions])
     return scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])

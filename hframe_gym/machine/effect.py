@@ -133,7 +133,7 @@ class Effect:
         refitted: Whether changed parameters of the machine can represent the effect, so that no search tests it.
         against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
         coordinate: Name of the coordinate that `structure` adds, on which the force acts.
-        beside: Name of another effect. A search tries this effect only where that one has been identified.
+        requires: Name of an effect that must be identified at the same site before this one, and removed after it.
     """
 
     name: str
@@ -167,7 +167,7 @@ class Effect:
     refitted: bool = False
     against: str = ""
     coordinate: str = ""
-    beside: str = ""
+    requires: str = ""
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the declaration of one parameter of the effect (deviation from the nominal model): unit, bounds, role.

@@ -18,6 +18,7 @@ from .machine_schema import TABLES, Table, field_descriptions, field_units, mach
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
 from .measurement_units import parse_factor
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
+from .run_messages import merge_run_warnings, name_runs
 from .table_file import read_path, recording_files
 
 __all__ = [
@@ -41,6 +42,8 @@ __all__ = [
     "load_recordings",
     "machine_json_schema",
     "machine_to_dict",
+    "merge_run_warnings",
+    "name_runs",
     "new_machine",
     "only_measurements",
     "outlier_mask",

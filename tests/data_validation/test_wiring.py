@@ -94,7 +94,9 @@ def test_a_pulley_of_another_radius_is_measured(runs: list[Recording], hframe: M
     np.testing.assert_allclose(radii, 1.05 * 0.0194, rtol=3e-3)
 
 
-@pytest.mark.parametrize(("factor", "text"), [(3.0, "moves 3 times as far"), (1.1, "moves +10.0 % too far")])
+@pytest.mark.parametrize(
+    ("factor", "text"), [(3.0, "moves 3 times as far"), (1.1, "moves 10.0 % too far"), (0.9, "moves 10.0 % too little")]
+)
 def test_an_encoder_that_contradicts_a_scale_is_named(factor: float, text: str) -> None:
     """A gear ratio that nobody converted is a fault; a small error may be one of the scale."""
     axis = BUILTIN_MACHINES["axis"]()

@@ -9,10 +9,9 @@ from hframe_gym.identification import prepare, simulate_recording
 from hframe_gym.identification.initial_rest import (
     count_resting_rows,
     initial_rest,
-    initial_velocity,
     without_moving_start,
 )
-from hframe_gym.identification.rest_measurement import rigid_basis, sensor_zero_error
+from hframe_gym.identification.rest_measurement import sensor_zero_error
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine
 
@@ -111,39 +110,3 @@ def test_a_quantized_sensor_shows_that_a_machine_moves_after_its_only_row_at_res
     error[0, :, 0] = 7e-6 * np.arange(300)
     zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.array([25e-9]), np.array([50e-9]))
     assert abs(zero[0, 0, 0]) <= 25e-9
-
-
-def driven(machine: Machine, first: int, seed: int = 0) -> tuple[Recording, np.ndarray]:
-    """Return a noisy run under sinusoidal voltages, cut at its row `first`, and the true velocities there."""
-    time_s = np.arange(1500) * 1e-3
-    volts = np.sin(2 * np.pi * time_s[:, None] * [1.1, 1.7] + [0.5, 1.5]) * 5.0
-    motion = machine.simulate(time_s, volts)
-    noise = np.random.default_rng(seed).normal(0.0, [1e-4, 1e-4, NOISE, NOISE], motion.outputs.shape)
-    outputs = motion.outputs + noise
-    return Recording("cut", time_s[first:], volts[first:], outputs[first:]), motion.velocities[first]
-
-
-@pytest.mark.parametrize("first", [300, 777, 1010])
-def test_a_run_that_was_cut_out_of_a_log_begins_with_the_velocity_of_its_first_rows(
-    hframe: Machine, first: int
-) -> None:
-    recording, true = driven(hframe, first)
-    velocity = initial_velocity(recording, hframe, rigid_basis(hframe))
-    errors = (velocity.mean - true)[:2]
-    assert np.abs(true[:2]).max() > 0.1
-    assert np.all(np.abs(errors) < 0.03 + 2.0 * np.linalg.norm(velocity.deviations, axis=0)[:2])
-    assert np.abs(errors).max() < 0.1 * np.abs(true[:2]).max()
-    result = simulate_recording(hframe, recording)
-    assert np.sqrt(np.mean(result.error[:, 2:] ** 2)) < 1.2 * NOISE
-
-
-def test_a_run_that_begins_at_rest_with_a_voltage_has_no_velocity(hframe: Machine) -> None:
-    recording, true = driven(hframe, 0)
-    assert not true.any()
-    assert not initial_velocity(recording, hframe, rigid_basis(hframe)).mean.any()
-
-
-def test_a_run_that_rests_first_has_no_uncertain_velocity(axis: Machine) -> None:
-    velocity = initial_velocity(run(np.zeros(REST)), axis, rigid_basis(axis))
-    assert not velocity.mean.any()
-    assert len(velocity.deviations) == 0

@@ -13,7 +13,6 @@ from hframe_gym.identification import Dataset, InitialState, PreparedRecording, 
 from hframe_gym.identification.dataset import refine_encoder_zeros
 from hframe_gym.identification.initial_state import (
     encoder_zero_errors,
-    merge_run_warnings,
     model_initial_state,
     static_equilibrium,
 )
@@ -53,12 +52,6 @@ def test_belts_carry_what_static_friction_does_not(hframe: Machine, force: float
     # Friction can hold 0.4 N more or less, 17 um of the two belts' 24 kN/m; half of that may remain.
     assert np.abs(error).max() < 8e-6
     np.testing.assert_allclose(equilibrium[:2], true[:2], atol=1e-12)
-
-
-def test_warnings_of_several_runs_are_merged() -> None:
-    warnings = ("a: no laser.", "run b contradicts.", "b: no laser.", "a: moved.", "c: no laser.", "a: no laser.")
-    assert merge_run_warnings(warnings) == ("a and 2 more runs: no laser.", "run b contradicts.", "a: moved.")
-    assert merge_run_warnings(warnings[:3])[0] == "a and 1 more run: no laser."
 
 
 def initial_at(position: np.ndarray, encoders: np.ndarray, known: bool) -> InitialState:

@@ -175,7 +175,7 @@ def test_runs_that_nothing_locates_are_left_out(hframe: Machine) -> None:
     lost = without_x(session[0])
     data, warnings = with_known_positions(prepare([lost, *session[1:3]], hframe))
     assert [run.name for run in data.runs] == ["run_1", "run_2"]
-    assert warnings == ("run_0 is not used: no sensor with a known zero determines its initial position.",)
+    assert warnings == ("Not used, because no sensor with a known zero measures the start: run_0.",)
     data, warnings = with_known_positions(prepare([lost], hframe))
     assert [run.name for run in data.runs] == ["run_0"]
     assert warnings == ()

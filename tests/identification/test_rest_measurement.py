@@ -55,7 +55,7 @@ def test_encoders_alone_are_assumed_to_count_from_zero_with_a_warning(hframe: Ma
     np.testing.assert_allclose(initial.state[:2], [x, y], atol=1e-9)
     np.testing.assert_allclose(initial.offset, 0.0, atol=1e-9)
     assert not initial.position_measured
-    assert "run_1: the initial position cannot be determined" in initial.warnings[0]
+    assert "The initial position cannot be determined" in initial.warnings[0]
 
 
 def test_a_laser_that_measures_nothing_at_rest_is_replaced_by_its_later_measurements(hframe: Machine) -> None:

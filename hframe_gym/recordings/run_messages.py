@@ -1,0 +1,34 @@
+"""Messages about several runs: their names in short, and equal warnings as one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+def name_runs(names: Iterable[str]) -> str:
+    """Name several runs in short.
+
+    Args:
+        names: Names of runs, at least one; repeated names count once.
+
+    Returns:
+        The first name and the number of the others, such as "run_01 and 2 more runs".
+    """
+    first, *others = dict.fromkeys(names)
+    return f"{first} and {len(others)} more run{'s' if len(others) > 1 else ''}" if others else first
+
+
+def merge_run_warnings(warnings: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """Merge equal warnings about several runs.
+
+    Args:
+        warnings: Name of a run and sentence about it, each.
+
+    Returns:
+        Lines of text such as "run_01 and 2 more runs: no laser measures.", one for each different sentence, in the
+        order of first occurrence.
+    """
+    runs: dict[str, list[str]] = {}
+    for run, text in warnings:
+        runs.setdefault(text, []).append(run)
+    return tuple(f"{name_runs(names)}: {text}" for text, names in runs.items())

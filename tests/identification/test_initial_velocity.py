@@ -1,0 +1,86 @@
+"""Tests of the velocity of runs that begin in motion."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hframe_gym.identification import simulate_recording
+from hframe_gym.identification.belt_stretch import stretch_angles
+from hframe_gym.identification.initial_velocity import initial_velocity
+from hframe_gym.identification.rest_measurement import estimate_initial_state, rigid_basis
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording, load_machine
+
+pytestmark = pytest.mark.unit
+NOISE = 20e-6  # m
+
+
+def driven(machine: Machine, first: int, seed: int = 0) -> tuple[Recording, np.ndarray]:
+    """Return a noisy run under sinusoidal voltages, cut at its row `first`, and the true velocities there."""
+    time_s = np.arange(1500) * 1e-3
+    volts = np.sin(2 * np.pi * time_s[:, None] * [1.1, 1.7] + [0.5, 1.5]) * 5.0
+    motion = machine.simulate(time_s, volts)
+    noise = np.random.default_rng(seed).normal(0.0, [1e-4, 1e-4, NOISE, NOISE], motion.outputs.shape)
+    outputs = motion.outputs + noise
+    return Recording("cut", time_s[first:], volts[first:], outputs[first:]), motion.velocities[first]
+
+
+@pytest.mark.parametrize("first", [300, 777, 1010])
+def test_a_run_that_was_cut_out_of_a_log_begins_with_the_velocity_of_its_first_rows(
+    hframe: Machine, first: int
+) -> None:
+    recording, true = driven(hframe, first)
+    velocity = initial_velocity(recording, hframe, rigid_basis(hframe))
+    errors = (velocity.mean - true)[:2]
+    assert np.abs(true[:2]).max() > 0.1
+    assert np.all(np.abs(errors) < 0.03 + 2.0 * np.linalg.norm(velocity.deviations, axis=0)[:2])
+    assert np.abs(errors).max() < 0.1 * np.abs(true[:2]).max()
+    result = simulate_recording(hframe, recording)
+    assert np.sqrt(np.mean(result.error[:, 2:] ** 2)) < 1.2 * NOISE
+
+
+def test_a_run_that_begins_at_rest_with_a_voltage_has_no_velocity(hframe: Machine) -> None:
+    recording, true = driven(hframe, 0)
+    assert not true.any()
+    assert not initial_velocity(recording, hframe, rigid_basis(hframe)).mean.any()
+
+
+def test_a_run_that_rests_first_has_no_uncertain_velocity(hframe: Machine) -> None:
+    recording, _ = driven(hframe, 0)
+    rest = np.arange(100) * 1e-3
+    rested = Recording(
+        "rested",
+        np.concatenate([rest, 0.1 + recording.time_s]),
+        np.pad(recording.inputs, ((100, 0), (0, 0))),
+        np.pad(recording.outputs, ((100, 0), (0, 0)), mode="edge"),
+    )
+    initial = estimate_initial_state(rested, hframe)
+    assert not initial.velocity.any()
+    assert len(initial.velocity_deviations) == 0
+
+
+def test_a_slow_log_gives_a_velocity_from_its_first_eight_rows() -> None:
+    """At 50 Hz, no window of up to 40 ms has enough rows for a parabola."""
+    axis = load_machine("axis")
+    time_s = np.arange(100) * 0.02
+    position = 0.1 * np.sin(1.5 * time_s)
+    volts = np.full((100, 1), 1.0)
+    velocity = initial_velocity(Recording("slow", time_s, volts, position[:, None]), axis, rigid_basis(axis))
+    assert velocity.mean[0] == pytest.approx(0.15, abs=2 * float(np.abs(velocity.deviations).max()))
+
+
+def test_the_stretch_of_belts_does_not_depend_on_how_they_are_divided(hframe: Machine) -> None:
+    """The 20th-order machine has more belt sections for the same stage."""
+    finer = load_machine("hframe-order20")
+    coarse, fine = stretch_angles(hframe, moving=True), stretch_angles(finer, moving=True)
+    for motor in ("phi1", "phi2"):
+        assert fine[motor] == pytest.approx(coarse[motor], rel=0.1)
+
+
+def test_all_drives_of_a_pulley_stretch_its_belts(hframe: Machine) -> None:
+    small = dataclasses.replace(hframe.drives[0], name="small", channel="v3_V", Kt=0.1 * hframe.drives[0].Kt)
+    more = dataclasses.replace(hframe, drives=(*hframe.drives, small))
+    assert stretch_angles(more, moving=True)["phi1"] > stretch_angles(hframe, moving=True)["phi1"]
