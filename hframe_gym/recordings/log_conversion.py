@@ -13,8 +13,8 @@ from scipy.integrate import cumulative_trapezoid
 from ..errors import InputError
 from ..machine import Machine
 from .log_file import ROW_NUMBER, Log
-from .log_mapping import TIME, ChannelSource
-from .measurement_units import WrongUnitError
+from .log_mapping import ChannelSource
+from .measurement_units import TIME, Conversion, WrongUnitError
 from .recording import Recording, recording_from_columns
 from .table_file import Array, refuse_decreasing_times
 from .text_reader import Progress
@@ -107,7 +107,7 @@ class LogConverter:
                 if source.time is not None and source.time.column is time.column and source.column is not None:
                     converted = source.conversion.apply(by_header[source.column.header])
                     values = converted if timed.all() else converted[timed]
-                    channels[source.channel] = _integrate(time_s[timed], values) if source.is_speed else values
+                    channels[source.channel] = _integrate(time_s[timed], values) if source.integrate else values
             bases.append((time_s[timed], channels))
         if self.day is not None:
             date = f" of {self.day}" if self.day > np.datetime64("1970-01-01") else ""
@@ -132,7 +132,7 @@ class LogConverter:
         time_s = source.conversion.apply(values)
         finite = time_s[np.isfinite(time_s)]
         step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
-        if source.assumed and step >= _LONG_STEP:
+        if source.unit_is_assumed and step >= _LONG_STEP:
             raise InputError(
                 f"{log.path}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
                 f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
@@ -141,17 +141,28 @@ class LogConverter:
 
 
 def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str:
-    """Return the message about a wrong unit: what the user has stated about it, or how to state it."""
-    wrong = [source for source in sources if source.channel in error.channels]
+    """Return the message about a wrong unit, with the options that correct it.
+
+    The unit that the error proposes is passed on for columns in SI only: where the user or the log has stated another
+    unit, or the column is an integrated speed, the values may as well be wrong.
+    """
+    wrong = [source for source in sources if source.channel in error.channels and source.column is not None]
+    remarks = [f" ({source.remark})" if source.remark else "" for source in wrong]
     columns = "; ".join(
-        f"{source.channel} is the column {source.column.header!r}" + (f" ({source.remark})" if source.remark else "")
-        for source in wrong
+        f"{source.channel} is the column {source.column.header!r}{remark}"
+        for source, remark in zip(wrong, remarks, strict=True)
         if source.column is not None
     )
-    stated = next((source.channel for source in wrong if source.stated), None)
-    if stated is not None:
-        return f"{error.problem}. Correct --unit {stated}=UNIT or --scale {stated}=FACTOR: {columns}"
-    return f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in error.channels)}: {columns}"
+    for source in wrong:
+        if source.set_by_user:
+            options = f"--unit {source.channel}=UNIT or --scale {source.channel}=FACTOR"
+            return f"{error.problem}. Correct {options}: {columns}"
+    in_si = [source.channel for source in wrong if source.conversion == Conversion() and not source.integrate]
+    if in_si:
+        return f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in in_si)}: {columns}"
+    channel = wrong[0].channel
+    advice = f"check them, or correct their unit by --unit {channel}=UNIT or --scale {channel}=FACTOR"
+    return f"{error.problem}. The values in the log are suspect; {advice}: {columns}"
 
 
 def _integrate(time_s: Array, speed: Array) -> Array:
