@@ -754,6 +754,25 @@ def test_a_log_that_begins_in_motion_loses_its_beginning(
     assert any("does not end at rest" in remark for remark in remarks)
 
 
+def test_a_long_rest_at_either_end_is_left_out(session: tuple[Recording, np.ndarray], axis: Machine) -> None:
+    recording, edges = session
+    rest = np.zeros(5000, np.int64)
+    rows = np.concatenate([rest, np.arange(len(recording.time_s)), rest + len(recording.time_s) - 1])
+    longer = Recording("log", np.arange(len(rows)) * 1e-3, recording.inputs[rows], recording.outputs[rows])
+    runs, _ = split_at_rests(longer, axis, 0.5)
+    assert len(runs) == 3
+    assert 5.0 + edges[0] - 0.52 < runs[0].time_s[0] < 5.0 + edges[0] - 0.4
+    assert 5.0 + edges[7] + 0.45 < runs[-1].time_s[-1] < 5.0 + edges[7] + 0.75
+
+
+def test_a_log_that_rests_only_at_its_end_has_no_run(session: tuple[Recording, np.ndarray], axis: Machine) -> None:
+    recording, _ = session
+    rows = slice(1500, 4000)  # from the first move into the rest after it
+    part = Recording("log", recording.time_s[rows], recording.inputs[rows], recording.outputs[rows])
+    with pytest.raises(InputError, match="rests only at its end, so no run begins at rest"):
+        split_at_rests(part, axis, 0.5)
+
+
 def test_a_log_without_rests_or_without_motion_cannot_be_cut(
     session: tuple[Recording, np.ndarray], axis: Machine
 ) -> None:
