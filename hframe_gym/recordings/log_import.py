@@ -73,8 +73,8 @@ def import_logs(
         logs: A log, or a folder of logs.
         out: Folder for the recordings; created if it does not exist. Existing runs are never replaced.
         machine: Machine that was logged; the names of its input and output channels are the columns of the recordings.
-        settings: Mapping of columns, and whether to cut the logs into runs.
-        say: Called with a line of text for everything that was done or assumed.
+        settings: Columns and units that the user assigned to channels, and whether to cut the logs into runs.
+        say: Called with a line of text for everything that is converted, assumed or left out.
         progress: Called with the work done and the total work, both in bytes of the logs; reading and writing count
             once each.
 
@@ -115,14 +115,15 @@ def import_logs(
 
 
 def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
-    """List the logs at a path: files that a controller or data logger wrote, not yet recordings of this package.
+    """List the logs of a folder, which are recognized by the endings of their names.
 
     Args:
         path: A log, or a folder of logs.
 
     Returns:
-        logs: The file, or the folder's files with a known ending, possibly followed by .gz, in alphabetical order.
-        others: The remaining files of the folder, except hidden ones.
+        logs: The folder's files with a known ending, possibly followed by .gz, in alphabetical order. A path of a file
+            is taken as a log whatever its ending.
+        other_files: The remaining files of the folder, except hidden ones.
 
     Raises:
         InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same

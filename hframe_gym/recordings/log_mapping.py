@@ -137,7 +137,7 @@ class _LogMapping:
     def _time_columns(self) -> list[LogColumn]:
         """Return the columns of time: those that the user names, or else those named like a time.
 
-        If the user states a rate, the time is the row number, which is not a column of the file.
+        If the user states a rate, this is the row number, which is not a column of the file.
         """
         reference = self.options.columns.get(TIME)
         if reference is None:
@@ -159,9 +159,7 @@ class _LogMapping:
         self._refuse_repeated_columns(columns)
         taken = [*times, *columns.values()]
         missing = [] if times else [TIME]
-        for channel in self.channels:
-            if channel in columns:
-                continue
+        for channel in [channel for channel in self.channels if channel not in columns]:
             named = [column for column in self.log.columns_named_like(channel) if column not in taken]
             if len(named) == 1:
                 columns[channel] = named[0]
@@ -253,11 +251,11 @@ class _LogMapping:
             raise InputError(f"{self.log.path}, column {column.header}: {problem}")
         set_by_user = channel in self.options.units or channel in self.options.scales
         is_assumed = self._stated_unit(channel, column) is None and channel not in self.options.scales
-        how = self._conversion(channel, column)
-        return ChannelSource(channel, column, time, how.conversion, how.remark, is_assumed, how.integrate, set_by_user)
+        conversion, integrate, remark = self._conversion(channel, column)
+        return ChannelSource(channel, column, time, conversion, remark, is_assumed, integrate, set_by_user)
 
     def _conversion(self, channel: str, column: LogColumn) -> UnitConversion:
-        """Return the conversion of a column: from the stated unit, if there is one, then by the user's factor."""
+        """Return the conversion of a column from the stated unit, if there is one, followed by the user's factor."""
         unit, scale = self._stated_unit(channel, column), self.options.scales.get(channel)
         accepted = accepted_units(self.machine, channel)
         where = f"{self.log.path}, column {column.header}"
@@ -284,7 +282,9 @@ class _LogMapping:
     def _missing_text(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
         """Return the message about channels without a column, with options to complete."""
         similar = {channel: self.log.columns_named_like(channel) for channel in missing if channel != TIME}
-        ambiguous = [f"{channel} may be {headers_text(columns)}" for channel, columns in similar.items() if columns[1:]]
+        ambiguous = [
+            f"{channel} may be {headers_text(columns)}" for channel, columns in similar.items() if len(columns) > 1
+        ]
         problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
         return (
             f"{self.log.path}: {problem}. Columns of the log: {headers_text(self.log.columns)}. "
@@ -293,10 +293,10 @@ class _LogMapping:
         )
 
     def _advice_about_missing(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
-        """Return the last sentences of the message about channels without a column: what to do."""
+        """Return the advice that ends the message about channels without a column."""
         if not unused and TIME not in missing:
             inputs = [channel for channel in missing if channel in self.machine.input_channels]
-            problem = f"No column is unassigned, but {', '.join(inputs)} {'have' if inputs[1:] else 'has'} none"
+            problem = f"No column is unassigned, but {', '.join(inputs)} {'has' if len(inputs) == 1 else 'have'} none"
             return f"{problem}. Voltages must be recorded; add a column of zeros for a drive that was not used"
         proposals = self._proposed_headers(missing, unused)
         advice = f"Check and add: {' '.join(_map_option(channel, proposals[channel]) for channel in missing)}"
@@ -308,7 +308,7 @@ class _LogMapping:
         return advice
 
     def _proposed_headers(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
-        """Propose a column for each channel without one; "COLUMN" where there is no candidate, or too few.
+        """Propose the header of a column for each channel without one; "COLUMN" is a placeholder for no proposal.
 
         Channels with the fewest candidates come first. If several channels compete for fewer columns, none of them gets
         a proposal.
@@ -324,7 +324,7 @@ class _LogMapping:
         return {channel: proposed[channel].header if channel in proposed else "COLUMN" for channel in missing}
 
     def _candidates(self, channel: str, unused: Sequence[LogColumn]) -> list[LogColumn]:
-        """Return the columns that may be a channel: by their unit, else by first letter, else the only one left."""
+        """Return the columns that may be a channel: those with its units, else its first letters, else the only one."""
         accepted = accepted_units(self.machine, channel)
         by_unit = [column for column in unused if column.unit in accepted]
         letters = tuple(_FIRST_LETTERS[channel_dimension(self.machine, channel)])

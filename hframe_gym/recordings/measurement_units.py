@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,8 +114,7 @@ class Conversion:
         return Conversion(self.numerator * factor, self.denominator)
 
 
-@dataclass(frozen=True)
-class UnitConversion:
+class UnitConversion(NamedTuple):
     """How a column in some unit becomes the values of a channel.
 
     Attributes:
