@@ -10,7 +10,6 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -192,17 +191,3 @@ def _array(stream: Any) -> NDArray[Any]:
 def _refuse_constant(name: str) -> Any:
     """Refuse NaN and Infinity, which Python's reader accepts and JSON does not have."""
     raise ValueError(f"{name} is not a number")
-
-
-def first_control_character(texts: Sequence[str]) -> str | None:
-    """Return the first character in some texts that is not printable, such as an escape code or a line break.
-
-    Printed to a terminal, such a character from a file could change the display or add lines.
-
-    Args:
-        texts: Texts from a file.
-
-    Returns:
-        The character, or None if all characters are printable.
-    """
-    return next((character for text in texts for character in text if not character.isprintable()), None)

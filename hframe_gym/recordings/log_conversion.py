@@ -1,9 +1,9 @@
-"""Convert the columns of a log to a recording, and cut a long recording into runs at its rests."""
+"""Convert the columns of a log to a recording, and cut a long recording into runs where the machine rests."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,21 +13,26 @@ from scipy.integrate import cumulative_trapezoid
 from ..errors import InputError
 from ..machine import Machine
 from .log_file import ROW_NUMBER, Log
-from .log_mapping import TIME, ChannelSource
-from .measurement_units import WrongUnitError
+from .log_mapping import ChannelSource
+from .measurement_units import TIME, Conversion, WrongUnitError
 from .recording import Recording, recording_from_columns
 from .table_file import Array, refuse_decreasing_times
 from .text_reader import Progress
 
 Mask = NDArray[np.bool_]
+Values = dict[str, NDArray[Any]]  # values of the log's columns by header
 
-_SAME_TIME = 1e-3  # of the shortest period; samples of several time columns that are nearer belong to one row
-_LONG_STEP = 0.5  # s; a longer sampling period of a time without a unit is probably in another unit
+# Samples of several time columns that differ by less than this fraction of the shortest sampling period form one row.
+_SAME_TIME = 1e-3
+_LONG_STEP = 0.5  # s; times without a unit at longer steps are probably in another unit than seconds
 
-_REST_NOISE = 10.0  # standard deviations of its noise by which a channel at rest may vary, peak to peak
-_REST_STEPS = 2.5  # quantization steps by which a channel at rest may vary
-_MAX_REST_SPAN = 0.01  # of the channel's span in the log; more is a motion, however noisy the channel seems
-_INPUT_TOLERANCE = 1e-3  # of the rated voltage, by which a measured voltage at rest may vary
+# A channel is at rest while its peak-to-peak variation is below a tolerance, the largest of:
+_REST_NOISE = 10.0  # standard deviations of its noise,
+_REST_STEPS = 2.5  # quantization steps,
+_INPUT_TOLERANCE = 1e-3  # for an input, a fraction of the rated voltage.
+# All but the declared noise and resolution are limited to this fraction of the channel's span in the log. More is a
+# motion, however noisy the channel seems.
+_MAX_REST_SPAN = 0.01
 
 
 class LogConverter:
@@ -35,8 +40,8 @@ class LogConverter:
 
     Attributes:
         machine: Machine that was logged.
-        day: Midnight from which time stamps are counted, that before the first time stamp of the first log; None before
-            that is read.
+        day: Midnight before the first time stamp of the first log; the times of all logs count from it. None until a
+            time stamp is read.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -53,13 +58,13 @@ class LogConverter:
     ) -> tuple[Recording, list[str]]:
         """Read a log and convert it to one recording.
 
-        A log may hold channels of several sampling rates, in one table with empty cells or with several columns of
-        time, whose rows are merged. Where the table has no value, a voltage keeps its last value and a measurement is
-        NaN.
+        A log may hold channels of several sampling rates, in one table with empty cells, or with several columns of
+        time. Rows of several columns of time are merged. Where a row has no value, a voltage keeps its last value and a
+        measurement is NaN.
 
         Args:
             log: Opened log.
-            sources: For the times and each channel, column of the log and conversion to SI (`map_columns` finds them).
+            sources: Columns of the times and of each channel with their conversion to SI, from `map_columns`.
             progress: Called with the number of bytes read since the last call.
 
         Returns:
@@ -74,7 +79,7 @@ class LogConverter:
         in_file = [column for column in needed if column.kind != ROW_NUMBER]
         values, remarks = log.read(in_file, progress)
         by_header = {column.header: array for column, array in zip(in_file, values, strict=True)}
-        del values
+        del values  # so that `_columns` can release the arrays
         for counter in (column for column in needed if column.kind == ROW_NUMBER):
             by_header[counter.header] = np.arange(_common_length(log, by_header), dtype=np.float64)
         try:
@@ -83,56 +88,67 @@ class LogConverter:
         except WrongUnitError as error:
             raise InputError(_unit_advice(error, sources)) from None
         except InputError as error:
-            text = str(error)
-            origin = {s.channel: s.column.header for s in sources if s.column and s.column.header != s.channel}
-            named = [f"{channel} is the column {header!r}" for channel, header in origin.items() if channel in text]
-            if "goes back" in text:
-                text += "; did the clock restart? Cut the file there"
-            raise InputError("; ".join([text, *named])) from None
+            message = str(error)
+            header_of = {s.channel: s.column.header for s in sources if s.column and s.column.header != s.channel}
+            origins = [
+                f"{channel} is the column {header!r}" for channel, header in header_of.items() if channel in message
+            ]
+            if "goes back" in message:
+                message += "; did the clock restart? Cut the file there"
+            raise InputError("; ".join([message, *origins])) from None
 
     def _columns(
-        self, log: Log, sources: Sequence[ChannelSource], by_header: dict[str, NDArray[Any]], remarks: list[str]
+        self, log: Log, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
     ) -> tuple[Array, dict[str, Array]]:
-        """Return times, s, and the values of each channel in its unit; append to the remarks."""
+        """Return times, s, and the values of each channel in its unit; append to the remarks and empty `by_header`."""
         times = [source for source in sources if source.channel == TIME and source.column is not None]
-        bases: list[tuple[Array, dict[str, Array]]] = []  # times and channels of each column of time
-        for time in times:
-            time_s = self._seconds(log, time, by_header)
-            timed = np.isfinite(time_s)
-            if not timed.all():
-                remarks.append(f"{int(np.sum(~timed))} rows without a time left out")
-            refuse_decreasing_times(log.path, time_s[timed] if not timed.all() else time_s)
-            channels = {}
-            for source in sources:
-                if source.time is not None and source.time.column is time.column and source.column is not None:
-                    converted = source.conversion.apply(by_header[source.column.header])
-                    values = converted if timed.all() else converted[timed]
-                    channels[source.channel] = _integrate(time_s[timed], values) if source.is_speed else values
-            bases.append((time_s[timed], channels))
-        if self.day is not None:
+        tables = [self._table(log, time, sources, by_header, remarks) for time in times]
+        if self.day is not None and any(time.column is not None and time.column.kind == "stamp" for time in times):
             date = f" of {self.day}" if self.day > np.datetime64("1970-01-01") else ""
             remarks.append(f"time_s counts from midnight{date}; time zones are ignored")
-        by_header.clear()  # the values of a long log are held only once
-        time_s, columns = bases[0] if len(bases) == 1 else _merge(bases)
-        if len(bases) > 1:
-            parts = [f"{len(base)} of {t.column.header}" for (base, _), t in zip(bases, times, strict=True) if t.column]
-            remarks.append(f"several columns of time, merged to {len(time_s)} rows ({', '.join(parts)})")
+        by_header.clear()  # so that the values of a long log are in memory only once
+        if len(tables) > 1:
+            time_s, columns = _merge(tables)
+            lengths = [
+                f"{len(t)} of {time.column.header}" for (t, _), time in zip(tables, times, strict=True) if time.column
+            ]
+            remarks.append(f"several columns of time, merged to {len(time_s)} rows ({', '.join(lengths)})")
+        else:
+            time_s, columns = tables[0]
         return _hold_inputs(time_s, columns, self.machine, remarks)
 
-    def _seconds(self, log: Log, source: ChannelSource, by_header: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the times of a column in seconds, NaN where it is empty."""
+    def _table(
+        self, log: Log, time: ChannelSource, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
+    ) -> tuple[Array, dict[str, Array]]:
+        """Return one column of time, s, and the values of its channels, without rows that have no time."""
+        time_s = self._seconds(log, time, by_header)
+        has_time = np.isfinite(time_s)
+        if not has_time.all():
+            remarks.append(f"{int(np.sum(~has_time))} rows without a time left out")
+        rows = has_time if not has_time.all() else slice(None)
+        time_s = time_s[rows]
+        refuse_decreasing_times(log.path, time_s)
+        channels = {}
+        for source in sources:
+            if source.time is not None and source.time.column is time.column and source.column is not None:
+                values = source.conversion.apply(by_header[source.column.header])[rows]
+                channels[source.channel] = _integrate(time_s, values) if source.integrate else values
+        return time_s, channels
+
+    def _seconds(self, log: Log, source: ChannelSource, by_header: Values) -> Array:
+        """Return the times of a column, s; NaN where a cell is empty."""
         assert source.column is not None
         values = by_header[source.column.header]
         if source.column.kind == "stamp":
-            valid = values[~np.isnat(values)]
-            if self.day is None and len(valid):
-                self.day = valid[0].astype("datetime64[D]")
+            stamps = values[~np.isnat(values)]
+            if self.day is None and len(stamps):
+                self.day = stamps[0].astype("datetime64[D]")
             nanoseconds = (values - (self.day or np.datetime64(0, "D"))).astype("timedelta64[ns]")
             return np.where(np.isnat(values), np.nan, nanoseconds.astype(np.int64) / 1e9)
         time_s = source.conversion.apply(values)
         finite = time_s[np.isfinite(time_s)]
         step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
-        if source.assumed and step >= _LONG_STEP:
+        if source.unit_is_assumed and step >= _LONG_STEP:
             raise InputError(
                 f"{log.path}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
                 f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
@@ -141,17 +157,27 @@ class LogConverter:
 
 
 def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str:
-    """Return the message about a wrong unit: what the user has stated about it, or how to state it."""
-    wrong = [source for source in sources if source.channel in error.channels]
-    columns = "; ".join(
+    """Return the message about values that are probably in another unit, with the options that correct it.
+
+    Stating the unit that the error proposes helps only where a column was read as SI. If the log states another unit,
+    or the column is a speed, the values themselves may be wrong.
+    """
+    wrong = [source for source in sources if source.channel in error.channels and source.column is not None]
+    origins = "; ".join(
         f"{source.channel} is the column {source.column.header!r}" + (f" ({source.remark})" if source.remark else "")
         for source in wrong
         if source.column is not None
     )
-    stated = next((source.channel for source in wrong if source.stated), None)
-    if stated is not None:
-        return f"{error.problem}. Correct --unit {stated}=UNIT or --scale {stated}=FACTOR: {columns}"
-    return f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in error.channels)}: {columns}"
+    from_user = [source.channel for source in wrong if source.set_by_user]
+    if from_user:
+        return f"{error.problem}. Correct --unit {from_user[0]}=UNIT or --scale {from_user[0]}=FACTOR: {origins}"
+    read_as_si = [source.channel for source in wrong if source.conversion == Conversion() and not source.integrate]
+    if read_as_si:
+        return f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in read_as_si)}: {origins}"
+    options = f"--unit {wrong[0].channel}=UNIT or --scale {wrong[0].channel}=FACTOR"
+    return (
+        f"{error.problem}. The values in the log are suspect; check them, or correct their unit by {options}: {origins}"
+    )
 
 
 def _integrate(time_s: Array, speed: Array) -> Array:
@@ -163,7 +189,7 @@ def _integrate(time_s: Array, speed: Array) -> Array:
     return position
 
 
-def _common_length(log: Log, by_header: Mapping[str, NDArray[Any]]) -> int:
+def _common_length(log: Log, by_header: Values) -> int:
     """Return the number of rows that all columns have; refuse a log whose columns differ."""
     lengths = {header: len(values) for header, values in by_header.items()}
     if len(set(lengths.values())) > 1:
@@ -176,8 +202,8 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
     """Cut a recording into runs that begin and end at rest.
 
     The machine rests where no input and no output changes by more than noise for at least `min_rest`. Each rest between
-    two motions is cut in the middle. A longer rest is shortened, so that a run has at most `min_rest` of it at its
-    beginning and at its end.
+    two motions is cut in the middle. A run has at most `min_rest` of rest at its beginning and at its end; what remains
+    of longer rests is left out.
 
     Args:
         recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).
@@ -195,56 +221,57 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
     time_s = recording.time_s
     resting = _resting_rows(recording, machine, min_rest)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(np.int8), [0]])))
-    first, last = edges[::2], edges[1::2] - 1  # rows of each rest
+    first, last = edges[::2], edges[1::2] - 1  # first and last row of each rest
     if len(first) == 0:
         raise InputError(f"{recording.name}: nothing rests for {min_rest:g} s, so it cannot be cut; reduce --min-rest")
     if resting.all():
         raise InputError(f"{recording.name}: nothing moves, so there are no runs to cut")
+    begins_at_rest, ends_at_rest = first[0] == 0, last[-1] == len(time_s) - 1
+    # Where the run before each rest ends, and where the run after it begins. No run precedes the first row or follows
+    # the last, so that rests there are not cut in the middle.
     middle = (time_s[first] + time_s[last]) / 2
-    begins = np.searchsorted(time_s, np.maximum(middle, time_s[last] - min_rest))
-    ends = np.searchsorted(time_s, np.minimum(middle, time_s[first] + min_rest), side="right")
-    begins[0] = np.searchsorted(time_s, max(time_s[0], time_s[last[0]] - min_rest)) if first[0] == 0 else begins[0]
-    ends[-1] = len(time_s) if last[-1] == len(time_s) - 1 and len(first) > 1 else ends[-1]
+    latest_end, earliest_begin = middle.copy(), middle.copy()
+    if begins_at_rest:
+        earliest_begin[0] = time_s[0]
+    if ends_at_rest:
+        latest_end[-1] = time_s[-1]
+    ends = np.searchsorted(time_s, np.minimum(latest_end, time_s[first] + min_rest), side="right")
+    begins = np.searchsorted(time_s, np.maximum(earliest_begin, time_s[last] - min_rest))
     pieces = list(zip(begins[:-1], ends[1:], strict=True))
     remarks = []
-    if first[0] > 0:
+    if not begins_at_rest:
         remarks.append(f"the first {time_s[first[0]] - time_s[0]:.4g} s left out, they do not begin at rest")
-    if last[-1] < len(time_s) - 1:
+    if not ends_at_rest:
         pieces.append((begins[-1], len(time_s)))
         remarks.append("the last run does not end at rest")
+    if not pieces:
+        raise InputError(f"{recording.name}: rests only at its end, so no run begins at rest; reduce --min-rest")
     digits = max(2, len(str(len(pieces))))
     runs = []
     for number, (begin, end) in enumerate(pieces, start=1):
         rows = slice(int(begin), int(end))
-        runs.append(
-            dataclasses.replace(
-                recording,
-                name=f"{recording.name}_{number:0{digits}d}",
-                time_s=time_s[rows],
-                inputs=recording.inputs[rows],
-                outputs=recording.outputs[rows],
-            )
-        )
-    idle = time_s[-1] - time_s[0] - sum(float(run.time_s[-1] - run.time_s[0]) for run in runs)
+        arrays = {key: getattr(recording, key)[rows] for key in ("time_s", "inputs", "outputs")}
+        runs.append(dataclasses.replace(recording, name=f"{recording.name}_{number:0{digits}d}", **arrays))
     seconds = [float(run.time_s[-1] - run.time_s[0]) for run in runs]
+    left_out = time_s[-1] - time_s[0] - sum(seconds)
     count = "1 run of" if len(runs) == 1 else f"{len(runs)} runs of {min(seconds):.3g} to"
-    remarks.append(f"cut at rests of {min_rest:g} s and more: {count} {max(seconds):.3g} s, {idle:.4g} s left out")
+    remarks.append(f"cut at rests of {min_rest:g} s and more: {count} {max(seconds):.3g} s, {left_out:.4g} s left out")
     return runs, remarks
 
 
-def _merge(bases: Sequence[tuple[Array, dict[str, Array]]]) -> tuple[Array, dict[str, Array]]:
-    """Merge tables with times of their own; cells are NaN in the rows of other tables."""
-    times = np.concatenate([time_s for time_s, _ in bases])
+def _merge(tables: Sequence[tuple[Array, dict[str, Array]]]) -> tuple[Array, dict[str, Array]]:
+    """Merge tables (times and channels) of different times to one; a channel is NaN in the rows of other tables."""
+    times = np.concatenate([time_s for time_s, _ in tables])
     order = np.argsort(times, kind="stable")
     ordered = times[order]
-    period = min(float(np.median(np.diff(time_s))) for time_s, _ in bases if len(time_s) > 1)
+    period = min(float(np.median(np.diff(time_s))) for time_s, _ in tables if len(time_s) > 1)
     is_new = np.concatenate([[True], np.diff(ordered) > _SAME_TIME * period])
-    row_of = np.empty(len(times), np.int64)
-    row_of[order] = np.cumsum(is_new) - 1
+    merged_row = np.empty(len(times), np.int64)  # by row of the concatenated tables
+    merged_row[order] = np.cumsum(is_new) - 1
     merged, start = ordered[is_new], 0
     columns: dict[str, Array] = {}
-    for time_s, channels in bases:
-        rows = row_of[start : start + len(time_s)]
+    for time_s, channels in tables:
+        rows = merged_row[start : start + len(time_s)]
         for channel, values in channels.items():
             columns[channel] = np.full(len(merged), np.nan)
             columns[channel][rows] = values
@@ -255,17 +282,17 @@ def _merge(bases: Sequence[tuple[Array, dict[str, Array]]]) -> tuple[Array, dict
 def _hold_inputs(
     time_s: Array, columns: dict[str, Array], machine: Machine, remarks: list[str]
 ) -> tuple[Array, dict[str, Array]]:
-    """Hold inputs over empty cells, and leave out the rows before every input has a value; append to the remarks."""
+    """Hold inputs over empty cells, leave out the first rows if an input has no value there; append to the remarks."""
     begin = 0
     for channel in machine.input_channels:
         values = columns[channel]
-        known = ~np.isnan(values)
-        if known.all() or not known.any():
+        has_value = ~np.isnan(values)
+        if has_value.all() or not has_value.any():
             continue
-        begin = max(begin, int(np.argmax(known)))
-        row = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
-        columns[channel] = values[row]
-        empty = f"{int(np.sum(~known))} of {len(values)} cells are empty"
+        begin = max(begin, int(np.argmax(has_value)))
+        held_row = np.maximum.accumulate(np.where(has_value, np.arange(len(values)), 0))
+        columns[channel] = values[held_row]
+        empty = f"{int(np.sum(~has_value))} of {len(values)} cells are empty"
         remarks.append(f"{channel}: {empty}; the value before each is held")
     if begin:
         remarks.append(f"the first {begin} rows left out, an input has no value there yet")
@@ -277,43 +304,46 @@ def _resting_rows(recording: Recording, machine: Machine, min_rest: float) -> Ma
     """Return the rows that belong to an interval of the given length, s, in which nothing moves."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-    n = len(recording.time_s)
-    period = float(np.median(np.diff(recording.time_s))) if n > 1 else min_rest
+    count = len(recording.time_s)
+    period = float(np.median(np.diff(recording.time_s))) if count > 1 else min_rest
     window = max(2, round(min_rest / period) + 1)
-    if window > n:
-        return np.zeros(n, np.bool_)
-    still = np.ones(n - window + 1, np.bool_)  # by the first row of the window
+    if window > count:
+        return np.zeros(count, np.bool_)
+    still = np.ones(count - window + 1, np.bool_)  # whether nothing moves in a window, by its first row
     for values, tolerance in _channels_with_tolerance(recording, machine):
         center = window // 2
         high = maximum_filter1d(values, window, mode="nearest")[center : center + len(still)]
         low = minimum_filter1d(values, window, mode="nearest")[center : center + len(still)]
         still &= high - low <= tolerance
-    # A row rests if any window that contains it is still.
-    count = np.concatenate([[0], np.cumsum(still)])
-    rows = np.arange(n)
-    return count[np.minimum(rows + 1, len(still))] > count[np.maximum(rows - window + 1, 0).clip(max=len(still))]
+    # A row rests if any window that contains it is still: if the number of still windows grows over their first rows.
+    still_before = np.concatenate([[0], np.cumsum(still)])
+    first_window = np.maximum(np.arange(count) - window + 1, 0)
+    last_window = np.minimum(np.arange(count), len(still) - 1)
+    return still_before[last_window + 1] > still_before[first_window]
 
 
 def _channels_with_tolerance(recording: Recording, machine: Machine) -> list[tuple[Array, float]]:
-    """Return the values of each channel without empty cells, and by how much it may vary at rest."""
+    """Return for each channel its values, with empty cells filled by the last value, and its tolerance at rest."""
     channels = []
     for values, drive in zip(recording.inputs.T, machine.drives, strict=True):
-        tolerance = max(_INPUT_TOLERANCE * drive.rated_voltage, _natural_variation(values))
+        tolerance = max(_INPUT_TOLERANCE * drive.rated_voltage, _variation_at_rest(values))
         channels.append((values, min(tolerance, _MAX_REST_SPAN * float(np.ptp(values)))))
     for values, sensor in zip(recording.outputs.T, machine.sensors, strict=True):
         measured = np.flatnonzero(np.isfinite(values))
         if len(measured) == 0:
             continue
         declared = max(_REST_NOISE * sensor.noise, _REST_STEPS * sensor.resolution)
-        natural = min(_natural_variation(values[measured]), _MAX_REST_SPAN * float(np.ptp(values[measured])))
+        estimated = min(_variation_at_rest(values[measured]), _MAX_REST_SPAN * float(np.ptp(values[measured])))
         held = values[measured[np.clip(np.searchsorted(measured, np.arange(len(values)), "right") - 1, 0, None)]]
-        channels.append((held, max(declared, natural)))
+        channels.append((held, max(declared, estimated)))
     return channels
 
 
-def _natural_variation(values: Array) -> float:
-    """Return the peak-to-peak variation of a resting channel from its noise and its smallest step."""
+def _variation_at_rest(values: Array) -> float:
+    """Estimate the peak-to-peak variation of a channel at rest from its noise and its smallest step."""
     changes = np.abs(np.diff(values))
-    smallest = float(np.min(changes, where=changes > 0.0, initial=np.inf))
+    step = float(np.min(changes, where=changes > 0.0, initial=np.inf))
+    # Second differences remove slow motion; those of white noise have sqrt(6) times its standard deviation, which is
+    # 1.4826 times the median of the absolute values.
     noise = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0) if len(values) > 2 else 0.0
-    return max(_REST_STEPS * smallest if np.isfinite(smallest) else 0.0, _REST_NOISE * noise)
+    return max(_REST_STEPS * step if np.isfinite(step) else 0.0, _REST_NOISE * noise)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..file_limits import refuse_expansion
-from .measurement_units import normalize_unit, split_unit
+from .measurement_units import ALL_SPEED_UNITS, normalize_unit, split_unit
 from .table_file import open_parquet, parquet_numbers, read_parquet_column
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
@@ -26,8 +26,10 @@ LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".mat", 
 
 ROW_NUMBER = "row number"  # kind of a column that is not in the file, but counts its rows from 0
 
-_MAT_HEADER, _MAT_COMPRESSED = 128, 15  # bytes above the variables of version 5 to 7, and the type of a compressed one
-_MAT_BLOCK = 1 << 16  # bytes that are decompressed at a time, to 64 MB at most
+_MAT_HEADER = 128  # bytes before the first variable in MATLAB files of version 5 to 7
+_MAT_COMPRESSED = 15  # type of a compressed variable
+# Compressed bytes per step. A byte expands to 1032 at most, a step to 64 MB; the size is checked after each step.
+_MAT_BLOCK = 1 << 16
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -57,8 +59,8 @@ class Log:
     Attributes:
         path: The file.
         columns: Its columns in the order of the file.
-        remarks: Sentences about how the format of the file differs from that of a recording.
-        reader: Function behind `read`.
+        remarks: Remarks for the user on the file's format, where it differs from that of a recording.
+        reader: Function that reads the values of columns by index, see `read`.
     """
 
     path: Path
@@ -85,46 +87,61 @@ class Log:
         """
         return self.reader([self.columns.index(column) for column in columns], progress)
 
+    def columns_called(self, reference: str) -> list[LogColumn]:
+        """Find the columns that a user may mean by a name.
 
-def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
-    """List the logs at a path: files that a controller or data logger wrote, not yet recordings of this package.
+        Args:
+            reference: "#3" for the third column, a header, or a name without its unit.
+
+        Returns:
+            The column with this number or header; if there is none, all whose header differs only in case, or else all
+            with this name in any case.
+        """
+        if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
+            return [self.columns[int(reference[1:]) - 1]]
+        exact = [column for column in self.columns if column.header == reference]
+        same_header = [column for column in self.columns if column.header.lower() == reference.lower()]
+        same_name = [column for column in self.columns if column.name.lower() == reference.lower()]
+        return exact or same_header or same_name
+
+    def columns_named_like(self, channel: str) -> list[LogColumn]:
+        """Find the columns named like a channel, except speeds.
+
+        Args:
+            channel: Name of a channel, such as "x_m".
+
+        Returns:
+            Columns with the name of the channel without its unit; case, blanks and punctuation do not matter. A column
+            whose header equals the channel's name excludes all others.
+        """
+        name = plain_name(split_unit(channel)[0])
+        named = [column for column in self.columns if plain_name(column.name) == name]
+        positions = [column for column in named if column.unit not in ALL_SPEED_UNITS]
+        return [column for column in self.columns if column.header == channel] or positions
+
+
+def plain_name(name: str) -> str:
+    """Simplify a name for comparisons.
 
     Args:
-        path: A log, or a folder of logs.
+        name: Name of a column.
 
     Returns:
-        logs: The file, or the folder's files with a known ending, possibly followed by .gz, in alphabetical order.
-        others: The remaining files of the folder, except hidden ones.
-
-    Raises:
-        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same
-            name.
+        The name in lower case without blanks and punctuation, except "#".
     """
-    path = Path(path)
-    if path.is_file():
-        return [path], []
-    if not path.is_dir():
-        raise InputError(f"{path}: no such file or folder")
-    files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
-    logs = [p for p in files if p.name.lower().removesuffix(".gz").endswith(LOG_SUFFIXES)]
-    if not logs:
-        raise InputError(f"{path}: no logs ({', '.join(LOG_SUFFIXES)}) in this folder")
-    for first, second in pairwise(sorted(logs, key=log_name)):
-        if log_name(first) == log_name(second):
-            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
-    return logs, [p for p in files if p not in logs]
+    return re.sub(r"[^\w#]|_", "", name.lower())
 
 
-def log_name(path: Path) -> str:
-    """Return the name of the run to which a log is converted: its file name without .gz and without its ending.
+def headers_text(columns: Sequence[LogColumn]) -> str:
+    """Return the headers of columns as a list in words, for messages.
 
     Args:
-        path: File of the log.
+        columns: Columns of a log.
 
     Returns:
-        The name, for example "test_3" for test_3.csv.gz.
+        Headers separated by commas; a unit from a row of units follows its header in brackets.
     """
-    return Path(path.name.removesuffix(".gz")).stem
+    return ", ".join(c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns)
 
 
 def open_log(path: Path) -> Log:
@@ -256,7 +273,7 @@ def _mat_vectors(path: Path) -> list[tuple[str, NDArray[np.float64]]]:
     """
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "vectors.npz")
-        # -P: the folder of the program is no place to import modules from.
+        # -P keeps the script's folder off sys.path, so that its modules cannot shadow others.
         command = [sys.executable, "-P", str(Path(__file__).with_name("matlab_vectors.py")), str(path), str(target)]
         run = subprocess.run(command, check=False, capture_output=True, text=True)
         if run.returncode:

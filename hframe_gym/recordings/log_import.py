@@ -1,4 +1,7 @@
-"""Convert logs of controllers and data loggers to recordings, one run per log or cut where the machine rests."""
+"""Convert logs of a controller or data logger to recordings.
+
+Each log becomes one run, or several, cut where the machine rests.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -19,9 +23,9 @@ from ..file_limits import read_document, read_json
 from ..machine import Machine
 from .cleaning import GAP_PERIODS
 from .log_conversion import LogConverter, split_at_rests
-from .log_file import Log, find_logs, log_name, open_log
-from .log_mapping import TIME, ChannelSource, MappingOptions, map_columns
-from .measurement_units import parse_factor
+from .log_file import LOG_SUFFIXES, Log, open_log
+from .log_mapping import ChannelSource, MappingOptions, map_columns
+from .measurement_units import TIME
 from .recording import Recording, run_name
 from .table_file import SUFFIXES, Array
 from .text_reader import Progress
@@ -29,20 +33,21 @@ from .text_reader import Progress
 RunFormat = Literal["csv.gz", "csv", "parquet"]
 Say = Callable[[str], None]
 
-_ROWS_PER_WRITE = 50_000
-_LONG_RUN = 60.0  # s
-_COMPRESSION = 4  # of gzip; higher levels take several times as long for a few percent
+_ROWS_PER_WRITE = 50_000  # so many rows are held in memory as text, a few tens of MB
+# s; a single motion takes a few seconds, so that a longer log probably holds several, with rests between them.
+_LONG_RUN = 60.0
+_COMPRESSION = 4  # level of gzip; higher levels take several times as long and save a few percent
 
 
 @dataclass(frozen=True)
 class ImportSettings:
-    """How logs become recordings.
+    """Settings of the conversion of logs to recordings.
 
     Attributes:
-        mapping: What the user states about the columns.
-        split: Whether to cut the logs into runs at their rests.
+        mapping: Column, unit and factor that the user assigned to channels.
+        split: Whether to cut each log into runs where the machine rests.
         min_rest: Shortest rest at which a log is cut, s.
-        run_format: Format of the recordings.
+        run_format: Ending of the recordings' files, which selects their format.
     """
 
     mapping: MappingOptions = field(default_factory=MappingOptions)
@@ -59,43 +64,44 @@ def import_logs(
     say: Say = print,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Convert logs, which a controller or data logger wrote, to recordings of a machine, the input of identification.
+    """Convert the logs of a controller or data logger to recordings of a machine.
 
-    The recordings appear in the folder together after all logs have been converted, so that a faulty log leaves it
-    unchanged.
+    The recordings are moved into the folder together, after all logs have been converted; a faulty log leaves the
+    folder unchanged.
 
     Args:
         logs: A log, or a folder of logs.
         out: Folder for the recordings; created if it does not exist. Existing runs are never replaced.
         machine: Machine that was logged; the names of its input and output channels are the columns of the recordings.
-        settings: Mapping of columns, and whether to cut the logs into runs.
-        say: Called with a line of text for everything that was done or assumed.
-        progress: Called with the work done and the total work, both in bytes that are read and written.
+        settings: Columns and units that the user assigned to channels, and whether to cut the logs into runs.
+        say: Called with a line of text for everything that is converted, assumed or left out.
+        progress: Called with the work done and the total work, both in bytes of the logs; reading and writing count
+            once each.
 
     Returns:
         Files of the recordings.
 
     Raises:
         InputError: If a log is invalid, its columns cannot be assigned, or a run of the same name exists in the folder.
-            Nothing is written then.
+            In all these cases nothing is written.
     """
-    paths, others = find_logs(logs)
+    paths, other_files = find_logs(logs)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}: is a file, but must be a folder")
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
-    if others:
-        say(f"not read, no logs by their ending: {', '.join(p.name for p in others)}")
-    # Reading and writing take about the same time.
+    if other_files:
+        say(f"skipped (file ending is not that of a log): {', '.join(p.name for p in other_files)}")
+    # Each byte counts twice: once for reading, once for writing, which take about as long.
     total, done = 2 * sum(path.stat().st_size for path in paths), 0
 
-    def add(count: int) -> None:
+    def add_progress(count: int) -> None:
         nonlocal done
         done += count
         if progress is not None:
             progress(done, total)
 
-    importer = _Importer(machine, settings, say, add)
+    importer = _Importer(machine, settings, say, add_progress)
     written: list[Path] = []
     with output_batch(folder):
         for path in paths:
@@ -108,10 +114,52 @@ def import_logs(
     return written
 
 
+def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
+    """List the logs of a folder, which are recognized by the endings of their names.
+
+    Args:
+        path: A log, or a folder of logs.
+
+    Returns:
+        logs: The folder's files with a known ending, possibly followed by .gz, in alphabetical order. A path of a file
+            is taken as a log whatever its ending.
+        other_files: The remaining files of the folder, except hidden ones.
+
+    Raises:
+        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same
+            name.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [path], []
+    if not path.is_dir():
+        raise InputError(f"{path}: no such file or folder")
+    files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
+    logs = [p for p in files if p.name.lower().removesuffix(".gz").endswith(LOG_SUFFIXES)]
+    if not logs:
+        raise InputError(f"{path}: no logs ({', '.join(LOG_SUFFIXES)}) in this folder")
+    for first, second in pairwise(sorted(logs, key=log_name)):
+        if log_name(first) == log_name(second):
+            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
+    return logs, [p for p in files if p not in logs]
+
+
+def log_name(path: Path) -> str:
+    """Return the name of the run to which a log is converted: its file name without .gz and without its ending.
+
+    Args:
+        path: File of the log.
+
+    Returns:
+        The name, for example "test_3" for test_3.csv.gz.
+    """
+    return Path(path.name.removesuffix(".gz")).stem
+
+
 def read_mapping_file(path: str | Path) -> MappingOptions:
     """Read a mapping file, which assigns a column of a log and its unit to each channel of the machine.
 
-    It is TOML or JSON with up to three tables: `map` (column of each channel), `unit` and `scale` (factor).
+    It has up to three tables: `map` (column of each channel), `unit` (unit of the column) and `scale` (factor).
 
     Args:
         path: File ending in .toml or .json.
@@ -129,13 +177,38 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is not a valid TOML file: {error}") from None
     tables: dict[str, dict[str, str | float]] = {"map": {}, "unit": {}, "scale": {}}
-    for name, table in content.items() if isinstance(content, dict) else ():
+    contents = "a mapping file may have map, unit and scale, each with entries CHANNEL = VALUE"
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: has no tables; {contents}")
+    for name, table in content.items():
         if name not in tables or not isinstance(table, dict):
-            raise InputError(f"{path}, {name}: a mapping has the tables {', '.join(tables)}")
+            raise InputError(f"{path}, {name}: {'not a table' if name in tables else 'unknown table'}; {contents}")
         tables[name] = table
     scales = {channel: parse_factor(f"{path}, scale.{channel}", factor) for channel, factor in tables["scale"].items()}
     columns, units = ({c: str(value) for c, value in tables[name].items()} for name in ("map", "unit"))
     return MappingOptions(columns, units, scales)
+
+
+def parse_factor(where: str, factor: object) -> float:
+    """Read a factor that a user gave for a column of a log, by which the values of the column are multiplied.
+
+    Args:
+        where: File and field, or option, that has the factor, for the message.
+        factor: Number or text, for example "0.001".
+
+    Returns:
+        The factor, dimensionless.
+
+    Raises:
+        InputError: If it is not a finite number other than zero.
+    """
+    try:
+        value = float(factor)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        value = 0.0
+    if not abs(value) > 0.0 or value in (float("inf"), float("-inf")):
+        raise InputError(f"{where}: {factor!r} is not a factor; give a number such as 0.001")
+    return value
 
 
 def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:
@@ -166,7 +239,7 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
             progress(len(recording.time_s))
         return
     with atomic_file(path) as raw:
-        # Without name and time, equal recordings are equal files.
+        # With an empty name and time in the header of gzip, equal recordings give identical files.
         packed = gzip.GzipFile("", "wb", _COMPRESSION, raw, mtime=0) if path.suffix == ".gz" else None
         with packed or nullcontext(raw) as file:
             file.write(f"{','.join(names)}\n".encode("ascii"))
@@ -178,7 +251,7 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
 
 
 def _texts(values: Array) -> list[str]:
-    """Return the shortest texts that read back as the values; NaN is empty."""
+    """Return the shortest text of each value from which the same number is read; "" for NaN."""
     texts = list(map(repr, values.tolist()))
     for row in np.flatnonzero(np.isnan(values)).tolist():
         texts[row] = ""
@@ -186,12 +259,12 @@ def _texts(values: Array) -> list[str]:
 
 
 class _Importer:
-    """Converts logs one after the other and says what it does."""
+    """Converts the logs of one session, one after the other, and tells the user what it converts or assumes."""
 
     def __init__(self, machine: Machine, settings: ImportSettings, say: Say, progress: Progress) -> None:
         self._machine, self._settings, self._say, self._progress = machine, settings, say, progress
         self._converter = LogConverter(machine)
-        self._said: list[str] = []
+        self._last_mapping: list[str] = []
         self._bytes_per_row = 0.0
 
     def runs(self, path: Path) -> list[Recording]:
@@ -205,20 +278,22 @@ class _Importer:
         remarks += _clock_remarks(recording.time_s)
         runs = [recording]
         if self._settings.split:
-            runs, more = split_at_rests(recording, self._machine, self._settings.min_rest)
-            remarks += more
-        elif recording.time_s[-1] - recording.time_s[0] > _LONG_RUN:
-            remarks.append("a long run; --split-at-rests cuts it into several, which identification needs")
+            runs, split_remarks = split_at_rests(recording, self._machine, self._settings.min_rest)
+            remarks += split_remarks
+        elif recording.time_s[-1] - recording.time_s[0] >= _LONG_RUN:
+            remarks.append(
+                f"{_LONG_RUN:g} s or longer: identification needs several runs; --split-at-rests cuts this one"
+            )
         for remark in remarks:
             self._say(f"  {remark}")
         return runs
 
     def count_rows(self, rows: int) -> None:
-        """Report rows of the last log as written."""
+        """Report the progress of writing the last log, by its number of rows."""
         self._progress(round(rows * self._bytes_per_row))
 
     def _say_mapping(self, log: Log, sources: Sequence[ChannelSource]) -> None:
-        """Say the format of a log and the origin of each channel, unless they are as in the log before."""
+        """Print the format of a log and the column of each channel, unless they are those of the log before."""
         lines = [f"  {remark}" for remark in log.remarks]
         width = max(len(source.channel) for source in sources)
         for source in sources:
@@ -228,17 +303,17 @@ class _Importer:
         used = [source.column for source in sources]
         unused = [column.header for column in log.columns if column not in used]
         lines += [f"  not used: {', '.join(unused)}"] if unused else []
-        if lines == self._said:
-            self._say(f"{log.path.name}: format and columns as before")
+        if lines == self._last_mapping:
+            self._say(f"{log.path.name}: same format and columns as the log before")
         else:
             self._say(f"{log.path.name}:")
             for line in lines:
                 self._say(line)
-        self._said = lines
+        self._last_mapping = lines
 
 
 def _clock_remarks(time_s: Array) -> list[str]:
-    """Return rows, duration, rate and gaps in words."""
+    """Return remarks about the number of rows, the duration, the sampling rate and the gaps."""
     steps = np.diff(time_s)
     if len(steps) == 0:
         return [f"{len(time_s)} row"]

@@ -1,49 +1,51 @@
-"""Assign the columns of a log to the channels of a machine, and convert their values to the channels' units."""
+"""Assign the columns of a log to the channels of a machine, and determine how to convert each to the channel's unit."""
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..errors import InputError
 from ..machine import Machine
-from .log_file import ROW_NUMBER, Log, LogColumn
+from .log_file import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
 from .measurement_units import (
-    DUTY_UNITS,
+    ALL_SPEED_UNITS,
     SI_UNITS,
-    SPEED_UNITS,
-    UNITS,
+    TIME,
     Conversion,
     Dimension,
-    channel_dimensions,
+    UnitConversion,
+    accepted_units,
+    channel_dimension,
     normalize_unit,
     parse_rate,
-    shaft_drive,
-    split_unit,
-    units_of,
-    unknown_unit_text,
+    scaled_speed_message,
+    wrong_unit_message,
 )
 
-TIME = "time_s"
-NOT_MEASURED = "none"  # in place of a column: the output has no column in the log
-_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec")  # without signs, in lower case
-# First letters of names that are suggested for a channel, never assigned without the user.
+NOT_MEASURED = "none"  # given instead of a column: the output was not measured
+# Names of a column of sample times, in lower case, without blanks and punctuation.
+_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec")
+# First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for lengths; "phi",
+# "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms it.
 _FIRST_LETTERS: dict[Dimension, str] = {"voltage": "uv", "length": "xyzp", "angle": "paqe", "time": "t"}
 
 
 @dataclass(frozen=True)
 class MappingOptions:
-    """What the user states about the columns of logs; everything else follows from names and units in the log.
+    """Column, unit and factor that the user assigned to channels.
+
+    Unassigned channels are matched by the names and units in the log.
 
     Attributes:
         columns: Column by channel: its name with or without its unit, "#3" for the third column, or "none" for an
-            output that was not measured. For "time_s", also a rate such as "200Hz": the log has no column of time, and
-            its rows are equally spaced.
-        units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}.
-        scales: Factor by channel. It is applied to the values of the column, behind the conversion from a unit that
-            `units` states; a unit in the header is then ignored.
+            output that was not measured. For "time_s", also several columns separated by commas, or a rate such as
+            "200Hz" if the log has no time column and its rows are equally spaced.
+        units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}. It replaces the unit in the
+            header.
+        scales: Factor by channel. With `units`, values are first converted from that unit, then multiplied. Without
+            `units`, the unit in the header is ignored and the factor converts to the channel's unit.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -53,17 +55,17 @@ class MappingOptions:
 
 @dataclass(frozen=True)
 class ChannelSource:
-    """Origin of a channel's values.
+    """Column of a log that holds a channel, and how to convert it to the channel's unit.
 
     Attributes:
         channel: Name of the channel, or "time_s".
-        column: Column of the log; None if the output was not measured.
-        time: Source of the times of its samples; None for a time itself and without a column.
-        conversion: Conversion to the unit of the channel.
-        remark: What is converted or assumed, in words; "" if there is nothing to say.
-        assumed: Whether neither the log nor the user states the unit.
-        is_speed: Whether the column is a speed, whose integral is the channel.
-        stated: Whether the user states the unit or a factor.
+        column: Column of the log. None if the output was not measured.
+        time: `ChannelSource` of the sample times. None if this source is itself a time, or if it has no column.
+        conversion: Conversion to the unit of the channel; for a speed, to that unit per second.
+        remark: What is converted or assumed, in words; "" if the values are used unchanged.
+        unit_is_assumed: Whether neither the log nor the user states the unit, so that SI is assumed.
+        integrate: Whether the column is a speed, whose integral over time is the channel.
+        set_by_user: Whether the user stated the unit or a factor.
     """
 
     channel: str
@@ -71,9 +73,9 @@ class ChannelSource:
     time: ChannelSource | None
     conversion: Conversion
     remark: str
-    assumed: bool = False
-    is_speed: bool = False
-    stated: bool = False
+    unit_is_assumed: bool = False
+    integrate: bool = False
+    set_by_user: bool = False
 
 
 def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[ChannelSource]:
@@ -85,7 +87,7 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
     Args:
         log: Opened log with its columns.
         machine: Machine that was logged.
-        options: Columns, units and factors that the user assigns to channels.
+        options: Columns, units and factors that the user assigned to channels.
 
     Returns:
         Sources (column and conversion of units): first those of the times, then one per channel of the machine, inputs
@@ -96,242 +98,253 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
         InputError: If a channel has no column or several, or a unit is unknown. The message lists columns and channels,
             and options to complete.
     """
-    dimensions = channel_dimensions(machine)
-    for option, keys in (("map", options.columns), ("unit", options.units), ("scale", options.scales)):
-        unknown = [key for key in keys if key not in (TIME, *dimensions)]
-        if unknown:
-            raise InputError(f"--{option} {unknown[0]}=...: no such channel; {_channels_text(machine)}")
-    times = _time_columns(log, options)
-    assigned: dict[str, LogColumn | None] = {
-        channel: _named_column(log, channel, options.columns[channel], machine)
-        for channel in dimensions
-        if channel in options.columns
-    }
-    _refuse_repeated_columns(log, machine, assigned)
-    _assign_by_name(log, machine, times, assigned)
-    time_sources = {time.header: _source(log, TIME, time, None, "time", machine, options) for time in times}
-    sources = []
-    for channel, dimension in dimensions.items():
-        column = assigned[channel]
-        time_source = time_sources[_time_of(log, column, times).header] if column else None
-        sources.append(_source(log, channel, column, time_source, dimension, machine, options))
-    idle = [time for time in time_sources.values() if time not in [source.time for source in sources]]
-    if idle:
-        choices = " or ".join(shlex.quote(f"{TIME}={column.header}") for column in times)
-        raise InputError(f"{log.path}: several columns may be the time ({_list(times)}): add --map {choices}")
-    return [*time_sources.values(), *sources]
+    return _LogMapping(log, machine, options).sources()
 
 
-def _assign_by_name(
-    log: Log, machine: Machine, times: Sequence[LogColumn], assigned: dict[str, LogColumn | None]
-) -> None:
-    """Add the channels to an assignment that the names of columns identify; refuse the log if one is missing."""
-    taken = [*times, *assigned.values()]
-    missing = [] if times else [TIME]
-    for channel in [channel for channel in channel_dimensions(machine) if channel not in assigned]:
-        matches = [column for column in _matching_columns(log, channel) if column not in taken]
-        if len(matches) == 1:
-            assigned[channel] = matches[0]
-        else:
-            missing.append(channel)
-    used = [*times, *assigned.values()]
-    unused = [column for column in log.columns if column not in used and column.kind != "text"]
-    if missing and (unused or set(missing) & {TIME, *machine.input_channels}):
-        raise InputError(_missing_text(log, machine, missing, unused))
-    assigned |= dict.fromkeys(missing)  # no column is left that these outputs could be
+class _LogMapping:
+    """Assigns the columns of one log to the channels of a machine."""
 
+    def __init__(self, log: Log, machine: Machine, options: MappingOptions) -> None:
+        self.log, self.machine, self.options = log, machine, options
+        self.channels = (*machine.input_channels, *machine.output_channels)
 
-def _refuse_repeated_columns(log: Log, machine: Machine, assigned: Mapping[str, LogColumn | None]) -> None:
-    """Refuse a column that the user assigns to two measurements; one voltage may supply two drives."""
-    used: dict[str, str] = {}
-    for channel in machine.output_channels:
-        column = assigned.get(channel)
-        if column is not None and used.setdefault(column.header, channel) != channel:
-            options = f"--map {used[column.header]}={column.header} --map {channel}={column.header}"
-            raise InputError(f"{log.path}: {options}: one column cannot be two measurements; correct one of them")
+    def sources(self) -> list[ChannelSource]:
+        """Return the sources of the times and of all channels, see `map_columns`."""
+        self._refuse_unknown_channels()
+        times = self._time_columns()
+        columns = self._assigned_columns(times)
+        time_sources = {time.header: self._source(TIME, time, None) for time in times}
+        sources = []
+        for channel in self.channels:
+            column = columns[channel]
+            time_source = time_sources[self._time_of(column, times).header] if column is not None else None
+            sources.append(self._source(channel, column, time_source))
+        used_times = [source.time for source in sources]
+        if any(time not in used_times for time in time_sources.values()):
+            choices = " or ".join(_map_option(TIME, time.header) for time in times)
+            problem = f"several columns may be the time ({headers_text(times)})"
+            raise InputError(f"{self.log.path}: {problem}: add {choices}")
+        return [*time_sources.values(), *sources]
 
+    def _refuse_unknown_channels(self) -> None:
+        """Refuse options for channels that the machine does not have."""
+        options = {"map": self.options.columns, "unit": self.options.units, "scale": self.options.scales}
+        for option, by_channel in options.items():
+            for channel in by_channel:
+                if channel not in (TIME, *self.channels):
+                    raise InputError(f"--{option} {channel}=...: no such channel; {self._channels_text()}")
 
-def _matching_columns(log: Log, channel: str) -> list[LogColumn]:
-    """Return the columns whose name is that of a channel and no speeds, only the identical one if there is one."""
-    identical = [column for column in log.columns if column.header == channel]
-    speeds = [unit for units in SPEED_UNITS.values() for unit in units]
-    named = [column for column in log.columns if _bare(column.name) == _bare(split_unit(channel)[0])]
-    return identical or [column for column in named if column.unit not in speeds]
+    def _time_columns(self) -> list[LogColumn]:
+        """Return the columns of time: those that the user names, or else those named like a time.
 
-
-def _bare(name: str) -> str:
-    """Return a name without signs and blanks, in lower case."""
-    return re.sub(r"[^\w#]|_", "", name.lower())
-
-
-def _time_columns(log: Log, options: MappingOptions) -> list[LogColumn]:
-    """Return the columns of time: those that the user names or that are named like a time; for a rate, row numbers."""
-    reference = options.columns.get(TIME)
-    if reference is not None:
+        If the user states a rate, this is the row number, which is not a column of the file.
+        """
+        reference = self.options.columns.get(TIME)
+        if reference is None:
+            named = [column for column in self.log.columns if plain_name(column.name.rpartition(".")[2]) in _TIME_NAMES]
+            return [column for column in self.log.columns if column.header == TIME] or named
         if parse_rate(reference) is not None:
             return [LogColumn(f"row number at {reference.strip()}", "row number", "", ROW_NUMBER)]
-        try:
-            return [_find_column(log, TIME, reference)]
-        except InputError:
-            if "," not in reference:
-                raise
-            return [_find_column(log, TIME, part.strip()) for part in reference.split(",")]
-    identical = [column for column in log.columns if column.header == TIME]
-    named = [column for column in log.columns if _bare(column.name.rpartition(".")[2]) in _TIME_NAMES]
-    return identical or named
+        is_list = "," in reference and not self.log.columns_called(reference)
+        references = [part.strip() for part in reference.split(",")] if is_list else [reference]
+        return [self._column_of_reference(TIME, part) for part in references]
 
+    def _assigned_columns(self, times: Sequence[LogColumn]) -> dict[str, LogColumn | None]:
+        """Return the column of each channel, from the user or by its name; None for an output that was not measured.
 
-def _named_column(log: Log, channel: str, reference: str, machine: Machine) -> LogColumn | None:
-    """Return the column that the user names for a channel, None for an output that was not measured."""
-    if reference.lower() in (NOT_MEASURED, ""):
-        if channel not in machine.output_channels:
-            raise InputError(f"--map {channel}={reference}: only outputs may be left out; {_channels_text(machine)}")
+        The log is refused if a channel has no column, unless it is an output and no column is unassigned.
+        """
+        mapped = [channel for channel in self.channels if channel in self.options.columns]
+        columns = {channel: self._column_from_user(channel) for channel in mapped}
+        self._refuse_repeated_columns(columns)
+        taken = [*times, *columns.values()]
+        missing = [] if times else [TIME]
+        for channel in [channel for channel in self.channels if channel not in columns]:
+            named = [column for column in self.log.columns_named_like(channel) if column not in taken]
+            if len(named) == 1:
+                columns[channel] = named[0]
+            else:
+                missing.append(channel)
+        used = [*times, *columns.values()]
+        unused = [column for column in self.log.columns if column not in used and column.kind != "text"]
+        if missing and (unused or not set(missing) <= set(self.machine.output_channels)):
+            raise InputError(self._missing_text(missing, unused))
+        return columns | dict.fromkeys(missing)
+
+    def _column_from_user(self, channel: str) -> LogColumn | None:
+        """Return the column that the user named for a channel; None for an output that was not measured."""
+        reference = self.options.columns[channel]
+        if reference.lower() not in (NOT_MEASURED, ""):
+            return self._column_of_reference(channel, reference)
+        if channel not in self.machine.output_channels:
+            option = _map_option(channel, reference)
+            raise InputError(f"{option}: only outputs may be left out; {self._channels_text()}")
         return None
-    return _find_column(log, channel, reference)
 
+    def _refuse_repeated_columns(self, columns: Mapping[str, LogColumn | None]) -> None:
+        """Refuse a column that the user assigned to two measurements; one voltage may supply two drives."""
+        channel_of: dict[str, str] = {}
+        for channel in self.machine.output_channels:
+            column = columns.get(channel)
+            if column is None:
+                continue
+            first = channel_of.setdefault(column.header, channel)
+            if first != channel:
+                options = f"{_map_option(first, column.header)} {_map_option(channel, column.header)}"
+                problem = "one column cannot be two measurements; correct one of them"
+                raise InputError(f"{self.log.path}: {options}: {problem}{self._if_not_measured(channel)}")
 
-def _find_column(log: Log, channel: str, reference: str) -> LogColumn:
-    """Return the column that a reference names: by its header, its name without unit, or its number (#3)."""
-    if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(log.columns):
-        return log.columns[int(reference[1:]) - 1]
-    for columns in (
-        [c for c in log.columns if c.header == reference],
-        [c for c in log.columns if c.header.lower() == reference.lower()],
-        [c for c in log.columns if c.name.lower() == reference.lower()],
-    ):
+    def _column_of_reference(self, channel: str, reference: str) -> LogColumn:
+        """Return the only column that a reference of the user names."""
+        columns = self.log.columns_called(reference)
         if len(columns) == 1:
             return columns[0]
-    problem = "several columns have this name" if columns else "there is no such column"
-    raise InputError(f"{log.path}: --map {channel}={reference}: {problem}; the columns are {_list(log.columns)}")
+        problem = "several columns have this name" if columns else "there is no such column"
+        problem += f"; the columns are {headers_text(self.log.columns)}{self._if_not_measured(channel)}"
+        raise InputError(f"{self.log.path}: {_map_option(channel, reference)}: {problem}")
 
+    def _time_of(self, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
+        """Return the time of a column: the one of equal length, or in a table the nearest one to its left."""
+        if times[0].kind == ROW_NUMBER:
+            return times[0]
+        if column.rows is not None:
+            return self._time_of_equal_length(column, times)
+        position = self.log.columns.index
+        preceding = [time for time in times if position(time) < position(column)]
+        return max(preceding, key=position) if preceding else times[0]
 
-def _time_of(log: Log, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
-    """Return the time of a column: of several the one of the same length, or the last one to the left."""
-    if times[0].kind == ROW_NUMBER:
-        return times[0]
-    if column.rows is not None:
-        same = [time for time in times if time.rows == column.rows]
-        if not same:
-            lengths = ", ".join(f"{time.header} {time.rows}" for time in times)
-            others = [c.header for c in log.columns if c.rows == column.rows and c != column]
-            names = ",".join([*(time.header for time in times), *(others if len(others) == 1 else ["COLUMN"])])
-            advice = f"call its time t or time, or name all times: --map {shlex.quote(f'{TIME}={names}')}"
-            advice += f" (of this length: {', '.join(others)})" if len(others) > 1 else ""
-            advice = advice if others else "the log needs a time of this length"
-            problem = f"has {column.rows} values, but the times have: {lengths}"
-            raise InputError(f"{log.path}, {column.header}: {problem}; {advice}")
-        times = same
-        if len(same) > 1:
-            choices = " or ".join(f"--map {TIME}={time.header}" for time in same)
-            raise InputError(f"{log.path}: several times have the length of {column.header}: add {choices}")
-    position = log.columns.index(column)
-    left = [time for time in times if log.columns.index(time) < position]
-    return left[-1] if left else times[0]
+    def _time_of_equal_length(self, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
+        """Return the time with as many values as a column, in a file of vectors of different lengths."""
+        equal = [time for time in times if time.rows == column.rows]
+        if len(equal) == 1:
+            return equal[0]
+        if equal:
+            choices = " or ".join(_map_option(TIME, time.header) for time in equal)
+            raise InputError(f"{self.log.path}: several times have the length of {column.header}: add {choices}")
+        lengths = ", ".join(f"{time.header} {time.rows}" for time in times)
+        problem = f"has {column.rows} values, but the times have: {lengths}"
+        raise InputError(f"{self.log.path}, {column.header}: {problem}; {self._advice_about_time(column, times)}")
 
+    def _advice_about_time(self, column: LogColumn, times: Sequence[LogColumn]) -> str:
+        """Say how to give a column a time, if none of the times has its length."""
+        candidates = [c.header for c in self.log.columns if c.rows == column.rows and c != column]
+        if not candidates:
+            return "the log needs a time of this length"
+        its_time = candidates[0] if len(candidates) == 1 else "COLUMN"
+        option = _map_option(TIME, ",".join([*(time.header for time in times), its_time]))
+        advice = f"rename its time to t or time in the log, or list all times: {option}"
+        return advice if len(candidates) == 1 else f"{advice} (of this length: {', '.join(candidates)})"
 
-def _source(
-    log: Log,
-    channel: str,
-    column: LogColumn | None,
-    time: ChannelSource | None,
-    dimension: Dimension,
-    machine: Machine,
-    options: MappingOptions,
-) -> ChannelSource:
-    """Return the source of a channel with its conversion: from the options, or from the unit that the log states."""
-    if column is None:
-        return ChannelSource(channel, None, None, Conversion(), "not measured: the cells stay empty")
-    if column.kind == ROW_NUMBER:
-        return ChannelSource(
-            channel, column, None, Conversion(1.0, parse_rate(options.columns[channel]) or 1.0), "to s"
-        )
-    stated, scale = options.units.get(channel), options.scales.get(channel)
-    unit = normalize_unit(stated) if stated is not None else "" if scale is not None else column.unit
-    si_unit, speeds = SI_UNITS[dimension], SPEED_UNITS.get(dimension, {})
-    if stated is None and scale is not None and column.unit in speeds:
-        advice = f"add --unit {channel}={column.unit}, and it is integrated to {channel}"
-        raise InputError(f"{log.path}, column {column.header}: a speed is no {dimension}; {advice}")
-    conversion, remarks = Conversion(), list[str]()
-    shaft = shaft_drive(machine, channel)
-    if column.kind == "stamp" and dimension != "time":
-        raise InputError(f"{log.path}, column {column.header}: has dates or times, which cannot be {channel}")
-    if column.kind == "stamp":
-        remarks.append("time stamps to s")
-    elif unit in UNITS[dimension]:
-        conversion = Conversion(*UNITS[dimension][unit])
-        remarks += [f"{unit} to {si_unit}"] if unit != si_unit else []
-    elif unit in speeds:
-        conversion = Conversion(*speeds[unit])
-        remarks.append(f"a speed, {unit} to {si_unit}/s, integrated from 0: drifts with every error of the speed")
-    elif unit in DUTY_UNITS and dimension == "voltage":
-        drive = next(drive for drive in machine.drives if drive.channel == channel)
-        conversion = Conversion(drive.rated_voltage, DUTY_UNITS[unit])
-        remarks.append(f"duty cycle, 100 % is {drive.rated_voltage:.6g} V, the rated voltage of {drive.name}")
-    elif unit in UNITS["angle"] and shaft is not None:
-        conversion = Conversion(*UNITS["angle"][unit]).scaled(1.0 / shaft.gear_ratio)
-        remarks.append(f"angle of {shaft.name}, {unit} to rad, divided by its gear ratio, {shaft.gear_ratio:.6g} rad/m")
-    elif unit:
-        raise InputError(f"{log.path}, column {column.header}: {unknown_unit_text(machine, channel, unit)}")
-    elif scale is None:
-        remarks.append(f"no unit, taken as {si_unit}")
-    if scale is not None:
-        conversion = conversion.scaled(scale)
-        remarks.append(f"times {scale:.9g}")
-    assumed = scale is None and not unit and column.kind != "stamp"
-    by_user = stated is not None or scale is not None
-    return ChannelSource(channel, column, time, conversion, ", ".join(remarks), assumed, unit in speeds, by_user)
+    def _source(self, channel: str, column: LogColumn | None, time: ChannelSource | None) -> ChannelSource:
+        """Return the source of a channel, with the conversion of its column."""
+        if column is None:
+            return ChannelSource(channel, None, None, Conversion(), "not measured: the cells stay empty")
+        if column.kind == ROW_NUMBER:
+            rate = parse_rate(self.options.columns[channel])
+            assert rate is not None
+            return ChannelSource(channel, column, None, Conversion(denominator=rate), "to s")
+        if column.kind == "stamp":
+            if channel == TIME:
+                return ChannelSource(channel, column, None, Conversion(), "time stamps to s")
+            problem = f"contains dates or times of day; {channel} needs numbers. Map another column to it"
+            problem += self._if_not_measured(channel)
+            raise InputError(f"{self.log.path}, column {column.header}: {problem}")
+        set_by_user = channel in self.options.units or channel in self.options.scales
+        is_assumed = self._stated_unit(channel, column) is None and channel not in self.options.scales
+        conversion, integrate, remark = self._conversion(channel, column)
+        return ChannelSource(channel, column, time, conversion, remark, is_assumed, integrate, set_by_user)
 
+    def _conversion(self, channel: str, column: LogColumn) -> UnitConversion:
+        """Return the conversion of a column from the stated unit, if there is one, followed by the user's factor."""
+        unit, scale = self._stated_unit(channel, column), self.options.scales.get(channel)
+        accepted = accepted_units(self.machine, channel)
+        where = f"{self.log.path}, column {column.header}"
+        if unit is not None and unit not in accepted:
+            raise InputError(f"{where}: {wrong_unit_message(self.machine, channel, unit)}")
+        if unit is None and column.unit in ALL_SPEED_UNITS and channel in self.machine.output_channels:
+            raise InputError(f"{where}: {scaled_speed_message(self.machine, channel, column.unit)}")
+        if unit is not None:
+            from_unit = accepted[unit]
+        else:
+            assumption = f"no unit, taken as {SI_UNITS[channel_dimension(self.machine, channel)]}"
+            from_unit = UnitConversion(Conversion(), False, assumption if scale is None else "")
+        if scale is None:
+            return from_unit
+        remark = ", ".join(filter(None, [from_unit.remark, f"times {scale:.9g}"]))
+        return UnitConversion(from_unit.conversion.scaled(scale), from_unit.integrate, remark)
 
-def _missing_text(log: Log, machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
-    """Return the message about channels without a column, with options to complete."""
-    proposals = _proposed_columns(machine, missing, unused)
-    options = [f"--map {shlex.quote(f'{channel}={name}')}" for channel, name in proposals.items()]
-    several = {channel: _matching_columns(log, channel) for channel in missing if channel != TIME}
-    ambiguous = [f"{channel} may be {_list(columns)}" for channel, columns in several.items() if len(columns) > 1]
-    problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
-    absent = [channel for channel in missing if channel in machine.output_channels]
-    none = f" (or {absent[0]}={NOT_MEASURED}, if it was not measured)" if absent else ""
-    none += f"; {TIME}=200Hz stands for 200 rows per second without a column of time" if TIME in missing else ""
-    advice = f"Check and add: {' '.join(options)}{none}"
-    if not unused and TIME not in missing:
-        advice = "No column is left for a voltage: it must be recorded (a drive at rest has a column of zeros)"
-    return (
-        f"{log.path}: {problem}. Columns of the log: {_list(log.columns)}. Not assigned: {_list(unused) or 'none'}. "
-        f"{_channels_text(machine)}. {advice}"
-    )
+    def _stated_unit(self, channel: str, column: LogColumn) -> str | None:
+        """Return the unit of a column that the user or the log states; None if a factor without unit replaces it."""
+        if channel in self.options.units:
+            return normalize_unit(self.options.units[channel]) or None
+        return None if channel in self.options.scales else column.unit or None
 
-
-def _proposed_columns(machine: Machine, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
-    """Propose a column for each channel without one, by unit and first letter; "COLUMN" where there is none or doubt.
-
-    A channel with few candidates is served first. Of fewer columns than channels that can only be them, none is
-    proposed.
-    """
-    candidates: dict[str, list[LogColumn]] = {}
-    for channel in missing:
-        letters = _FIRST_LETTERS[channel_dimensions(machine).get(channel, "time")]
-        candidates[channel] = [column for column in unused if column.unit in units_of(machine, channel)] or [
-            column for column in unused if not column.unit and _bare(column.name)[:1] in letters
+    def _missing_text(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
+        """Return the message about channels without a column, with options to complete."""
+        similar = {channel: self.log.columns_named_like(channel) for channel in missing if channel != TIME}
+        ambiguous = [
+            f"{channel} may be {headers_text(columns)}" for channel, columns in similar.items() if len(columns) > 1
         ]
-        if not candidates[channel] and len(unused) == 1 and not unused[0].unit and channel != TIME:
-            candidates[channel] = list(unused)
-    proposed = dict.fromkeys(missing, "COLUMN")
-    taken: list[LogColumn] = []
-    for channel in sorted(missing, key=lambda channel: len(candidates[channel])):
-        free = [column for column in candidates[channel] if column not in taken]
-        rivals = [c for c in missing if proposed[c] == "COLUMN" and all(column in free for column in candidates[c])]
-        if len(free) >= len([c for c in rivals if candidates[c]]) and free:
-            proposed[channel] = free[0].header
-            taken.append(free[0])
-    return proposed
+        problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
+        return (
+            f"{self.log.path}: {problem}. Columns of the log: {headers_text(self.log.columns)}. "
+            f"Not assigned: {headers_text(unused) or 'none'}. {self._channels_text()}. "
+            f"{self._advice_about_missing(missing, unused)}"
+        )
+
+    def _advice_about_missing(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
+        """Return the advice that ends the message about channels without a column."""
+        if not unused and TIME not in missing:
+            inputs = [channel for channel in missing if channel in self.machine.input_channels]
+            problem = f"No column is unassigned, but {', '.join(inputs)} {'has' if len(inputs) == 1 else 'have'} none"
+            return f"{problem}. Voltages must be recorded; add a column of zeros for a drive that was not used"
+        proposals = self._proposed_headers(missing, unused)
+        advice = f"Check and add: {' '.join(_map_option(channel, proposals[channel]) for channel in missing)}"
+        outputs = [channel for channel in missing if channel in self.machine.output_channels]
+        if outputs:
+            advice += f" (or {outputs[0]}={NOT_MEASURED}, if it was not measured)"
+        if TIME in missing:
+            advice += f"; if the log has no time column, state the rate, e.g. {TIME}=200Hz"
+        return advice
+
+    def _proposed_headers(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
+        """Propose the header of a column for each channel without one; "COLUMN" is a placeholder for no proposal.
+
+        Channels with the fewest candidates come first. If several channels compete for fewer columns, none of them gets
+        a proposal.
+        """
+        candidates = {channel: self._candidates(channel, unused) for channel in missing}
+        proposed: dict[str, LogColumn] = {}
+        for channel in sorted(missing, key=lambda channel: len(candidates[channel])):
+            free = [column for column in candidates[channel] if column not in proposed.values()]
+            unserved = [other for other in missing if other not in proposed and candidates[other]]
+            competitors = [other for other in unserved if set(candidates[other]) <= set(free)]
+            if free and len(competitors) <= len(free):
+                proposed[channel] = free[0]
+        return {channel: proposed[channel].header if channel in proposed else "COLUMN" for channel in missing}
+
+    def _candidates(self, channel: str, unused: Sequence[LogColumn]) -> list[LogColumn]:
+        """Return the columns that may be a channel: those with its units, else its first letters, else the only one."""
+        accepted = accepted_units(self.machine, channel)
+        by_unit = [column for column in unused if column.unit in accepted]
+        letters = tuple(_FIRST_LETTERS[channel_dimension(self.machine, channel)])
+        without_unit = [column for column in unused if not column.unit]
+        by_letter = [column for column in without_unit if plain_name(column.name).startswith(letters)]
+        only_one = without_unit if len(unused) == 1 and channel != TIME else []
+        return by_unit or by_letter or only_one
+
+    def _if_not_measured(self, channel: str) -> str:
+        """Return the sentence that says how to leave out an output, to end a message; "" for other channels."""
+        if channel not in self.machine.output_channels:
+            return ""
+        return f". If {channel} was not measured, add {_map_option(channel, NOT_MEASURED)}"
+
+    def _channels_text(self) -> str:
+        """Return a sentence with the channels of the machine."""
+        inputs, outputs = ", ".join(self.machine.input_channels), ", ".join(self.machine.output_channels)
+        return f"Machine {self.machine.name!r} has {TIME}, inputs {inputs} and outputs {outputs}"
 
 
-def _channels_text(machine: Machine) -> str:
-    """Return a sentence with the channels of a machine."""
-    inputs, outputs = ", ".join(machine.input_channels), ", ".join(machine.output_channels)
-    return f"Machine {machine.name!r} has {TIME}, inputs {inputs} and outputs {outputs}"
-
-
-def _list(columns: Sequence[LogColumn]) -> str:
-    """Return the headers of columns as a list in words; a unit from a row of units follows in brackets."""
-    return ", ".join(c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns)
+def _map_option(channel: str, reference: str) -> str:
+    """Return the option that assigns a column to a channel, quoted for a shell."""
+    return f"--map {shlex.quote(f'{channel}={reference}')}"

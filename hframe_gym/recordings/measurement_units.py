@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..machine import Drive, Machine
 
+TIME = "time_s"  # column of the sample times in recordings
 Array = NDArray[np.float64]
 Dimension = Literal["time", "voltage", "length", "angle"]
 
@@ -22,69 +23,50 @@ UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
     "length": {"m": (1, 1), "cm": (1, 1e2), "mm": (1, 1e3), "um": (1, 1e6), "in": (0.0254, 1)},
     "angle": {"rad": (1, 1), "mrad": (1, 1e3), "deg": (np.pi, 180), "rev": (2 * np.pi, 1)},
 }
-# Units of speeds, which `hframe import` integrates to positions.
+# Units of speeds, which `hframe import` integrates to positions: factor to SI, as above.
 SPEED_UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
     "length": {"m/s": (1, 1), "mm/s": (1, 1e3)},
     "angle": {"rad/s": (1, 1), "deg/s": (np.pi, 180), "rpm": (2 * np.pi, 60), "rev/s": (2 * np.pi, 1)},
 }
+ALL_SPEED_UNITS = tuple(unit for units in SPEED_UNITS.values() for unit in units)
 SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in UNITS.items()}
-DUTY_UNITS = {"%": 100.0, "pu": 1.0}  # of a voltage: fractions of the machine's rated voltage, which they give at 100 %
+# Units of a duty cycle, which a log may have in place of a voltage: the value at which the drive's rated voltage is
+# applied.
+DUTY_UNITS = {"%": 100.0, "pu": 1.0}
 
+# Other spellings of units, in lower case.
 _SPELLINGS = {
-    "sec": "s",
-    "secs": "s",
-    "second": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "millis": "ms",
-    "milliseconds": "ms",
-    "usec": "us",
-    "µs": "us",
-    "μs": "us",
-    "micros": "us",
-    "microseconds": "us",
-    "nsec": "ns",
-    "nanoseconds": "ns",
-    "minutes": "min",
-    "volt": "V",
-    "volts": "V",
-    "millivolts": "mV",
-    "meter": "m",
-    "meters": "m",
-    "metres": "m",
-    "millimeter": "mm",
-    "millimeters": "mm",
-    "millimetres": "mm",
-    "µm": "um",
-    "μm": "um",
-    "micrometers": "um",
-    "inch": "in",
-    "inches": "in",
-    "radian": "rad",
-    "radians": "rad",
-    "°": "deg",
-    "degree": "deg",
-    "degrees": "deg",
-    "turn": "rev",
-    "turns": "rev",
-    "revs": "rev",
-    "revolutions": "rev",
-    "1/min": "rpm",
-    "u/min": "rpm",
-    "rps": "rev/s",
-    "percent": "%",
-    "pct": "%",
-    "duty": "%",
-    "p.u.": "pu",
+    "s": ("sec", "secs", "second", "seconds"),
+    "ms": ("msec", "millis", "milliseconds"),
+    "us": ("usec", "µs", "μs", "micros", "microseconds"),
+    "ns": ("nsec", "nanoseconds"),
+    "min": ("minutes",),
+    "V": ("volt", "volts"),
+    "mV": ("millivolts",),
+    "m": ("meter", "meters", "metres"),
+    "mm": ("millimeter", "millimeters", "millimetres"),
+    "um": ("µm", "μm", "micrometers"),
+    "in": ("inch", "inches"),
+    "rad": ("radian", "radians"),
+    "deg": ("°", "degree", "degrees"),
+    "rev": ("turn", "turns", "revs", "revolutions"),
+    "rpm": ("1/min", "u/min"),
+    "rev/s": ("rps",),
+    "%": ("percent", "pct", "duty"),
+    "pu": ("p.u.",),
 }
 _KNOWN = {unit.lower(): unit for table in (UNITS, SPEED_UNITS) for units in table.values() for unit in units}
 _KNOWN |= {unit: unit for unit in DUTY_UNITS}
+_KNOWN |= {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 COUNT_UNITS = ("counts", "count", "cts", "inc", "incr")  # steps of an encoder
-# Units of quantities that no channel has; they mark a row of units.
-_OTHER = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k", *COUNT_UNITS}
-_OTHER |= {"m/s^2", "m/s²", "g", "bar", "bit", "lsb", "bool", "-", "1", "#"}
+# Units of quantities that no channel has, in lower case: current, force, torque, power, frequency, temperature, encoder
+# steps, acceleration, pressure, digital signals, and marks of a dimensionless column. A row of cells that are all units
+# is a row of units, so these are recognized, although no column with such a unit is assigned to a channel.
+_OTHER_UNITS = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k", *COUNT_UNITS}
+_OTHER_UNITS |= {"m/s^2", "m/s²", "g", "bar", "bit", "lsb", "bool", "-", "1", "#"}
 # Units that recordings do not use, in words.
 UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
+_INTEGRATED = "integrated from 0; an offset of the speed makes the position drift"
 _RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)
 _BRACKETED = re.compile(r"(?P<name>.*?)[\s_]*[\[(<{]\s*(?P<unit>[^\])>}]*?)\s*[\])>}]\s*")
 _SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./]+)")
@@ -92,11 +74,11 @@ _SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./
 
 @dataclass(frozen=True)
 class Conversion:
-    """Multiplication of a column by a factor.
+    """Conversion of a column: times numerator, divided by denominator.
 
     Attributes:
-        numerator: Factor.
-        denominator: Divisor, applied after the factor.
+        numerator: Factor, dimensionless.
+        denominator: Divisor, dimensionless, applied after the factor.
     """
 
     numerator: float = 1.0
@@ -132,6 +114,20 @@ class Conversion:
         return Conversion(self.numerator * factor, self.denominator)
 
 
+class UnitConversion(NamedTuple):
+    """How a column in some unit becomes the values of a channel.
+
+    Attributes:
+        conversion: Conversion to the unit of the channel; for a speed, to that unit per second.
+        integrate: Whether the column is a speed, whose integral over time is the channel.
+        remark: The conversion in words; "" for the unit of the channel.
+    """
+
+    conversion: Conversion
+    integrate: bool
+    remark: str
+
+
 class WrongUnitError(InputError):
     """Values of channels are probably in another unit than that of the channel.
 
@@ -141,48 +137,21 @@ class WrongUnitError(InputError):
         unit: Unit that the values probably have.
     """
 
-    problem: str
-    channels: tuple[str, ...]
-    unit: str
+    def __init__(self, problem: str, channels: tuple[str, ...], unit: str) -> None:
+        """Create the error; its message ends with a question about the unit.
 
+        Args:
+            problem: File, columns and values, in words.
+            channels: Names of the channels.
+            unit: Unit that the values probably have: "mm", "um", "deg", "ms" or "%".
+        """
+        question = "is the column" if len(channels) == 1 else "are they"
+        super().__init__(f"{problem}; {question} in {UNIT_WORDS[unit]}?")
+        self.problem, self.channels, self.unit = problem, channels, unit
 
-def wrong_unit_error(problem: str, channels: tuple[str, ...], unit: str) -> WrongUnitError:
-    """Build the error about channels whose values are probably in another unit.
-
-    Args:
-        problem: File, columns and values, in words.
-        channels: Names of the channels.
-        unit: Unit that the values probably have: "mm", "um", "deg", "ms" or "%".
-
-    Returns:
-        The error; its message ends with a question about the unit.
-    """
-    question = "is the column" if len(channels) == 1 else "are they"
-    error = WrongUnitError(f"{problem}; {question} in {UNIT_WORDS[unit]}?")
-    error.problem, error.channels, error.unit = problem, channels, unit
-    return error
-
-
-def parse_factor(where: str, factor: object) -> float:
-    """Read a factor that a user gave for a column of a log, by which the values of the column are multiplied.
-
-    Args:
-        where: File and field, or option, that has the factor, for the message.
-        factor: Number or text, for example "0.001".
-
-    Returns:
-        The factor, dimensionless.
-
-    Raises:
-        InputError: If it is not a finite number other than zero.
-    """
-    try:
-        value = float(factor)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        value = 0.0
-    if not abs(value) > 0.0 or value in (float("inf"), float("-inf")):
-        raise InputError(f"{where}: {factor!r} is not a factor; give a number such as 0.001")
-    return value
+    def __reduce__(self) -> tuple[type[WrongUnitError], tuple[str, tuple[str, ...], str]]:
+        """Return the arguments of the constructor for pickle, which would pass the message alone."""
+        return type(self), (self.problem, self.channels, self.unit)
 
 
 def parse_rate(text: str) -> float | None:
@@ -210,8 +179,7 @@ def normalize_unit(text: str) -> str:
         the text without brackets if it is no known unit.
     """
     plain = text.strip().strip("[](){}<>").strip()
-    lower = plain.lower()
-    return _KNOWN.get(_SPELLINGS.get(lower, lower).lower(), plain)
+    return _KNOWN.get(plain.lower(), plain)
 
 
 def is_unit(text: str) -> bool:
@@ -224,7 +192,7 @@ def is_unit(text: str) -> bool:
         True for a known unit, including units such as "A" that no channel of a machine has.
     """
     unit = normalize_unit(text)
-    return unit.lower() in _KNOWN or unit.lower() in _OTHER
+    return unit.lower() in _KNOWN or unit.lower() in _OTHER_UNITS
 
 
 def split_unit(header: str) -> tuple[str, str]:
@@ -247,74 +215,113 @@ def split_unit(header: str) -> tuple[str, str]:
     return header.strip(), ""
 
 
-def channel_dimensions(machine: Machine) -> dict[str, Dimension]:
-    """Return whether each channel of a machine is a voltage, a length or an angle.
+def channel_dimension(machine: Machine, channel: str) -> Dimension:
+    """Return whether a channel is a time, a voltage, a length or an angle.
 
     Args:
         machine: Machine with its drives and sensors.
+        channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        "voltage", "length" or "angle" by name of the channel, inputs before outputs.
+        "time", "voltage", "length" or "angle".
     """
-    dimensions: dict[str, Dimension] = dict.fromkeys(machine.input_channels, "voltage")
-    for sensor in machine.sensors:
-        linear = machine.coordinate(sensor.coordinate).kind == "linear"
-        dimensions[sensor.channel] = "length" if linear else "angle"
-    return dimensions
+    if channel == TIME:
+        return "time"
+    if channel in machine.input_channels:
+        return "voltage"
+    return "length" if machine.coordinate(machine.sensor(channel).coordinate).kind == "linear" else "angle"
 
 
-def shaft_drive(machine: Machine, channel: str) -> Drive | None:
-    """Return the drive whose shaft an encoder measures, where the encoder's channel is the travel of a carriage.
+def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
+    """Return the units that the column of a channel may have in a log, and how to convert each.
 
-    A log may have the angle of such a shaft in place of the travel.
+    Where the encoder of a motor measures the travel of a carriage, the column may be the angle or speed of the motor.
 
     Args:
         machine: Machine with its drives and sensors.
-        channel: Name of a channel.
+        channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        The drive; None if the channel is none of an encoder, or of an angle.
+        Conversions by unit: first the units of the channel's quantity, SI first, then those of other quantities.
     """
-    sensor = next((sensor for sensor in machine.sensors if sensor.channel == channel), None)
-    if sensor is None or sensor.kind != "encoder" or sensor.row != {sensor.coordinate: 1.0}:
-        return None
-    if machine.coordinate(sensor.coordinate).kind != "linear":
-        return None
-    return next((drive for drive in machine.drives if drive.coordinate == sensor.coordinate), None)
+    dimension = channel_dimension(machine, channel)
+    conversions: dict[str, UnitConversion] = {}
+    for unit, factors in UNITS[dimension].items():
+        remark = f"{unit} to {SI_UNITS[dimension]}" if unit != SI_UNITS[dimension] else ""
+        conversions[unit] = UnitConversion(Conversion(*factors), False, remark)
+    for unit, factors in SPEED_UNITS.get(dimension, {}).items():
+        conversions[unit] = UnitConversion(Conversion(*factors), True, f"speed in {unit}, {_INTEGRATED}")
+    drive = _shaft_drive(machine, channel)
+    if drive is not None:
+        gear = f"converted by its gear ratio, {drive.gear_ratio:.6g} rad/m"
+        for unit, factors in UNITS["angle"].items():
+            travel = Conversion(*factors).scaled(1.0 / drive.gear_ratio)
+            conversions[unit] = UnitConversion(travel, False, f"angle of {drive.name} in {unit}, {gear}")
+        for unit, factors in SPEED_UNITS["angle"].items():
+            speed = Conversion(*factors).scaled(1.0 / drive.gear_ratio)
+            remark = f"speed of {drive.name} in {unit}, {gear}, {_INTEGRATED}"
+            conversions[unit] = UnitConversion(speed, True, remark)
+    if dimension == "voltage":
+        rated = machine.drives[machine.input_channels.index(channel)]
+        remark = f"duty cycle, 100 % is {rated.rated_voltage:.6g} V, the rated voltage of {rated.name}"
+        for unit, full in DUTY_UNITS.items():
+            conversions[unit] = UnitConversion(Conversion(rated.rated_voltage, full), False, remark)
+    return conversions
 
 
-def units_of(machine: Machine, channel: str) -> list[str]:
-    """List the units that the column of a channel may have in a log.
-
-    Args:
-        machine: Machine with its drives and sensors.
-        channel: Name of a channel, or "time_s".
-
-    Returns:
-        Units, those of the channel's quantity first.
-    """
-    dimension: Dimension = channel_dimensions(machine).get(channel, "time")
-    angles = UNITS["angle"] if shaft_drive(machine, channel) is not None else ()
-    duty = DUTY_UNITS if dimension == "voltage" else ()
-    return [*UNITS[dimension], *angles, *SPEED_UNITS.get(dimension, ()), *duty]
-
-
-def unknown_unit_text(machine: Machine, channel: str, unit: str) -> str:
+def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
     """Write the message about a unit that a channel cannot have.
 
     Args:
         machine: Machine with its drives and sensors.
-        channel: Name of the channel, or "time_s".
+        channel: Name of a channel of this machine, or "time_s".
         unit: The unit.
 
     Returns:
         Text without file and column, with the options that state the unit; for counts also the factor of the encoder's
         declared resolution.
     """
-    dimension: Dimension = channel_dimensions(machine).get(channel, "time")
-    factor = f"a factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
-    sensor = next((sensor for sensor in machine.sensors if sensor.channel == channel), None)
-    if sensor is not None and unit.lower() in COUNT_UNITS and sensor.resolution > 0.0:
-        factor += f" (FACTOR is {sensor.resolution:.6g} if a count is the declared resolution)"
-    units = ", ".join(units_of(machine, channel))
+    factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
+    resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
+    if unit.lower() in COUNT_UNITS and resolution > 0.0:
+        factor += f" (FACTOR is {resolution:.6g} if a count is the declared resolution)"
+    units = ", ".join(accepted_units(machine, channel))
     return f"{unit!r} is not a unit of {channel}; state it by --unit {channel}=UNIT ({units}), or {factor}"
+
+
+def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
+    """Write the message about a speed to which the user assigned a factor, but no unit.
+
+    Without a unit, a factor converts to the unit of the channel; whether the product is to be integrated is not known.
+
+    Args:
+        machine: Machine with its drives and sensors.
+        channel: Name of an output channel of this machine.
+        unit: Unit of the speed in the log.
+
+    Returns:
+        Text without file and column, with the option that states the unit.
+    """
+    dimension = channel_dimension(machine, channel)
+    problem = f"{unit} is a speed, not {'a length' if dimension == 'length' else 'an angle'}"
+    if unit in accepted_units(machine, channel):
+        return f"{problem}. Add --unit {channel}={unit} to integrate it to {channel}"
+    si_unit = next(iter(SPEED_UNITS[dimension]))
+    advice = f"If the factor converts it to {si_unit}, add --unit {channel}={si_unit} to integrate it to {channel}"
+    return f"{problem}. {advice}"
+
+
+def _shaft_drive(machine: Machine, channel: str) -> Drive | None:
+    """Return the drive whose shaft the encoder of a channel in m measures, for its gear ratio.
+
+    None if the channel is not that of such an encoder, or if its carriage has several drives of different gear ratios.
+    """
+    if channel not in machine.output_channels:
+        return None
+    sensor = machine.sensor(channel)
+    if sensor.kind != "encoder" or sensor.row != {sensor.coordinate: 1.0}:
+        return None
+    if machine.coordinate(sensor.coordinate).kind != "linear":
+        return None
+    drives = [drive for drive in machine.drives if drive.coordinate == sensor.coordinate]
+    return drives[0] if len({drive.gear_ratio for drive in drives}) == 1 else None

@@ -18,11 +18,12 @@ import numpy as np
 from ..atomic_files import atomic_file
 from ..errors import InputError
 from ..machine import Machine, Trajectory
-from .measurement_units import UNIT_WORDS, split_unit, wrong_unit_error
+from .measurement_units import UNIT_WORDS, WrongUnitError, split_unit
 from .table_file import (
     SUFFIXES,
     Array,
     ForeignFormatError,
+    cell_text,
     import_command,
     read_table,
     recording_files,
@@ -234,7 +235,7 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
     with atomic_file(path) as file:
-        # Without name and time, equal simulations are equal files.
+        # With an empty name and time in the header of gzip, equal simulations give identical files.
         packed = gzip.GzipFile("", "wb", fileobj=file, mtime=0) if str(path).endswith(".gz") else None
         with packed or nullcontext(file) as stream:
             np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
@@ -290,9 +291,8 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
             if sensor.channel.endswith(ending):
                 implausible = np.abs(np.nan_to_num(values)) > largest
                 if implausible.sum() > _OUTLIERS * np.isfinite(values).sum():
-                    row = int(np.argmax(implausible))
-                    problem = f"{path}, row {row + 1}, column {sensor.channel}: {values[row]:g} cannot be {ending[1:]}"
-                    raise wrong_unit_error(problem, (sensor.channel,), suspect)
+                    cell = cell_text(path, sensor.channel, values, int(np.argmax(implausible)))
+                    raise WrongUnitError(f"{cell} cannot be {ending[1:]}", (sensor.channel,), suspect)
         coordinate = machine.coordinate(sensor.coordinate)
         if coordinate.range is not None and np.isfinite(values).any():
             span, range_length = np.ptp(_without_extremes(values)), coordinate.range[1] - coordinate.range[0]
@@ -300,7 +300,7 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
                 unit, suspect = ("m", "mm") if coordinate.kind == "linear" else ("rad", "deg")
                 limit = f"the range of {coordinate.name} is {range_length:.4g} {unit}"
                 problem = f"{path}, column {sensor.channel}: moves by {span:.4g} {unit}, but {limit}"
-                raise wrong_unit_error(problem, (sensor.channel,), suspect)
+                raise WrongUnitError(problem, (sensor.channel,), suspect)
     ratio = _pulley_travel_ratio(recording, machine)
     if ratio is None:
         return
@@ -311,7 +311,7 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
         if limits[0] < factor < limits[1]:
             channels = tuple(s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == kind)
             problem = f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow"
-            raise wrong_unit_error(problem, channels, suspect)
+            raise WrongUnitError(problem, channels, suspect)
 
 
 def _without_extremes(values: Array) -> Array:

@@ -82,6 +82,22 @@ def import_command(path: Path) -> str:
     return f"hframe import {shlex.quote(str(path))} --out RUNS"
 
 
+def cell_text(path: Path, name: str, column: Array, row: int) -> str:
+    """Return where a value of a column is, and the value, for messages.
+
+    Args:
+        path: File of the column.
+        name: Name of the column.
+        column: Values of the column, in its unit, shape (rows,).
+        row: Index of the row, from 0.
+
+    Returns:
+        Text such as "run.csv, row 3, column x_m: 25", with rows from 1; the value of an empty cell is "value".
+    """
+    value = "value" if np.isnan(column[row]) else f"{column[row]:g}"
+    return f"{path}, row {row + 1}, column {name}: {value}"
+
+
 def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_], reason: str) -> None:
     """Raise an error if a column of a file has invalid values; the message shows the first one.
 
@@ -96,9 +112,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
         InputError: If any row is invalid. The message names file, row, column and the value.
     """
     if invalid.any():
-        row = int(np.argmax(invalid))
-        value = "value" if np.isnan(column[row]) else f"{column[row]:g}"
-        raise InputError(f"{path}, row {row + 1}, column {name}: {value} {reason}")
+        raise InputError(f"{cell_text(path, name, column, int(np.argmax(invalid)))} {reason}")
 
 
 def refuse_decreasing_times(path: Path, time_s: Array) -> None:

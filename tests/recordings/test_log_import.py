@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import json
+import pickle
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -29,6 +31,7 @@ from hframe_gym.recordings import (
     write_recording,
 )
 from hframe_gym.recordings.log_conversion import split_at_rests
+from hframe_gym.recordings.measurement_units import WrongUnitError, accepted_units
 
 Table = dict[str, np.ndarray]
 PLAIN = ["time_s", "v1_V", "v2_V", "phi1_rad", "phi2_rad", "x_m", "y_m"]
@@ -298,8 +301,8 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
     import_logs(tmp_path / "logs", tmp_path / "runs", hframe, say=lines.append)
     a, b = load_recordings(tmp_path / "runs", hframe)
     np.testing.assert_array_equal(b.time_s, np.round(a.time_s + 86400.0, 3))
-    assert "not read, no logs by their ending: notes.md" in lines
-    assert "b.csv: format and columns as before" in lines
+    assert "skipped (file ending is not that of a log): notes.md" in lines
+    assert "b.csv: same format and columns as the log before" in lines
 
 
 def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: Machine, tmp_path: Path) -> None:
@@ -318,7 +321,7 @@ def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: M
         assert_equal(convert(folder / "run.mat", hframe, **options), table)
     savemat(tmp_path / "rates.mat", {**named, **short})
     with pytest.raises(
-        InputError, match=r"x_m: has 60 values, .* call its time t or time, or .* --map time_s=t,t_slow"
+        InputError, match=r"x_m: has 60 values, .* rename its time to t or time in the log, or .* --map time_s=t,t_slow"
     ):
         convert(tmp_path / "rates.mat", hframe)
     run = convert(tmp_path / "rates.mat", hframe, columns={"time_s": "t,t_slow"})
@@ -408,10 +411,8 @@ def test_a_wrong_unit_that_the_user_states_is_named(
 def test_the_angle_of_a_motor_on_an_axis_becomes_travel_by_the_gear_ratio(tmp_path: Path) -> None:
     machine = new_machine("axis", "stage", MachineOptions(encoder_lines=500))
     (drive,) = machine.drives
-    time_s = np.arange(300) * 1e-3
-    inputs = np.where(time_s < 0.1, 0.0, 6.0)[:, None]
-    travel = machine.simulate(time_s, inputs).outputs[:, machine.output_channels.index("x_m")]
-    log = {"time_s": time_s, "v_V": inputs[:, 0], "Winkel [deg]": np.degrees(drive.gear_ratio * travel)}
+    log, travel = axis_log(machine)
+    log = {"time_s": log["time_s"], "v_V": log["v_V"], "Winkel [deg]": np.degrees(drive.gear_ratio * travel)}
     log["Wegsensor [mm]"] = 1e3 * travel
     lines: list[str] = []
     path = in_text(text_of)(tmp_path, log)
@@ -420,22 +421,146 @@ def test_the_angle_of_a_motor_on_an_axis_becomes_travel_by_the_gear_ratio(tmp_pa
     assert "--map 'x_encoder_m=Winkel [deg]' --map 'x_m=Wegsensor [mm]'" in str(error.value)
     run = convert(path, machine, lines=lines, columns={"x_encoder_m": "Winkel", "x_m": "Wegsensor"})
     np.testing.assert_allclose(run.outputs, np.column_stack([travel, travel]), atol=1e-12)
-    assert any(f"deg to rad, divided by its gear ratio, {drive.gear_ratio:.6g} rad/m" in line for line in lines)
+    assert any(
+        f"angle of {drive.name} in deg, converted by its gear ratio, {drive.gear_ratio:.6g} rad/m" in line
+        for line in lines
+    )
     path.write_text(path.read_text().replace("Winkel [deg]", "Winkel [N]"))
     with pytest.raises(InputError, match=r"--map x_encoder_m=COLUMN --map x_m=COLUMN"):  # one length for two channels
         convert(path, machine)
 
 
+def axis_log(machine: Machine) -> tuple[Table, np.ndarray]:
+    """Return time and voltage of a log of an axis, and the travel of its carriage, m."""
+    time_s = np.arange(300) * 1e-3
+    inputs = np.where(time_s < 0.1, 0.0, 6.0)[:, None]
+    travel = machine.simulate(time_s, inputs).outputs[:, machine.output_channels.index("x_m")]
+    return {"time_s": time_s, "v_V": inputs[:, 0], "x_m": travel}, travel
+
+
+def test_the_speed_of_a_motor_on_an_axis_is_integrated_to_travel(tmp_path: Path) -> None:
+    machine = new_machine("axis", "stage", MachineOptions(encoder_lines=500))
+    (drive,) = machine.drives
+    log, travel = axis_log(machine)
+    log["n [rpm]"] = np.gradient(drive.gear_ratio * travel, log["time_s"]) * 30 / np.pi
+    path = in_text(text_of)(tmp_path, log)
+    lines: list[str] = []
+    run = convert(path, machine, lines=lines, columns={"x_encoder_m": "n"})
+    expected = travel - travel[0]
+    np.testing.assert_allclose(run.outputs[:, 0], expected, atol=2e-3 * np.ptp(expected))
+    assert any(f"speed of {drive.name} in rpm, converted by its gear ratio" in line for line in lines)
+    scales = {"x_encoder_m": 0.01}
+    with pytest.raises(InputError, match=r"rpm is a speed, not a length. Add --unit x_encoder_m=rpm to integrate it"):
+        convert(path, machine, columns={"x_encoder_m": "n"}, scales=scales)
+
+
+def test_the_angle_of_two_motors_of_different_gear_ratios_is_no_travel() -> None:
+    machine = new_machine("axis", "stage", MachineOptions(encoder_lines=500))
+    (drive,) = machine.drives
+    for ratio, accepted in ((1.0, True), (2.0, False)):
+        second = dataclasses.replace(drive, name="second", channel="v2_V", gear_ratio=ratio * drive.gear_ratio)
+        both = dataclasses.replace(machine, drives=(drive, second))
+        assert ("deg" in accepted_units(both, "x_encoder_m")) == accepted
+        assert ("rpm" in accepted_units(both, "x_encoder_m")) == accepted
+
+
+def test_a_speed_of_another_quantity_is_not_taken_as_a_position_by_a_factor(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    speed = {"enc [rpm]": np.gradient(table["x_m"], table["time_s"]) * 100}
+    path = in_text(text_of)(tmp_path, {c: v for c, v in table.items() if c != "x_m"} | speed)
+    message = r"rpm is a speed, not a length. If the factor converts it to m/s, add --unit x_m=m/s to integrate it"
+    with pytest.raises(InputError, match=message):
+        convert(path, hframe, columns={"x_m": "enc"}, scales={"x_m": 0.01})
+    run = convert(path, hframe, columns={"x_m": "enc"}, scales={"x_m": 0.01}, units={"x_m": "m/s"})
+    expected = table["x_m"] - table["x_m"][0]
+    np.testing.assert_allclose(run.outputs[:, 2], expected, atol=2e-3 * np.ptp(expected))
+
+
+def test_a_factor_of_a_speed_may_be_a_voltage(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    command = {("n [rpm]" if c == "v1_V" else c): (v * 100 if c == "v1_V" else v) for c, v in table.items()}
+    run = convert(in_text(text_of)(tmp_path, command), hframe, columns={"v1_V": "n"}, scales={"v1_V": 0.01})
+    np.testing.assert_allclose(run.inputs[:, 0], table["v1_V"], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("header", "factor", "remark"),
+    [("x [mm]", 1e8, "mm to m"), ("x [m/s]", 1e6, "speed in m/s, integrated from 0; an offset")],
+)
+def test_values_that_do_not_fit_the_unit_in_the_log_are_suspect(
+    header: str, factor: float, remark: str, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    values = {(header if c == "x_m" else c): (v * factor if c == "x_m" else v) for c, v in table.items()}
+    with pytest.raises(InputError) as error:
+        convert(in_text(text_of)(tmp_path, values), hframe, columns={"x_m": "x"})
+    text = str(error.value)
+    assert "cannot be m. The values in the log are suspect; check them, or correct their unit by --unit x_m=" in text
+    assert f"--scale x_m=FACTOR: x_m is the column '{header}' ({remark}" in text
+    assert "millimeters" not in text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"columns": {"x_m": "Pos Y"}},
+            "--map 'x_m=Pos Y': there is no such column; .*If x_m was not measured, add --map x_m=none",
+        ),
+        (
+            {"columns": {"x_m": "Pos X", "y_m": "Pos X"}},
+            "--map 'x_m=Pos X' --map 'y_m=Pos X': one column .*If y_m was not measured, add --map y_m=none",
+        ),
+        (
+            {"columns": {"x_m": "At"}},
+            "column At: contains dates or times of day; x_m needs numbers. Map another .*add --map x_m=none",
+        ),
+        ({"columns": {"v1_V": "Pos Y"}}, r"--map 'v1_V=Pos Y': there is no such column; [^.]*$"),
+        ({}, "no column is named like x_m.*--map 'x_m=Pos X'"),
+        ({"columns": {"time_s": "time_s,x a"}}, "--map 'time_s=x a': there is no such column"),
+    ],
+)
+def test_options_in_messages_can_be_pasted_into_a_shell(
+    options: dict[str, dict[str, object]], message: str, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    lines = text_of(renamed(x_m="Pos X")(table)).split("\n")[:-1]
+    rows = [f"{line},2024-05-01T12:00:00" for line in lines[1:]]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([f"{lines[0]},At", *rows]))
+    with pytest.raises(InputError) as error:
+        convert(path, hframe, **options)
+    assert re.search(message, str(error.value).removeprefix(str(path)))
+
+
+def test_the_time_of_a_column_is_the_nearest_one_to_its_left_in_any_order_of_the_option(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    slow = np.round(np.linspace(0, table["time_s"][-1], 300), 9) * 0.5
+    columns = {"time_s": table["time_s"], **{c: table[c] for c in PLAIN[1:6]}, "t2": slow, "y_m": table["y_m"]}
+    path = in_text(text_of)(tmp_path, columns)
+    lines: list[str] = []
+    run = convert(path, hframe, lines=lines, columns={"time_s": "t2,time_s"})
+    assert any("several columns of time, merged" in line for line in lines)
+    at = np.searchsorted(run.time_s, slow[1::2])
+    np.testing.assert_array_equal(run.outputs[at, 3], table["y_m"][1::2])
+
+
+def test_a_wrong_unit_error_can_be_pickled() -> None:
+    error = WrongUnitError("a.csv: too large", ("x_m", "y_m"), "mm")
+    copy = pickle.loads(pickle.dumps(error))
+    assert str(copy) == str(error) == "a.csv: too large; are they in millimeters?"
+    assert (copy.problem, copy.channels, copy.unit) == (error.problem, error.channels, error.unit)
+
+
 def test_a_log_without_a_voltage_says_that_it_must_be_recorded(table: Table, hframe: Machine, tmp_path: Path) -> None:
     path = in_text(text_of)(tmp_path, {c: v for c, v in table.items() if c != "v2_V"})
-    with pytest.raises(InputError, match=r"Not assigned: none.*No column is left for a voltage: it must be recorded"):
+    with pytest.raises(InputError, match=r"Not assigned: none.*No column is unassigned, but v2_V has none"):
         convert(path, hframe)
 
 
 def test_a_log_without_times_is_imported_at_a_stated_rate(table: Table, hframe: Machine, tmp_path: Path) -> None:
     values = {channel: column for channel, column in table.items() if channel != "time_s"}
     path = in_text(text_of)(tmp_path, values)
-    with pytest.raises(InputError, match=r"--map time_s=COLUMN; time_s=200Hz stands for 200 rows per second"):
+    with pytest.raises(InputError, match=r"--map time_s=COLUMN; if the log has no time column, state the rate, e.g. "):
         convert(path, hframe)
     lines: list[str] = []
     assert_equal(convert(path, hframe, lines=lines, columns={"time_s": "1 kHz"}), table)
@@ -454,11 +579,13 @@ def test_a_speed_is_integrated_to_a_position_only_where_its_unit_is_stated(
     path = in_text(text_of)(tmp_path, logged)
     with pytest.raises(InputError, match=r"no column is named like phi1_rad.*--map 'phi1_rad=phi1 \[rpm\]'"):
         convert(path, hframe)
-    with pytest.raises(InputError, match="a speed is no angle; add --unit phi1_rad=rpm, and it is integrated"):
+    with pytest.raises(InputError, match=r"rpm is a speed, not an angle. Add --unit phi1_rad=rpm to integrate it"):
         convert(path, hframe, columns={"phi1_rad": "phi1"}, scales={"phi1_rad": 0.1})
     lines: list[str] = []
     run = convert(path, hframe, columns={"phi1_rad": "phi1"}, lines=lines)
-    assert any("phi1_rad <- phi1 [rpm] (a speed, rpm to rad/s, integrated from 0: drifts" in line for line in lines)
+    assert any(
+        "phi1_rad <- phi1 [rpm] (speed in rpm, integrated from 0; an offset of the speed" in line for line in lines
+    )
     expected = table["phi1_rad"] - table["phi1_rad"][0]
     assert np.isnan(run.outputs[7, 0])
     np.testing.assert_allclose(np.delete(run.outputs[:, 0], 7), np.delete(expected, 7), atol=2e-3 * np.ptp(expected))
@@ -627,6 +754,25 @@ def test_a_log_that_begins_in_motion_loses_its_beginning(
     assert any("does not end at rest" in remark for remark in remarks)
 
 
+def test_a_long_rest_at_either_end_is_left_out(session: tuple[Recording, np.ndarray], axis: Machine) -> None:
+    recording, edges = session
+    rest = np.zeros(5000, np.int64)
+    rows = np.concatenate([rest, np.arange(len(recording.time_s)), rest + len(recording.time_s) - 1])
+    longer = Recording("log", np.arange(len(rows)) * 1e-3, recording.inputs[rows], recording.outputs[rows])
+    runs, _ = split_at_rests(longer, axis, 0.5)
+    assert len(runs) == 3
+    assert 5.0 + edges[0] - 0.52 < runs[0].time_s[0] < 5.0 + edges[0] - 0.4
+    assert 5.0 + edges[7] + 0.45 < runs[-1].time_s[-1] < 5.0 + edges[7] + 0.75
+
+
+def test_a_log_that_rests_only_at_its_end_has_no_run(session: tuple[Recording, np.ndarray], axis: Machine) -> None:
+    recording, _ = session
+    rows = slice(1500, 4000)  # from the first move into the rest after it
+    part = Recording("log", recording.time_s[rows], recording.inputs[rows], recording.outputs[rows])
+    with pytest.raises(InputError, match="rests only at its end, so no run begins at rest"):
+        split_at_rests(part, axis, 0.5)
+
+
 def test_a_log_without_rests_or_without_motion_cannot_be_cut(
     session: tuple[Recording, np.ndarray], axis: Machine
 ) -> None:
@@ -649,7 +795,8 @@ def test_a_mapping_file_states_columns_units_and_factors(ending: str, tmp_path: 
     ("text", "message"),
     [
         ("[map\n", "is not a valid TOML file"),
-        ("[columns]\nv1_V = 'U1'\n", "columns: a mapping has the tables map, unit, scale"),
+        ("[columns]\nv1_V = 'U1'\n", "columns: unknown table; a mapping file may have map, unit and scale, each with"),
+        ("map = 'U1'\n", "map: not a table; a mapping file may have map, unit and scale"),
         ("[scale]\nx_m = 'mm'\n", "scale.x_m: 'mm' is not a factor"),
         ("[scale]\nx_m = 0\n", "scale.x_m: 0 is not a factor"),
     ],
@@ -661,6 +808,12 @@ def test_an_invalid_mapping_file_is_refused(text: str, message: str, tmp_path: P
         read_mapping_file(path)
     with pytest.raises(InputError, match="No such file"):
         read_mapping_file(tmp_path / "none.toml")
+
+
+def test_a_mapping_file_that_is_a_list_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "map.json").write_text("[]")
+    with pytest.raises(InputError, match=r"map.json: has no tables; a mapping file may have map, unit and scale"):
+        read_mapping_file(tmp_path / "map.json")
 
 
 def test_logs_of_the_same_name_and_missing_logs_are_refused(hframe: Machine, tmp_path: Path) -> None:
