@@ -280,7 +280,7 @@ class TypicalScales:
     """Typical sizes of physical quantities on a machine during its recordings.
 
     The keys are the units that effect parameters declare: "force", "speed", "position", "viscous" (force / speed),
-    "drag" (force / speed^2) and "stiffness" (force / position) of a coordinate, or an SI unit such as "A" or "N".
+    "drag" (force / speed^2) and "stiffness" (force / position) of a coordinate, "voltage" of its drive, or an SI unit.
 
     Attributes:
         by_coordinate: Sizes by coordinate and by key, in the coordinate's units (N, m/s, m or Nm, rad/s, rad).
@@ -304,11 +304,11 @@ class TypicalScales:
 
 
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
-    """Compute typical sizes of forces, speeds, positions, currents and belt extensions from a motion.
+    """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
     Other functions state starting values and scales of parameters relative to these sizes. A speed is the 99th
-    percentile, a position the range, a current the maximum over the motion; a force is a tenth of that of all
-    drives together at rated voltage.
+    percentile, a position the range, a voltage or current the maximum over the motion. A force is a tenth of that of
+    all drives together at rated voltage.
 
     Args:
         machine: Machine that moved.
@@ -340,6 +340,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         # Ohm's law with the back-EMF of the motor, which turns gear_ratio times as fast as the coordinate.
         current = (voltages[:, j] - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
         by_coordinate[d.coordinate]["A"] = max(float(np.abs(current).max()), 1e-9)
+        by_coordinate[d.coordinate]["voltage"] = max(float(np.abs(voltages[:, j]).max()), 1e-9)
     general: dict[str, float] = {}
     if machine.belts:
         extension = positions @ machine.belt_matrix.T  # (n, belts)

@@ -41,7 +41,7 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
         "rad/position": "1",
     },
 }
-# Units of parameters that do not depend on the kind of a coordinate.
+# Units of parameters, and of effects' quantities, that do not depend on the kind of a coordinate.
 FIXED_UNITS = {
     "radius": "m",
     "EA": "N",
@@ -53,6 +53,7 @@ FIXED_UNITS = {
     "rated_voltage": "V",
     "converter_bits": "1",
     "voltage_range": "V",
+    "voltage": "V",
 }
 
 

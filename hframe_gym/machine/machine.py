@@ -258,7 +258,7 @@ class Machine:
         """
         unit = effect.definition.parameter(parameter).unit
         coordinate = self.coordinate_of_site(effect.site, effect.definition.site)
-        return UNITS[self.coordinate(coordinate).kind].get(unit, unit) if coordinate else unit
+        return (FIXED_UNITS | (UNITS[self.coordinate(coordinate).kind] if coordinate else {})).get(unit, unit)
 
     def replace(self, values: Mapping[str, float] | None = None, **fields: object) -> Machine:
         """Return a copy with other parameter values, or with other fields.

@@ -138,6 +138,7 @@ _CASES = (
     Case("voltage_offset", "motor1", {"V0": 0.15}, {"voltage_offset_V": (0.15, 0.0)}),
     Case("gain_mismatch", "motor2", {"g": -0.1}, {"drive_gain": (1.0, 0.9)}),
     Case("dead_band", "motor1", {"Vd": 0.4, "drop": 1.0}, {"dead_band_V": (0.4, 0.0)}),
+    Case("voltage_limit", "motor1", {"U": 4.0}, {"voltage_limit_V": (4.0, np.inf)}),
     Case("current_limit", "motor1", {"I": 4.5}, {"current_limit_A": (4.5, np.inf)}),
     Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
     Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),

@@ -46,7 +46,7 @@ def test_definition_is_complete(effect: Effect, hframe: Machine) -> None:
     assert roles.count("phase") <= roles.count("amplitude")
     for p in effect.parameters:
         assert p.lower < p.upper
-        assert p.unit in {*UNITS["linear"], *PLAIN_UNITS}
+        assert p.unit in {*UNITS["linear"], *PLAIN_UNITS, "voltage"}
         assert p.scale > 0.0
         if p.role == "shape" and p.lower > 0.0:  # a search starts at these values, in typical units
             assert p.grid

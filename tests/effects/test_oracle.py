@@ -57,6 +57,7 @@ def test_dead_band_without_drop_is_a_switch(hframe: Machine) -> None:
 SHARED_BY_BOTH_DRIVES = {
     "electrical_lag": ({"tau": 1.5e-3}, {"electrical_lag_s": (1.5e-3, 1.5e-3)}),
     "dead_band": ({"Vd": 0.4, "drop": 1.0}, {"dead_band_V": (0.4, 0.4)}),
+    "voltage_limit": ({"U": 4.0}, {"voltage_limit_V": (4.0, 4.0)}),
     "current_limit": ({"I": 4.5}, {"current_limit_A": (4.5, 4.5)}),
 }
 

@@ -134,7 +134,7 @@ def _add_drives(
     """Add the motors' torques to the forces, and gear friction to the levels; write the currents' and heat's rates."""
     for j in range(2):
         d = drives[j]
-        voltage = d.drive_gain * volts[j]
+        voltage = d.drive_gain * min(max(volts[j], -d.voltage_limit_V), d.voltage_limit_V)
         voltage -= min(max(voltage, -d.dead_band_V), d.dead_band_V)
         amps = (voltage + d.voltage_offset_V - d.emf * z[n + d.coordinate]) / d.ohm
         lag, heat = 2 * n + j, 4 * n + 2 + j

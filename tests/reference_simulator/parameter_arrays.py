@@ -12,8 +12,15 @@ from tests.reference_simulator.rig import Array, Rig
 
 # Fields of Rig by what they describe. Bodies beyond the four coordinates get zeros except for what they are made of.
 _OF_COORDINATE = [f.name for f in dataclasses.fields(Rig) if isinstance(f.default, tuple) and len(f.default) == 4]
-_OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "current_limit_A", "electrical_lag_s"]
-_OF_DRIVE += ["heating_loss", "heating_s", "current_ripple", "current_ripple_order", "load_friction"]
+_OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "voltage_limit_V", "current_limit_A"]
+_OF_DRIVE += [
+    "electrical_lag_s",
+    "heating_loss",
+    "heating_s",
+    "current_ripple",
+    "current_ripple_order",
+    "load_friction",
+]
 _OF_BELTS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
 _OF_STAGE = ["warm_up_s", *_OF_BELTS, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]
 _DIVISORS = dict.fromkeys(

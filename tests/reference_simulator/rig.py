@@ -126,6 +126,7 @@ class Rig:
     voltage_offset_V: PerDrive = (0.0, 0.0)  # V0
     dead_band_V: PerDrive = (0.0, 0.0)  # Vd
     current_limit_A: PerDrive = (INF, INF)
+    voltage_limit_V: PerDrive = (INF, INF)
     electrical_lag_s: PerDrive = (0.0, 0.0)  # tau = L/R
     input_delay_s: PerDrive = (0.0, 0.0)
     heating_loss: PerDrive = (
