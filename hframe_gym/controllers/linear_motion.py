@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import Equations, MotionPoint, rollout
 from ..errors import InputError
-from .motion_model import REVERSAL_SPEED, MotionModel
+from .motion_model import FRICTION_COMPENSATION_SPEED, MotionModel
 
 Array = NDArray[np.float64]
 TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
@@ -161,7 +161,7 @@ def opposing_friction(model: MotionModel, state: Array, error: Array, parameters
     columns = [list(declared).index(f"{name}.coulomb") for name in model.machine.coordinate_names]
     values = np.array(list(declared.values()))[columns]
     ratio = parameters[:, columns] / np.where(values, values, 1.0) + (values == 0.0)
-    moving = np.tanh(state[:, n:] / REVERSAL_SPEED)
+    moving = np.tanh(state[:, n:] / FRICTION_COMPENSATION_SPEED)
     ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
     return np.asarray(-model.coulomb * ratio * (moving + (1.0 - np.abs(moving)) * ahead))
 

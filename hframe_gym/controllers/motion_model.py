@@ -19,9 +19,9 @@ from ..machine import AppliedEffect, Machine, argument_names, rest_state
 
 Array = NDArray[np.float64]
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
-# m/s: the direction of friction is tanh(v / REVERSAL_SPEED). Far below the speeds of a move, and far above what remains
-# at its end, so that the voltage does not chatter with the sign of noise.
-REVERSAL_SPEED = 0.02
+# m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of a move,
+# and far above what remains at its end, so that the voltage does not chatter with the sign of noise.
+FRICTION_COMPENSATION_SPEED = 0.02
 
 
 class OperatingPointGrid:
@@ -271,7 +271,7 @@ class MotionModel:
 
     def _direction(self, state: Array) -> Array:
         """Return the smoothed direction of motion of each coordinate (B, n), within [-1, 1]."""
-        return np.tanh(state[:, len(self.mass) :] / REVERSAL_SPEED)
+        return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
     def static_stretch(self, force: Array, goal: Array) -> Array:
         """Compute the displacement of the motors at which the stretched belts balance a force on the tool, at rest.
