@@ -59,6 +59,13 @@ class LinearMotion:
         self._model, self._period = model, period
         self._machine = dataclasses.replace(model.machine, effects=())
         self._extension = model.machine.belt_matrix / model.machine.travel_per_unit  # per belt travel, (belts, n)
+        # Coulomb friction, N, is the value of its parameter over a unit, times the force of this unit. The unit is the
+        # declared value, because voltages are then bit for bit those of the stored scores; 1 N where that is 0.
+        names = [f"{name}.coulomb" for name in model.machine.coordinate_names]
+        declared = np.array([model.machine.parameters[name] for name in names])
+        self._coulomb_columns = [list(model.machine.parameters).index(name) for name in names]
+        self._coulomb_unit = np.where(declared, declared, model.machine.travel_per_unit)
+        self._force_of_unit = np.where(declared, model.coulomb, 1.0)
 
     def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
@@ -89,6 +96,26 @@ class LinearMotion:
         rates[:, n : 2 * n] /= mass[:, :, None]
         discrete = _exponential(rates * self._period)[:, : 2 * n]
         return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
+
+    def opposing_friction(self, state: Array, error: Array, parameters: Array) -> Array:
+        """Predict the Coulomb friction on the way to the goal, as one constant force per coordinate for a linear plan.
+
+        Friction opposes the present motion. Where a coordinate hardly moves, it opposes the motion towards the goal.
+
+        Args:
+            state: Belt travel (radius * angle) of the n coordinates of B machines and its velocity, m and m/s, shape
+                (B, 2 n).
+            error: State minus goal state, m and m/s, shape (B, 2 n).
+            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
+
+        Returns:
+            Friction force on each coordinate, N, positive in the direction of increasing travel, shape (B, n).
+        """
+        n = len(self._model.mass)
+        level = self._force_of_unit * (parameters[:, self._coulomb_columns] / self._coulomb_unit)
+        moving = np.tanh(state[:, n:] / FRICTION_COMPENSATION_SPEED)
+        ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
+        return np.asarray(-level * (moving + (1.0 - np.abs(moving)) * ahead))
 
 
 def _exponential(matrices: Array) -> Array:
@@ -140,30 +167,6 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
         pulse = power @ B
         gramian, power = gramian + pulse @ pulse.transpose(0, 2, 1), power @ A
         yield pulse, gramian, power
-
-
-def opposing_friction(model: MotionModel, state: Array, error: Array, parameters: Array) -> Array:
-    """Predict the Coulomb friction on the way to the goal, as one constant force per coordinate for a linear plan.
-
-    Friction opposes the present motion. Where a coordinate hardly moves, it opposes the motion towards the goal.
-
-    Args:
-        model: Model of the machine with its declared parameters, n coordinates.
-        state: Belt travel (radius * angle) of the n coordinates of B machines and its velocity, m and m/s, shape
-            (B, 2 n).
-        error: State minus goal state, m and m/s, shape (B, 2 n).
-        parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
-
-    Returns:
-        Friction force on each coordinate, N, positive in the direction of increasing travel, shape (B, n).
-    """
-    n, declared = len(model.mass), model.machine.parameters
-    columns = [list(declared).index(f"{name}.coulomb") for name in model.machine.coordinate_names]
-    values = np.array(list(declared.values()))[columns]
-    ratio = parameters[:, columns] / np.where(values, values, 1.0) + (values == 0.0)
-    moving = np.tanh(state[:, n:] / FRICTION_COMPENSATION_SPEED)
-    ahead = -np.tanh(error[:, :n] / FRICTION_TRAVEL)
-    return np.asarray(-model.coulomb * ratio * (moving + (1.0 - np.abs(moving)) * ahead))
 
 
 class PlannedTransfers(NamedTuple):
@@ -223,7 +226,7 @@ class SimulatedTransfers:
         """
         scale = self._scale
         error = state - self._model.goal_state(goal)
-        force = opposing_friction(self._model, state, error, parameters)
+        force = self._linear.opposing_friction(state, error, parameters)
         pulse, gramian, costates = self._costates(self._linear.matrices(parameters, goal), force)
         first = pulse[:, self._durations - 1].transpose(0, 1, 3, 2)
         gains = first @ costates[..., :-1] / scale

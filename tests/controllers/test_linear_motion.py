@@ -71,6 +71,25 @@ def final_distances(machine, parameters):
     return np.linalg.norm(model.tool_position(state), axis=1)
 
 
+@pytest.mark.parametrize("declared", ["with friction", "without friction"])
+def test_friction_opposes_motion_and_at_rest_the_way_to_the_goal(declared):
+    """The estimated friction counts, also of a coordinate that is declared without friction."""
+    machine, names = MACHINE, MACHINE.coordinate_names
+    if declared == "without friction":
+        machine = MACHINE.replace({f"{name}.coulomb": 0.0 for name in names})
+    parameters = different_machines()
+    columns = [list(MACHINE.parameters).index(f"{name}.coulomb") for name in names]
+    expected = parameters[:, columns] / MACHINE.travel_per_unit  # N
+    linear = linear_motion.LinearMotion(MotionModel(machine), PERIOD)
+    state, error = np.zeros((2, COUNT, 8))
+    error[:, :4] = [0.01, -0.01, 0.01, -0.01]
+    at_rest = linear.opposing_friction(state, error, parameters)
+    np.testing.assert_allclose(at_rest, expected * [1.0, -1.0, 1.0, -1.0], rtol=1e-6)
+    state[:, 4:] = [0.5, 0.5, -0.5, -0.5]
+    moving = linear.opposing_friction(state, error, parameters)
+    np.testing.assert_allclose(moving, expected * [-1.0, -1.0, 1.0, 1.0], rtol=1e-6)
+
+
 @pytest.mark.parametrize("delay_s", [0.0, 4e-3], ids=["no dead time", "dead time"])
 def test_simulations_bring_the_tool_to_its_goal_despite_friction(delay_s, monkeypatch):
     machine = MACHINE.with_effects(EFFECTS["input_delay"].at("drives", d=delay_s)) if delay_s else MACHINE
