@@ -120,6 +120,8 @@ class LinearMotion:
 
 def _exponential(matrices: Array) -> Array:
     """Return the exponentials of many small matrices (B, m, m), by a Taylor series and repeated squaring."""
+    # scipy.linalg.expm gives the same to 1e-11, but works on one matrix at a time: measured on the matrices of the
+    # H-frame (14 x 14), it takes 3.5 times as long for 64 machines and 8 times as long for 512.
     power = step = matrices / 2**HALVINGS
     result = np.eye(step.shape[1]) + step
     for degree in range(2, TAYLOR_DEGREE + 1):
@@ -144,6 +146,20 @@ def state_scale(states: int) -> Array:
     return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)
 
 
+def scaled_matrices(A: Array, *inputs: Array) -> tuple[Array, ...]:
+    """Convert the matrices of discrete-time linear systems to states in units of `state_scale`.
+
+    Args:
+        A: System matrices of the state, belt travel of n coordinates, m, and its velocity, m/s, shape (..., 2 n, 2 n).
+        *inputs: Input matrices, m and m/s per unit of the inputs, shape (..., 2 n, inputs).
+
+    Returns:
+        Matrices of the systems whose state is divided by `state_scale`, in the given order and of the given shapes.
+    """
+    scale = state_scale(A.shape[-1])
+    return A / scale[:, None] * scale, *(matrix / scale[:, None] for matrix in inputs)
+
+
 def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Array, Array]]:
     """Yield the responses of linear systems over N = 1, 2, ... periods to voltages and to their initial state.
 
@@ -160,8 +176,7 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
         shape (points, 2 n, drives); the reachability Gramian W_N, sum of A^j B B' A'^j for j < N, shape (points, 2 n,
         2 n); and the response A^N to the initial state, shape (points, 2 n, 2 n).
     """
-    scale = state_scale(A.shape[1])
-    A, B = A / scale[:, None] * scale, B / scale[:, None]
+    A, B = scaled_matrices(A, B)
     gramian, power = np.zeros_like(A), np.broadcast_to(np.eye(A.shape[1]), A.shape)
     for _ in range(longest):
         pulse = power @ B

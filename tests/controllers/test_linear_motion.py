@@ -49,6 +49,27 @@ def test_the_gains_are_the_derivatives_of_the_voltages_by_the_state():
     assert np.abs(changed.volts - planned.volts - expected).max() < 1e-3 * np.abs(expected).max()
 
 
+def test_the_discrete_time_matrices_are_those_of_the_matrix_exponential_and_of_each_operating_point():
+    parameters, goal = (
+        np.tile(list(MACHINE.parameters.values()), (3, 1)),
+        np.array([[0.0, 0.0], [0.1, 0.05], [-0.1, 0.1]]),
+    )
+    matrices = linear_motion.LinearMotion(MODEL, PERIOD).matrices(parameters, goal)
+    for b, point in enumerate(goal):
+        for matrix, expected in zip(matrices, MODEL.discretize(point, PERIOD), strict=True):
+            np.testing.assert_allclose(matrix[b], expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_scaled_matrices_describe_the_same_motion_in_other_units():
+    generator = np.random.default_rng(0)
+    A, B, E = (generator.normal(size=(5, 8, columns)) for columns in (8, 2, 4))
+    state, volts, force = (generator.normal(size=(5, columns, 1)) for columns in (8, 2, 4))
+    scale = linear_motion.state_scale(8)[:, None]
+    scaled = linear_motion.scaled_matrices(A, B, E)
+    following = scaled[0] @ (state / scale) + scaled[1] @ volts + scaled[2] @ force
+    np.testing.assert_allclose(following * scale, A @ state + B @ volts + E @ force, rtol=1e-12)
+
+
 def final_distances(machine, parameters):
     """Return the distances to the goal after six periods, from 2 mm, m, (COUNT,); every period plans what remains."""
     model = MotionModel(machine)
