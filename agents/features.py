@@ -36,7 +36,7 @@ from ..controllers import (
 from ..controllers.estimation_model import ParameterRatios
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
-from ..machine import Machine, rest_state
+from ..machine import Machine, observed_coordinates, rest_state
 
 Array = NDArray[np.float64]
 
@@ -101,8 +101,8 @@ def feature_parameters(
     """
     axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
-    motors = [drive.coordinate for drive in machine.drives if drive.coordinate not in axes]
-    driven = [machine.coordinate_names.index(name) for name in dict.fromkeys(motors)]
+    # The tool's axes come first, then the motors.
+    driven = [machine.coordinate_names.index(name) for name in observed_coordinates(machine)[len(axes) :]]
     # Rest states for a displacement of 1 m along each axis.
     unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in axes]
     geometry = {

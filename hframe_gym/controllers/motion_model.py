@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, argument_names, rest_state
+from ..machine import AppliedEffect, Machine, argument_names, observed_coordinates, rest_state
 
 Array = NDArray[np.float64]
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
@@ -93,7 +93,7 @@ class MotionModel:
         names = machine.coordinate_names
         self.machine = machine
         self.axes = axes = machine.tool_axes
-        self.observed = (*axes, *(d.coordinate for d in machine.drives if d.coordinate not in axes))
+        self.observed = observed_coordinates(machine)
         if not axes or len(machine.drives) != len(axes) or sorted(self.observed) != sorted(names):
             raise InputError(
                 f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, one"
