@@ -29,11 +29,11 @@ from ..controllers import (
     MotionModel,
     OperatingPointGrid,
     ParameterFilter,
+    ParameterRatios,
     PreviewGains,
     SimulatedTransfers,
     scaled_machine,
 )
-from ..controllers.estimation_model import ParameterRatios
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import Machine, observed_coordinates, rest_state
@@ -283,17 +283,12 @@ class TransferBank:
         self._of_observation = _state_of_observation(self._model)
         self.size = self._gains.shape[1]
 
-    def laws(
-        self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
-    ) -> FeedbackLaws:
+    def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
         """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
-            last_action: Actions of the period before, shape (batch, drives). Not used: only `PlanBank.laws`, which is
-                called with the same arguments, needs them and the estimates.
-            estimates: Estimated parameters, shape (batch, number of estimates). Not used.
 
         Returns:
             `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
@@ -309,7 +304,7 @@ class PlanBank:
     Args:
         machine: Machine with its declared parameters.
         period: Control period, s.
-        estimator: Estimator of the parameters, whose estimates `laws` receives.
+        estimator: Estimator of the parameters; `laws` plans with its present estimates.
         durations: Durations of the transfers in periods, ascending.
 
     Attributes:
@@ -320,22 +315,18 @@ class PlanBank:
     """
 
     def __init__(self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]) -> None:
-        self._model, self.size = MotionModel(machine), len(durations)
+        self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
         self._ratios = ParameterRatios(machine, estimator.parameter_names)  # the estimator's machine has no dead time
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = _state_of_observation(self._model)
 
-    def laws(
-        self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
-    ) -> FeedbackLaws:
+    def laws(self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any]) -> FeedbackLaws:
         """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
-            estimates: Attribute `estimates` of the estimator: logarithms of the ratios of actual to declared values,
-                dimensionless, shape (batch, number of estimates).
 
         Returns:
             `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
@@ -344,7 +335,7 @@ class PlanBank:
         planned = self._transfers.plan(
             self._model.state({"observation": observation}),
             np.asarray(goal, np.float64),
-            self._ratios.parameters(estimates),
+            self._ratios.parameters(self._estimator.estimates),
             last_action * rated,
         )
         return FeedbackLaws(planned.volts / rated, planned.gains / rated[:, None] @ self._of_observation)

@@ -225,9 +225,10 @@ class ResidualAction:
         goal = observation["desired_goal"]
         self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
         self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
-        if self.bank:
-            estimates = self._filter.estimates if self._filter else np.zeros((len(state), 0))
-            self.laws = self.bank.laws(state, goal, self._last_action, estimates)
+        if isinstance(self.bank, PlanBank):
+            self.laws = self.bank.laws(state, goal, self._last_action)
+        elif self.bank:
+            self.laws = self.bank.laws(state, goal)
         if self.base:
             self._base_action = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.history()}
