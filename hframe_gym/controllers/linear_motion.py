@@ -249,7 +249,7 @@ class SimulatedTransfers:
         count = len(self._simulated)
         best, smallest = planned[:, :count], np.full((len(state), count), np.inf)
         correction, step_length = np.zeros_like(best), np.ones_like(smallest)
-        for _ in range(CORRECTIONS if count else 0):
+        for _ in range(CORRECTIONS + 1 if count else 0):  # the last correction is simulated as well
             final = self._final_states(pulse, planned[:, :count], state, parameters, last_volts)
             final_error = (final - self._model.goal_state(goal)[:, None]) / scale
             # A simulation that diverges counts as an error of 1 m or 100 m/s.
@@ -263,6 +263,7 @@ class SimulatedTransfers:
             correction = np.where(closer[..., None], full_correction, correction)
             step_length = np.where(closer, 1.0, SHORTER * step_length)
             planned[:, :count] = best - step_length[..., None] * correction
+        planned[:, :count] = best
         return PlannedTransfers(np.einsum("bkij,bkj->bki", first, planned), gains)
 
     def _costates(self, matrices: tuple[Array, Array, Array], force: Array) -> tuple[Array, Array, Array]:

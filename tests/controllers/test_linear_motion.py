@@ -121,6 +121,28 @@ def test_simulations_bring_the_tool_to_its_goal_despite_friction(delay_s, monkey
     assert np.median(final_distances(machine, parameters)) > 1.5 * np.median(corrected)
 
 
+def test_of_the_simulated_plans_the_one_that_ends_nearest_is_used(monkeypatch):
+    """The first voltages come from a plan that was simulated, and no other simulated plan ends nearer to the goal."""
+    generator, periods = np.random.default_rng(0), 4
+    goal, last = np.zeros((COUNT, 2)), np.zeros((COUNT, 2))
+    state = MODEL.goal_state(generator.uniform(-2e-3, 2e-3, (COUNT, 2)))
+    transfers = SimulatedTransfers(MODEL, PERIOD, [periods])
+    simulate, simulated = transfers._final_states, []
+
+    def final_states(pulse, costates, *others):
+        final = simulate(pulse, costates, *others)
+        first = np.einsum("bis,bki->bks", pulse[:, periods - 1], costates)  # voltages of the first period
+        distance = np.linalg.norm((final - MODEL.goal_state(goal)[:, None]) / transfers._scale, axis=2)
+        simulated.append((first[:, 0], distance[:, 0]))
+        return final
+
+    monkeypatch.setattr(transfers, "_final_states", final_states)
+    planned = transfers.plan(state, goal, different_machines(), last)
+    volts, distances = (np.stack(values) for values in zip(*simulated, strict=True))  # (simulations, B, ...)
+    nearest = volts[np.argmin(distances, axis=0), np.arange(COUNT)]
+    np.testing.assert_allclose(planned.volts[:, 0], nearest, rtol=1e-9)
+
+
 @pytest.mark.parametrize("durations", [[], [0, 4], [5, 4], [4, 4]])
 def test_durations_must_be_positive_and_ascending(durations):
     with pytest.raises(InputError, match="must be positive and ascending"):
