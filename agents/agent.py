@@ -21,13 +21,12 @@ from ..errors import InputError
 from ..locked_folders import complete_commit
 from ..machine import Machine, observed_coordinates
 from ..recordings import load_machine, save_machine
-from .agent_files import read_card
+from .agent_files import AGENT_FILES, read_card
 from .features import feature_parameters
 from .optional_dependencies import import_optional, single_threaded_torch
 from .residual_action import ResidualAction, residual_action
 
 SCHEMA = 2
-AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
 # Entries of card.json that agent.json repeats: they identify the agent and are needed to build its policy.
 AGENT_KEYS = (
     "schema",

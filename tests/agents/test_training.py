@@ -4,6 +4,7 @@ import io
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -199,10 +200,13 @@ def test_resuming_on_another_machine_is_refused(untrained_agent):
 
 def test_a_run_is_replaced_only_by_force(untrained_agent):
     before = (untrained_agent / "policy.safetensors").read_bytes()
-    with pytest.raises(InputError, match=r"holds the agent ppo of machine 'hframe', seed 0, \d+ steps, .* --force"):
-        train("ppo", "axis", steps=1, out=untrained_agent, log=ignore)
+    described = r"holds the agent ppo of machine 'hframe', seed 0, \d+ steps, "
+    with pytest.raises(InputError, match=described + r".* continue the run with --resume, .* --force"):
+        train("ppo", steps=1, out=untrained_agent, log=ignore)
     (untrained_agent / "card.json").write_text("{}")
-    with pytest.raises(InputError, match=r"holds agent\.json, policy\.safetensors, checkpoint\.zip, .* --force"):
+    with pytest.raises(
+        InputError, match=r"holds agent\.json, policy\.safetensors, card\.json, checkpoint\.zip, .* --force"
+    ):
         train("ppo", "axis", steps=1, out=untrained_agent, log=ignore)
     assert (untrained_agent / "policy.safetensors").read_bytes() == before
     train("ppo", "axis", steps=1, out=untrained_agent, log=ignore, force=True)
@@ -210,10 +214,26 @@ def test_a_run_is_replaced_only_by_force(untrained_agent):
 
 
 def test_several_seeds_replace_no_run_without_force(untrained_agent):
-    folder = untrained_agent.rename(untrained_agent.parent / "seed_1").parent
-    with pytest.raises(InputError, match=r"seed_1: holds the agent ppo"):
+    folder = untrained_agent.rename(untrained_agent.parent / "seed_0").parent
+    command = re.escape(f"`hframe train ppo --seed 0 --resume --out {folder / 'seed_0'}`")
+    with pytest.raises(InputError, match=rf"seed_0: holds the agent ppo.* continue the run alone with {command}"):
         train_seeds("ppo", steps=1, seeds=(0, 1), out=folder, log=ignore)
-    assert not (folder / "seed_0").exists()
+    assert not (folder / "seed_1").exists()
+
+
+@pytest.mark.parametrize(
+    "hindrance", ["no checkpoint", "another seed", "another recipe", "another machine", "a damaged card"]
+)
+def test_a_run_that_cannot_be_resumed_is_refused_without_that_advice(hindrance, untrained_agent):
+    if hindrance == "no checkpoint":  # the folder holds an agent that was copied
+        (untrained_agent / "checkpoint.zip").unlink()
+    if hindrance == "a damaged card":
+        (untrained_agent / "card.json").write_text("{}")
+    algorithm, seed = "sac" if hindrance == "another recipe" else "ppo", 1 if hindrance == "another seed" else 0
+    machine = "axis" if hindrance == "another machine" else "hframe"
+    with pytest.raises(InputError) as error:
+        train(algorithm, machine, steps=1, seed=seed, out=untrained_agent, log=ignore)
+    assert str(error.value).endswith("training would replace; choose another folder, or replace it with --force")
 
 
 def test_a_recipe_that_continues_an_agent_of_two_axes_refuses_one_axis(tmp_path):
