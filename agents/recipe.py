@@ -100,6 +100,11 @@ class Recipe:
         """Control period of the training environment, s: `env["period"]`, or 0.01 s if the recipe does not state it."""
         return float(self.env.get("period", EnvConfig.period))
 
+    @property
+    def randomize(self) -> Any:
+        """Randomization of the training environment's machine: `env["randomize"]`, or "none" if the recipe lacks it."""
+        return self.env.get("randomize", EnvConfig.randomize)
+
     def as_dict(self) -> dict[str, Any]:
         """Convert the recipe to a dictionary, for card.json.
 

@@ -143,7 +143,7 @@ class _Run:
         self.scenario = Scenario(
             machine=machine,
             task=built_task,
-            randomize=recipe.env.get("randomize", EnvConfig.randomize),
+            randomize=recipe.randomize,
             sensors=recipe.env.get("sensors", EnvConfig.sensors),
             episodes=EVALUATION_EPISODES,
             seed=EVALUATION_SEED,

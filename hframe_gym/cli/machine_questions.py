@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -123,7 +124,8 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
     for line in motion_lines(machine):
         log(line)
     log("if one of these values is implausible, check the units of the values you entered")
-    log(f"next: edit its values, then `hframe machines show {path}` and `hframe check RUNS --machine {path}`")
+    word = shlex.quote(str(path))
+    log(f"next: edit its values, then `hframe machines show {word}` and `hframe check RUNS --machine {word}`")
 
 
 def file_obstacle(path: Path, force: bool) -> str:
