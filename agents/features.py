@@ -39,7 +39,6 @@ from ..errors import InputError
 from ..machine import Machine, observed_coordinates, rest_state
 
 Array = NDArray[np.float64]
-
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m
@@ -98,6 +97,9 @@ def feature_parameters(
             shape (motors, axes).
         `gains`: only with `transfers` or `preview`; for each key of the observation, the matrix that maps its entries
             to these voltages as fractions of the rated voltages, nested list of shape (voltages, entries).
+
+    Raises:
+        InputError: If the machine has no transfer of a duration.
     """
     axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
@@ -119,12 +121,23 @@ def feature_parameters(
 def _transfer_gains(model: MotionModel, period: float, transfers: Sequence[int]) -> dict[str, Any]:
     """Return the gains for the first voltages of transfers to rest, designed at the center of the workspace."""
     designed = MinimumEnergyTransfers(model, period)
+    _check_transfers(designed, transfers)
     by_duration = designed.gains[_center(designed.grid), :, 0]  # (durations, drives, 2 n)
     on_state = np.concatenate([by_duration[extra] / model.rated[:, None] for extra in transfers])
     return _as_lists(
         observation=on_state @ _state_of_observation(model),
         desired_goal=-on_state @ model.goal_state(np.eye(len(model.axes))).T,
     )
+
+
+def _check_transfers(designed: MinimumEnergyTransfers, transfers: Sequence[int]) -> None:
+    """Raise an error if a machine lacks transfers of given durations, in periods beyond the shortest."""
+    longest = designed.longest - designed.shortest
+    if not 0 <= min(transfers) <= max(transfers) <= longest:
+        name = designed.model.machine.name
+        raise InputError(
+            f"transfers are {list(transfers)}; machine {name!r} has those of 0 to {longest} periods beyond the shortest"
+        )
 
 
 def _preview_gains(model: MotionModel, period: float, preview: int) -> dict[str, Any]:
@@ -267,11 +280,7 @@ class TransferBank:
         self._model = MotionModel(machine)
         self._grid = OperatingPointGrid(machine)
         designed = MinimumEnergyTransfers(self._model, period)
-        if not 0 <= min(transfers) <= max(transfers) <= designed.longest - designed.shortest:
-            raise InputError(
-                f"transfers are {list(transfers)}; machine {machine.name!r} has those of 0 to "
-                f"{designed.longest - designed.shortest} periods beyond the shortest"
-            )
+        _check_transfers(designed, transfers)
         if any(second <= first for first, second in pairwise(transfers)):
             raise InputError(f"transfers are {list(transfers)}; list durations in ascending order, each once")
         gains = [designed.gains[:, list(transfers), 0]]

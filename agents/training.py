@@ -36,7 +36,7 @@ from .optional_dependencies import (
     require_training_packages,
     single_threaded_torch,
 )
-from .recipe import ALGORITHMS, Recipe, load_recipe
+from .recipe import ALGORITHMS, Recipe, load_recipe, require_transfers
 from .residual_action import residual_action
 
 # Environment i of a run with seed s has the seed TRAINING_SEED + s * SEED_STRIDE + i. The seeds of the evaluation
@@ -105,6 +105,7 @@ def train(
     # In all of it: the decomposition that draws the first weights has other last bits with more threads.
     with locked_folder(out), single_threaded_torch():
         declared = load_machine(machine)
+        require_transfers(recipe, declared, task)
         if not (resume or force):
             refuse_to_replace(Path(out), recipe.name, declared.name, seed, alone=True)
         run = _Run(recipe, declared, task, seed, Path(out), log, progress)

@@ -14,7 +14,7 @@ from ..machine import Machine
 from ..recordings import load_machine
 from .agent_files import RESUME_FILES, refuse_to_replace, sign_checkpoint
 from .optional_dependencies import require_training_packages
-from .recipe import Recipe, load_recipe
+from .recipe import Recipe, load_recipe, require_transfers
 from .training import Log, Progress, train
 
 
@@ -67,6 +67,7 @@ def train_seeds(
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
     declared = load_machine(machine)
+    require_transfers(recipe, declared, task)
     folders, done = _run_folders(Path(out), recipe.name, declared.name, seeds, force), 0
 
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:

@@ -11,6 +11,7 @@ import sys
 import time
 import zipfile
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -241,6 +242,27 @@ def test_a_recipe_that_continues_an_agent_of_two_axes_refuses_one_axis(tmp_path)
     with pytest.raises(InputError, match=message):
         train("adapt", "axis", steps=1, out=tmp_path, log=ignore)
     assert not list(tmp_path.rglob("*.json"))
+
+
+@pytest.mark.parametrize("algorithm", ["apg", "apg_mix", "apg_plan", "sac"])
+@pytest.mark.parametrize("run", [train, partial(train_seeds, seeds=(0, 1))], ids=["one seed", "two seeds"])
+def test_a_recipe_whose_transfers_a_short_axis_lacks_is_refused_before_training(algorithm, run, tmp_path):
+    with pytest.raises(InputError) as error:
+        run(algorithm, "axis", out=tmp_path, log=ignore)
+    assert str(error.value) == (
+        f"recipe {algorithm}_reach: needs motions that last up to 27 control periods longer than the shortest one, but "
+        "the longest in the workspace of machine 'axis' last 24 periods longer; choose a recipe without them: "
+        "apg_predictive, ppo, residual, sac_her"
+    )
+    assert not list(tmp_path.rglob("*.json"))
+
+
+@pytest.mark.parametrize("algorithm", ["apg_predictive", "ppo", "residual", "sac_her"])
+def test_the_recipes_that_this_message_names_train_on_one_axis(algorithm, tmp_path):
+    recipe = load_recipe(algorithm, "reach")
+    card = train(replace(recipe, steps=1), "axis", out=tmp_path, log=ignore)
+    assert card["machine"] == "axis"
+    assert Agent.load(tmp_path).machine.name == "axis"
 
 
 def test_an_unknown_task_is_refused(tmp_path):
