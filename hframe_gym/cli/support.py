@@ -338,7 +338,7 @@ def write_new_effect(folder: Path, name: str, path: Path, number: int, table: st
 
     proposed = formulas_of_folder(folder, name, table)
     for index, p in enumerate(proposed, start=1):
-        error = f", {p.noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
+        error = f", {p.mean_noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
         form = p.effect.formula
         mark = " (recommended)" if p.recommended else ""
         log(f"{index}. {p.effect.text}: {form.name}, {form.complexity} parameters{error}{mark}")
