@@ -62,8 +62,6 @@ def train_seeds(
         InputError: If an argument is wrong, a folder holds a run or is being written, or the cluster is out of reach.
         ImportError: If the extra `agents` is not installed, or the extra `ray` if the argument `ray` is given.
     """
-    if len(set(seeds)) < len(seeds):
-        raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
     declared = load_machine(machine)
@@ -83,7 +81,9 @@ def train_seeds(
 
 
 def _run_folders(out: Path, recipe: str, machine: str, seeds: Sequence[int], force: bool) -> list[Path]:
-    """Return the folder of each seed's run; refuse one that holds a run, unless it may be replaced."""
+    """Return the folder of each seed's run; refuse equal seeds, and a folder with a run that may not be replaced."""
+    if len(set(seeds)) < len(seeds):
+        raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
     folders = [out / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [out]
     for seed, folder in zip(seeds, folders, strict=True) if not force else ():
         refuse_to_replace(folder, recipe, machine, seed, alone=False)
