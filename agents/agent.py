@@ -19,15 +19,14 @@ from ..controllers import Controller
 from ..envs import action_space, observation_space
 from ..errors import InputError
 from ..locked_folders import complete_commit
-from ..machine import Machine
+from ..machine import Machine, observed_coordinates
 from ..recordings import load_machine, save_machine
-from .agent_files import read_card
+from .agent_files import AGENT_FILES, read_card
 from .features import feature_parameters
 from .optional_dependencies import import_optional, single_threaded_torch
 from .residual_action import ResidualAction, residual_action
 
 SCHEMA = 2
-AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
 # Entries of card.json that agent.json repeats: they identify the agent and are needed to build its policy.
 AGENT_KEYS = (
     "schema",
@@ -298,8 +297,8 @@ def _shape(values: list[Any]) -> list[int]:
 
 def _part_counts(machine: Machine) -> dict[str, int]:
     """Return the numbers of parts that determine the shapes of observations and actions."""
-    observed = {*machine.tool_axes, *(drive.coordinate for drive in machine.drives)}
-    return {"axis": len(machine.tool_axes), "observed coordinate": len(observed), "drive": len(machine.drives)}
+    observed = len(observed_coordinates(machine))
+    return {"axis": len(machine.tool_axes), "observed coordinate": observed, "drive": len(machine.drives)}
 
 
 def _counted(count: int, noun: str) -> str:

@@ -10,6 +10,7 @@ import hashlib
 import hmac
 import os
 import secrets
+import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,8 @@ from ..errors import InputError
 from ..file_limits import read_json
 from ..locked_folders import complete_commit
 
+AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
+RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC, TQC, CrossQ
 KEY_BYTES = 32
 _MARK = b"\nhframe_gym checkpoint signature "
 _TRAILER = len(_MARK) + 2 * KEY_BYTES  # a pickle and a zip archive may have further bytes at the end
@@ -134,29 +137,40 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
     return dict(card)
 
 
-def refuse_to_replace(folder: Path) -> None:
+def refuse_to_replace(folder: Path, recipe: str, machine: str, seed: int, alone: bool) -> None:
     """Raise an error if a folder holds an agent or the checkpoint of a training run, which new files would replace.
 
     Args:
         folder: Folder for the files of a training run; it need not exist.
+        recipe: Name of the recipe of the new run, ALGORITHM_TASK.
+        machine: Name of its machine.
+        seed: Its seed.
+        alone: Whether the command trains this seed only, in its process, so that it accepts the option --resume.
 
     Raises:
-        InputError: If the folder holds such files. The message says what they are and which options continue or replace
-            the run.
+        InputError: If the folder holds such files. The message says what they are and how to continue or replace the
+            run; it can be continued if it has a checkpoint and recipe, machine and seed of the new one.
     """
     complete_commit(folder)
-    present = [name for name in ("agent.json", "policy.safetensors", "checkpoint.zip") if (folder / name).exists()]
+    files = [name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"]  # which a user may have written
+    present = [name for name in files if (folder / name).exists()]
     if not present:
         return
+    resumable = all((folder / name).is_file() for name in (*AGENT_FILES, *RESUME_FILES[:3]))
     try:
         card = read_json(folder / "card.json")
         steps = f", {card['curve'][-1]['steps']} steps" if card["curve"] else ""
         described = f"the agent {card['name']} of machine {card['machine']!r}, seed {card['seed']}{steps}"
+        resumable = resumable and (card["recipe"], card["machine"], card["seed"]) == (recipe, machine, seed)
     except (InputError, OSError, KeyError, TypeError, IndexError):  # damaged, or of another version
-        described = ", ".join(present)
+        described, resumable = ", ".join(present), False
+    advice = ["choose another folder"]
+    if resumable:
+        command = f"hframe train {recipe.rpartition('_')[0]} --seed {seed} --resume --out {shlex.quote(str(folder))}"
+        by = "with --resume" if alone else f"alone with `{command}` (other options as before, without --ray)"
+        advice.append(f"continue the run {by}")
     raise InputError(
-        f"{folder}: holds {described}, which training would replace; choose another folder, continue the run with "
-        "--resume, or replace it with --force"
+        f"{folder}: holds {described}, which training would replace; {', '.join(advice)}, or replace it with --force"
     )
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
 from ..machine import Machine
-from .agent import AGENT_FILES, SCHEMA, Agent
-from .agent_files import read_card
+from .agent import SCHEMA, Agent
+from .agent_files import AGENT_FILES, read_card
 from .recipe import Recipe
 
 

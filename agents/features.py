@@ -29,17 +29,16 @@ from ..controllers import (
     MotionModel,
     OperatingPointGrid,
     ParameterFilter,
+    ParameterRatios,
     PreviewGains,
     SimulatedTransfers,
     scaled_machine,
 )
-from ..controllers.estimation_model import ParameterRatios
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
-from ..machine import Machine, rest_state
+from ..machine import Machine, observed_coordinates, rest_state
 
 Array = NDArray[np.float64]
-
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m
@@ -98,11 +97,14 @@ def feature_parameters(
             shape (motors, axes).
         `gains`: only with `transfers` or `preview`; for each key of the observation, the matrix that maps its entries
             to these voltages as fractions of the rated voltages, nested list of shape (voltages, entries).
+
+    Raises:
+        InputError: If the machine has no transfer of a duration.
     """
     axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
-    motors = [drive.coordinate for drive in machine.drives if drive.coordinate not in axes]
-    driven = [machine.coordinate_names.index(name) for name in dict.fromkeys(motors)]
+    # The tool's axes come first, then the motors.
+    driven = [machine.coordinate_names.index(name) for name in observed_coordinates(machine)[len(axes) :]]
     # Rest states for a displacement of 1 m along each axis.
     unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in axes]
     geometry = {
@@ -119,12 +121,23 @@ def feature_parameters(
 def _transfer_gains(model: MotionModel, period: float, transfers: Sequence[int]) -> dict[str, Any]:
     """Return the gains for the first voltages of transfers to rest, designed at the center of the workspace."""
     designed = MinimumEnergyTransfers(model, period)
+    _check_transfers(designed, transfers)
     by_duration = designed.gains[_center(designed.grid), :, 0]  # (durations, drives, 2 n)
     on_state = np.concatenate([by_duration[extra] / model.rated[:, None] for extra in transfers])
     return _as_lists(
         observation=on_state @ _state_of_observation(model),
         desired_goal=-on_state @ model.goal_state(np.eye(len(model.axes))).T,
     )
+
+
+def _check_transfers(designed: MinimumEnergyTransfers, transfers: Sequence[int]) -> None:
+    """Raise an error if a machine lacks transfers of given durations, in periods beyond the shortest."""
+    longest = designed.longest - designed.shortest
+    if not 0 <= min(transfers) <= max(transfers) <= longest:
+        name = designed.model.machine.name
+        raise InputError(
+            f"transfers are {list(transfers)}; machine {name!r} has those of 0 to {longest} periods beyond the shortest"
+        )
 
 
 def _preview_gains(model: MotionModel, period: float, preview: int) -> dict[str, Any]:
@@ -267,11 +280,7 @@ class TransferBank:
         self._model = MotionModel(machine)
         self._grid = OperatingPointGrid(machine)
         designed = MinimumEnergyTransfers(self._model, period)
-        if not 0 <= min(transfers) <= max(transfers) <= designed.longest - designed.shortest:
-            raise InputError(
-                f"transfers are {list(transfers)}; machine {machine.name!r} has those of 0 to "
-                f"{designed.longest - designed.shortest} periods beyond the shortest"
-            )
+        _check_transfers(designed, transfers)
         if any(second <= first for first, second in pairwise(transfers)):
             raise InputError(f"transfers are {list(transfers)}; list durations in ascending order, each once")
         gains = [designed.gains[:, list(transfers), 0]]
@@ -283,17 +292,12 @@ class TransferBank:
         self._of_observation = _state_of_observation(self._model)
         self.size = self._gains.shape[1]
 
-    def laws(
-        self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
-    ) -> FeedbackLaws:
+    def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
         """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
-            last_action: Actions of the period before, shape (batch, drives). Not used: only `PlanBank.laws`, which is
-                called with the same arguments, needs them and the estimates.
-            estimates: Estimated parameters, shape (batch, number of estimates). Not used.
 
         Returns:
             `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
@@ -309,7 +313,7 @@ class PlanBank:
     Args:
         machine: Machine with its declared parameters.
         period: Control period, s.
-        estimator: Estimator of the parameters, whose estimates `laws` receives.
+        estimator: Estimator of the parameters; `laws` plans with its present estimates.
         durations: Durations of the transfers in periods, ascending.
 
     Attributes:
@@ -320,22 +324,18 @@ class PlanBank:
     """
 
     def __init__(self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]) -> None:
-        self._model, self.size = MotionModel(machine), len(durations)
+        self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
         self._ratios = ParameterRatios(machine, estimator.parameter_names)  # the estimator's machine has no dead time
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = _state_of_observation(self._model)
 
-    def laws(
-        self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any], estimates: Array
-    ) -> FeedbackLaws:
+    def laws(self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any]) -> FeedbackLaws:
         """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
-            estimates: Attribute `estimates` of the estimator: logarithms of the ratios of actual to declared values,
-                dimensionless, shape (batch, number of estimates).
 
         Returns:
             `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
@@ -344,7 +344,7 @@ class PlanBank:
         planned = self._transfers.plan(
             self._model.state({"observation": observation}),
             np.asarray(goal, np.float64),
-            self._ratios.parameters(estimates),
+            self._ratios.parameters(self._estimator.estimates),
             last_action * rated,
         )
         return FeedbackLaws(planned.volts / rated, planned.gains / rated[:, None] @ self._of_observation)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..atomic_files import write_text
 from ..controllers import Controller
 from ..envs import EnvConfig, as_task
-from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_times
+from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_or_none, settling_times
 
 Array = NDArray[np.float64]
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
@@ -139,9 +139,9 @@ def progress_line(row: Mapping[str, Any]) -> str:
     if "contour_rms_mm" in row:
         return f"{prefix}  contour {row['contour_rms_mm']:.3f} mm rms  tracking {row['tracking_rms_mm']:.3f} mm rms"
     fractions = ", ".join(f"{100 * row[f'success_{band}']:.1f} % within {band}" for band in BANDS)
-    if not row["success_0.2mm"]:  # the mean is then the length of the episodes
-        return f"{prefix}  {fractions}; none settles to 0.2mm"
-    return f"{prefix}  {fractions}; settles to 0.2mm in {row['settling_s_0.2mm']:.3f} s"
+    mean_s = settling_or_none(row["success_0.2mm"], row["settling_s_0.2mm"])
+    settling = "none settles to 0.2mm" if mean_s is None else f"settles to 0.2mm in {mean_s:.3f} s"
+    return f"{prefix}  {fractions}; {settling}"
 
 
 def versions(further: Sequence[str] = ()) -> dict[str, str]:
@@ -230,8 +230,8 @@ def _settling_table(scores: Mapping[str, Any]) -> str:
     """Format success and settling times by band."""
     rows = ["| band | success | mean settling, s | median | 95 % |", "| --- | ---: | ---: | ---: | ---: |"]
     for band in BANDS:
-        settling_s = scores["settling_s"][band]
-        times = " | ".join(f"{settling_s[key]:.3f}" for key in ("mean", "median", "p95"))
+        settling_s = settling_or_none(scores["success"][band], scores["settling_s"][band])
+        times = " | ".join(f"{settling_s[key]:.3f}" if settling_s else "-" for key in ("mean", "median", "p95"))
         rows.append(f"| {band} | {100 * scores['success'][band]:.1f} % | {times} |")
     return "\n".join(rows)
 

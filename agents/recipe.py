@@ -7,8 +7,10 @@ from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
 
+from ..controllers import MinimumEnergyTransfers, MotionModel
 from ..envs import EnvConfig
 from ..errors import InputError
+from ..machine import Machine
 
 ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
 # Options of the environment that a recipe cannot set: `train` sets the first two, and the features of policies expect a
@@ -100,6 +102,19 @@ class Recipe:
         """Control period of the training environment, s: `env["period"]`, or 0.01 s if the recipe does not state it."""
         return float(self.env.get("period", EnvConfig.period))
 
+    @property
+    def randomize(self) -> Any:
+        """Randomization of the training environment's machine: `env["randomize"]`, or "none" if the recipe lacks it."""
+        return self.env.get("randomize", EnvConfig.randomize)
+
+    @property
+    def longest_transfer(self) -> int:
+        """Longest transfer (motion to rest at the goal) of the recipe, control periods beyond the shortest; -1: none.
+
+        The entries `transfers` of `features` and `actuation` list them; a short machine may not have all.
+        """
+        return max((*self.features.get("transfers", ()), *self.actuation.get("transfers", ())), default=-1)
+
     def as_dict(self) -> dict[str, Any]:
         """Convert the recipe to a dictionary, for card.json.
 
@@ -117,6 +132,33 @@ def recipe_names() -> tuple[str, ...]:
     """
     files = (resources.files(__package__) / "recipes").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
+    """Raise an error if a recipe uses longer transfers (motions to rest at the goal) than a machine has.
+
+    Args:
+        recipe: Settings of a training run.
+        machine: Machine on which it is to train.
+        task: Name of the task.
+
+    Raises:
+        InputError: If the machine has no such transfer; the message lists recipes of the same task that it suits.
+    """
+    needed = recipe.longest_transfer
+    if needed < 0:
+        return
+    designed = MinimumEnergyTransfers(MotionModel(machine), recipe.period)
+    available = designed.longest - designed.shortest
+    if needed <= available:
+        return
+    others = [load_recipe(name.removesuffix(f"_{task}"), task) for name in recipe_names() if name.endswith(f"_{task}")]
+    suitable = [r.name.removesuffix(f"_{task}") for r in others if r.longest_transfer <= available and not r.start]
+    raise InputError(
+        f"recipe {recipe.name}: needs motions that last up to {needed} control periods longer than the "
+        f"shortest one, but the longest in the workspace of machine {machine.name!r} last {available} periods longer; "
+        f"choose a recipe without them: {', '.join(suitable)}"
+    )
 
 
 def load_recipe(name: str, task: str) -> Recipe:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..controllers import CONTROLLERS, DeadTime, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import Machine, observed_coordinates
 from .features import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
 
 Array = NDArray[np.float64]
@@ -131,9 +131,8 @@ class ResidualAction:
         # Attributes of an adaptive base that it adds to the observation, with their numbers of columns.
         self._base_features: dict[str, int] = getattr(self.base, "feature_sizes", {})
         self._drives = len(machine.drives)
-        axes = machine.tool_axes
-        first = len({*axes, *(drive.coordinate for drive in machine.drives)})  # after all positions
-        self.tool_speeds = slice(first, first + len(axes))
+        first = len(observed_coordinates(machine))  # after all positions
+        self.tool_speeds = slice(first, first + len(machine.tool_axes))
         self._dead_time = DeadTime(machine, period)  # holds actions instead of volts
         self._model = MotionModel(self._dead_time.machine_without_delay) if estimates else None
         switch_s = self._dead_time.remainder_s
@@ -226,9 +225,10 @@ class ResidualAction:
         goal = observation["desired_goal"]
         self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
         self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
-        if self.bank:
-            estimates = self._filter.estimates if self._filter else np.zeros((len(state), 0))
-            self.laws = self.bank.laws(state, goal, self._last_action, estimates)
+        if isinstance(self.bank, PlanBank):
+            self.laws = self.bank.laws(state, goal, self._last_action)
+        elif self.bank:
+            self.laws = self.bank.laws(state, goal)
         if self.base:
             self._base_action = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.history()}

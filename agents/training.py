@@ -26,7 +26,7 @@ from ..locked_folders import complete_commit, locked_folder
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import SCHEMA, Agent, load_weights, policy_class, policy_keywords, same_parameters
-from .agent_files import read_previous_card, refuse_to_replace, refuse_unsigned, sign_checkpoint
+from .agent_files import RESUME_FILES, read_previous_card, refuse_to_replace, refuse_unsigned, sign_checkpoint
 from .controller_source import start_agent_folder
 from .features import feature_parameters
 from .model_card import EVALUATION_EPISODES, improves, progress_line, score_agent, versions, write_card
@@ -36,7 +36,7 @@ from .optional_dependencies import (
     require_training_packages,
     single_threaded_torch,
 )
-from .recipe import ALGORITHMS, Recipe, load_recipe
+from .recipe import ALGORITHMS, Recipe, load_recipe, require_transfers
 from .residual_action import residual_action
 
 # Environment i of a run with seed s has the seed TRAINING_SEED + s * SEED_STRIDE + i. The seeds of the evaluation
@@ -45,7 +45,6 @@ EVALUATION_SEED = 1_000_000
 TRAINING_SEED = 10_000_000
 SEED_STRIDE = 100_000
 EVALUATIONS_PER_RUN = 12
-RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC, TQC, CrossQ
 SHORTEST_INTERVAL = 2_000  # environment steps between evaluations
 
 Log = Callable[[str], None]
@@ -105,9 +104,11 @@ def train(
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
     # In all of it: the decomposition that draws the first weights has other last bits with more threads.
     with locked_folder(out), single_threaded_torch():
+        declared = load_machine(machine)
+        require_transfers(recipe, declared, task)
         if not (resume or force):
-            refuse_to_replace(Path(out))
-        run = _Run(recipe, load_machine(machine), task, seed, Path(out), log, progress)
+            refuse_to_replace(Path(out), recipe.name, declared.name, seed, alone=True)
+        run = _Run(recipe, declared, task, seed, Path(out), log, progress)
         run.trust = trust
         return run.execute(recipe.steps if steps is None else steps, resume)
 
@@ -143,7 +144,7 @@ class _Run:
         self.scenario = Scenario(
             machine=machine,
             task=built_task,
-            randomize=recipe.env.get("randomize", EnvConfig.randomize),
+            randomize=recipe.randomize,
             sensors=recipe.env.get("sensors", EnvConfig.sensors),
             episodes=EVALUATION_EPISODES,
             seed=EVALUATION_SEED,
@@ -283,9 +284,10 @@ class _Run:
             "next_evaluation": self.next_evaluation,
             "random": import_module("hframe_gym.agents.sb3_adapters").random_state(model),
         }
-        pickles = {"checkpoint.zip": model.save, "environment.pkl": lambda file: pickle.dump(state, file)}
+        _, checkpoint, environment, replay = RESUME_FILES
+        pickles = {checkpoint: model.save, environment: lambda file: pickle.dump(state, file)}
         if getattr(model, "replay_buffer", None) is not None:
-            pickles["replay.pkl"] = model.save_replay_buffer
+            pickles[replay] = model.save_replay_buffer
         with output_batch(self.folder):
             if self.improved_agent is not None:
                 self.improved_agent.save(self.folder)

@@ -12,10 +12,10 @@ from ..distributed import files_of, map_tasks, write_files
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import load_machine
-from .agent_files import refuse_to_replace, sign_checkpoint
+from .agent_files import RESUME_FILES, refuse_to_replace, sign_checkpoint
 from .optional_dependencies import require_training_packages
-from .recipe import Recipe, load_recipe
-from .training import RESUME_FILES, Log, Progress, train
+from .recipe import Recipe, load_recipe, require_transfers
+from .training import Log, Progress, train
 
 
 def train_seeds(
@@ -62,11 +62,11 @@ def train_seeds(
         InputError: If an argument is wrong, a folder holds a run or is being written, or the cluster is out of reach.
         ImportError: If the extra `agents` is not installed, or the extra `ray` if the argument `ray` is given.
     """
-    if len(set(seeds)) < len(seeds):
-        raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
-    folders, done = _run_folders(Path(out), seeds, force), 0
+    declared = load_machine(machine)
+    require_transfers(recipe, declared, task)
+    folders, done = _run_folders(Path(out), recipe.name, declared.name, seeds, force), 0
 
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:
         nonlocal done
@@ -75,16 +75,18 @@ def train_seeds(
         log(f"seed {seeds[index]}: wrote {folders[index]} ({done} of {len(seeds)})")
         progress(done, len(seeds))
 
-    run = partial(_train_in_worker, recipe, load_machine(machine), task, steps, randomize, show_curves)
+    run = partial(_train_in_worker, recipe, declared, task, steps, randomize, show_curves)
     results = map_tasks(run, seeds, jobs=jobs, ray=ray, completed=write)
     return {seed: card for seed, (card, _) in zip(seeds, results, strict=True)}
 
 
-def _run_folders(out: Path, seeds: Sequence[int], force: bool) -> list[Path]:
-    """Return the folder of each seed's run; refuse one that holds a run, unless it may be replaced."""
+def _run_folders(out: Path, recipe: str, machine: str, seeds: Sequence[int], force: bool) -> list[Path]:
+    """Return the folder of each seed's run; refuse equal seeds, and a folder with a run that may not be replaced."""
+    if len(set(seeds)) < len(seeds):
+        raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
     folders = [out / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [out]
-    for folder in folders if not force else ():
-        refuse_to_replace(folder)
+    for seed, folder in zip(seeds, folders, strict=True) if not force else ():
+        refuse_to_replace(folder, recipe, machine, seed, alone=False)
     return folders
 
 

@@ -23,7 +23,7 @@ import hframe_gym.evaluation
 from benchmarks.controllers import BAND, EPISODES, RUNS, SEED
 from benchmarks.results_file import write_results
 from hframe_gym.atomic_files import write_text
-from hframe_gym.controllers.time_optimal import REVERSAL_SPEED, TimeOptimalMotion, TimeOptimalReach
+from hframe_gym.controllers.time_optimal import SMOOTHED_REVERSAL_SPEED, TimeOptimalMotion, TimeOptimalReach
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.evaluation import (
     BANDS,
@@ -125,7 +125,7 @@ def discretization_error(conditions: EpisodeConditions) -> dict[str, Any]:
         "as stored": (base, 1.0),
         "intervals x 2": (TimeOptimalReach(conditions.machine, band=BANDS[BAND], intervals=(120, 40)), 1.0),
         "turning / 3": (
-            TimeOptimalReach(conditions.machine, band=BANDS[BAND], reversal_speed=REVERSAL_SPEED / 3.0),
+            TimeOptimalReach(conditions.machine, band=BANDS[BAND], reversal_speed=SMOOTHED_REVERSAL_SPEED / 3.0),
             1.0,
         ),
         "guess x 1.6": (base, 1.6),

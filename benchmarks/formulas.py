@@ -96,14 +96,14 @@ def _row(comparison: TableComparison) -> dict[str, Any]:
     """Return the errors of a table and of its formulas."""
     chosen = next(f for f in comparison.formulas if f.recommended)
     return {
-        "table_error": comparison.noise_ratio,
+        "table_error": comparison.mean_noise_ratio,
         "formula": chosen.effect.text,
         "terms": chosen.effect.formula.name,
         "parameters": chosen.effect.values,
         "complexity": chosen.effect.formula.complexity,
-        "formula_error": chosen.noise_ratio,
-        "within": chosen.noise_ratio <= WITHIN * comparison.noise_ratio,
-        "considered": {f.effect.formula.name: f.noise_ratio for f in comparison.formulas},
+        "formula_error": chosen.mean_noise_ratio,
+        "within": chosen.mean_noise_ratio <= WITHIN * comparison.mean_noise_ratio,
+        "considered": {f.effect.formula.name: f.mean_noise_ratio for f in comparison.formulas},
     }
 
 

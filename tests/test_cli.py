@@ -21,12 +21,15 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
+from hframe_gym import agents
 from hframe_gym.cli import control_commands
 from hframe_gym.cli import tables as cli_tables
-from hframe_gym.cli.support import log_time_estimate
+from hframe_gym.cli.app import CONTROL_PERIOD
+from hframe_gym.cli.support import log_time_estimate, training_proposal
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
+from hframe_gym.envs import EnvConfig
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -578,15 +581,33 @@ def test_a_scorecard_of_one_axis_has_its_positions(hframe_command: Command, tmp_
     assert "Next: hframe train ppo --machine axis --task reach --out FOLDER, then evaluate FOLDER too\n" in out
 
 
+def test_the_control_period_of_the_commands_is_that_of_the_environments() -> None:
+    assert EnvConfig.period == CONTROL_PERIOD
+
+
+def test_a_proposal_to_train_names_what_differs_from_the_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = agents.load_recipe("ppo", "reach")
+    slow = dataclasses.replace(recipe, env={**recipe.env, "period": 0.02, "randomize": "wide"})
+    same = "Next: hframe train ppo --machine 'my rig.json' --task reach --out FOLDER, then evaluate FOLDER too"
+    assert training_proposal("my rig.json", "reach", recipe.randomize, recipe.period) == same
+    monkeypatch.setattr(agents, "load_recipe", lambda name, task: slow)
+    assert training_proposal("my rig.json", "reach", "wide", 0.02) == same
+    other = training_proposal("hframe", "reach", "default", 0.01)
+    assert " --randomize default --out FOLDER" in other
+    assert other.endswith(" too with --period 0.02, the control period of the recipe")
+    assert training_proposal("hframe", "my_package.tasks:juggle", "default", 0.01) == ""
+
+
 @pytest.mark.train
 def test_the_proposed_commands_repeat_randomization_and_period(hframe_command: Command, tmp_path: Path) -> None:
     options = ("--machine", "axis", "--randomize", "wide")
     words = ("evaluate", "pid", *options, "--period", 0.005, "--episodes", 2, "--out", tmp_path / "scores")
     proposed = "hframe train ppo --machine axis --task reach --randomize wide --out FOLDER, then evaluate FOLDER too"
-    assert f"Next: {proposed} with --period 0.01, the control period of the recipes\n" in hframe_command(*words)[1]
-    out = hframe_command("train", "ppo", *options, "--steps", 1, "--out", tmp_path / "agent")[1]
-    folder = tmp_path / "agent"
-    assert f"Next: hframe evaluate {folder} pid --machine axis --task reach --randomize wide --html" in out
+    assert f"Next: {proposed} with --period 0.01, the control period of the recipe\n" in hframe_command(*words)[1]
+    folder = tmp_path / "an agent"
+    out = hframe_command("train", "ppo", *options, "--steps", 1, "--out", folder)[1]
+    proposed = f"pid --machine axis --task reach --randomize wide --out '{folder / 'scores'}' --html"
+    assert f"Next: hframe evaluate '{folder}' {proposed}\n" in out
     again = hframe_command("train", "ppo", *options, "--steps", 1, "--out", folder)
     assert_refused(again, "holds the agent ppo of machine 'axis', seed 0", "--resume", "--force")
     assert hframe_command("train", "ppo", *options, "--steps", 1, "--force", "--out", folder)[0] == 0

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import jsonschema
@@ -147,8 +148,24 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     import os
 
     (tmp_path / "old.json").write_text("{}")
-    wrong = ["old.json", "rig.txt"]  # each is refused and asked for again, also the travel in millimeters
-    answers = ["axis", *wrong, "rig.json", "600", "0.6", "2.5", "0.012", "", "1e-5", "", "", "24", "500", "n"]
+    # Each wrong answer is refused and asked for again: the template, two files, the travel in millimeters, no sensors.
+    answers = [
+        "axes",
+        "axis",
+        "old.json",
+        "rig.txt",
+        "rig.json",
+        "600",
+        "0.6",
+        "2.5",
+        "0.012",
+        "",
+        "1e-5",
+        "",
+        "",
+        "24",
+    ]
+    answers += ["0", "n", "500", "n"]
     controller, terminal = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "hframe_gym", "machines", "new"]
@@ -160,9 +177,17 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     os.close(controller)
     os.close(terminal)
     assert process.returncode == 0, out
-    for refusal in ("old.json: exists already", "rig.txt: must end in .json", "--travel 600: is it in millimeters?"):
+    assert "axes: there is no such template" in out
+    for refusal in (
+        "old.json: exists already",
+        "rig.txt: must end in .json",
+        " 600: is it in millimeters? Give it in m",
+    ):
         assert refusal in out
+    assert "no sensor is left: give the lines of encoders, or keep the linear sensor" in out
     assert "along x: 2.569 kg with the rotors, " in out
+    assert out.count("check the units of the values you entered") == 1
+    assert "--" not in out.partition("next: ")[0]  # a user who answers questions knows no options
     assert (tmp_path / "old.json").read_text() == "{}"
     machine = load_machine(tmp_path / "rig.json")
     assert machine.drives[0].gear_ratio == pytest.approx(1 / 0.012)
@@ -170,6 +195,36 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     assert machine.drives[0].Kt == 0.05
     assert [(s.channel, s.kind) for s in machine.sensors] == [("x_m", "encoder")]
     assert machine.coordinate("x").range == (-0.3, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("given", "typed", "sensors"),
+    [
+        ({"like": "corexy", "encoder_lines": 0}, [], ["x_m", "y_m"]),
+        ({"like": "axis", "linear_sensor": False}, [0, 400], ["x_m"]),
+        ({"like": "hframe", "linear_sensor": False}, [0, 400], ["phi1_rad", "phi2_rad"]),
+    ],
+    ids=["no encoders", "the template has no encoders", "the template has encoders"],
+)
+def test_an_answer_that_leaves_no_sensor_is_asked_for_again(
+    given: dict[str, Any], typed: list[int], sensors: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """One part of the sensors is an option, the other a question."""
+    from hframe_gym.cli import machine_questions
+
+    said: list[str] = []
+    confirmed = iter((False, True))
+    numbers = iter(typed)
+
+    def prompt(text: str, default: Any, type: Any = None) -> Any:
+        return next(numbers) if text.startswith("Lines") else default
+
+    monkeypatch.setattr(machine_questions.typer, "prompt", prompt)
+    monkeypatch.setattr(machine_questions.typer, "confirm", lambda text, default: next(confirmed))
+    answers = machine_questions.MachineAnswers(out=tmp_path / "m.json", **given)
+    options = machine_questions.ask(answers, said.append).options()
+    assert [s.channel for s in machine_questions.new_machine(given["like"], "m", options).sensors] == sensors
+    assert sum(line.startswith("no sensor is left") for line in said) == 1
 
 
 def test_accepted_defaults_give_the_template_to_the_last_digit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

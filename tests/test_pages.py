@@ -218,6 +218,16 @@ def test_a_controller_that_never_settles_is_not_praised(tmp_path: Path) -> None:
     text = scorecard_page("reach", tmp_path, **scores).read_text()
     assert "No controller succeeds" in text
     assert text.count("<td>–<small>") == 4  # no settling time to the three bands, and no bound
+    assert "Settling time to" not in text  # no plot of the length of the episodes
+
+
+def test_the_plot_of_settling_times_leaves_out_a_controller_that_never_settles(tmp_path: Path) -> None:
+    recorded = {name: episodes_of(0, contour=False, decay_s=s) for name, s in {"pid": 0.04, "idle": 10.0}.items()}
+    scores = {"controllers": {name: score_episodes(episodes) for name, episodes in recorded.items()}}
+    text = scorecard_page("reach", tmp_path, **scores).read_text()
+    (described,) = re.findall(r"Settling time to 0.2 mm, mean over the episodes: ([^\"]*)\.", text)
+    assert "pid" in described
+    assert "idle" not in described
 
 
 def test_a_panel_has_a_label_and_identifiers_of_its_own() -> None:

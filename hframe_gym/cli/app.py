@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterable
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -71,6 +72,7 @@ ControllersArgument = Annotated[
 SensorsOption = Annotated[
     str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
 ]
+CONTROL_PERIOD = 0.01  # s, as in EnvConfig, which is not imported because it would delay every command
 PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
 RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
 RayOption = Annotated[
@@ -80,6 +82,11 @@ RayOption = Annotated[
         help="Run on a Ray cluster at HOST:PORT, or auto to find it; with --ray alone, Ray starts on this machine.",
     ),
 ]
+
+
+def register_agents() -> None:
+    """Register the trained agents as controllers, also where the package is used without its installed entry points."""
+    import_module("hframe_gym.agents")
 
 
 def log(line: str) -> None:

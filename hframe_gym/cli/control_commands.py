@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +15,7 @@ from ..distributed import map_tasks
 from ..errors import InputError
 from ..locked_folders import locked_folder
 from .app import (
+    CONTROL_PERIOD,
     MAX_SEED,
     CommandWithChoices,
     ControllersArgument,
@@ -29,6 +30,7 @@ from .app import (
     app,
     console,
     log,
+    register_agents,
 )
 from .support import (
     option_words,
@@ -36,7 +38,7 @@ from .support import (
     repeat_warnings,
     require_folder,
     task_with_path,
-    training_period_note,
+    training_proposal,
     value_errors_as_input_errors,
 )
 
@@ -100,8 +102,8 @@ def train(
             bar.update(bar_task, completed=done, total=total)
 
         run_training(algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust, force)
-    options = option_words(machine=machine, task=task, randomize=randomize)
-    log(f"wrote {out}. Next: hframe evaluate {out} pid{options} --html --out {out / 'scores'}")
+    options = option_words(machine=machine, task=task, randomize=randomize, out=str(out / "scores"))
+    log(f"wrote {out}. Next: hframe evaluate {shlex.quote(str(out))} pid{options} --html")
 
 
 def _train_seeds(out: Path, **options: Any) -> None:
@@ -126,7 +128,7 @@ def evaluate(
     ] = None,
     randomize: RandomizeOption = "default",
     sensors: SensorsOption = "state",
-    period: PeriodOption = 0.01,
+    period: PeriodOption = CONTROL_PERIOD,
     episodes: EpisodesOption = 512,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of starts, goals and parameters.")] = 0,
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
@@ -164,9 +166,9 @@ def evaluate(
             log(reason)
         for file in _write_evaluation(out, scores, recorded, warned if html else None, declared.name):
             log(f"wrote {file}")
-    if all(name in CONTROLLERS for name in scores["controllers"]):  # no agent among them
-        words = option_words(machine=machine, task=task, randomize=None if randomize == "default" else randomize)
-        log(f"Next: hframe train ppo{words} --out FOLDER, then evaluate FOLDER too{training_period_note(period)}")
+    with_agents = any(name not in CONTROLLERS for name in scores["controllers"])
+    if not with_agents and (proposal := training_proposal(machine, task, randomize, period)):
+        log(proposal)
 
 
 def _evaluate_all(
@@ -188,8 +190,7 @@ def _evaluate_group(
     """Evaluate controllers; return scores, recorded episodes and the texts of warnings."""
     from ..evaluation import evaluate as run_evaluation
 
-    # Registers the agents as controllers, also where the package is used without its installed entry points.
-    import_module("hframe_gym.agents")
+    register_agents()
     with repeat_warnings() as warned:
         scores, recorded = run_evaluation(controllers, **options)
     return scores, recorded, warned
@@ -253,7 +254,7 @@ def _protocol_result(protocol_name: str, controller: str) -> dict[str, Any]:
     """Run a controller through a fixed benchmark and return the content of its result file."""
     from ..evaluation import get_protocol, result_content, run_protocol
 
-    import_module("hframe_gym.agents")
+    register_agents()
     protocol = get_protocol(protocol_name)
     return result_content(protocol, *run_protocol(controller, protocol))
 
@@ -266,7 +267,7 @@ def export(
     task: TaskOption = "reach",
     randomize: RandomizeOption = "none",
     sensors: SensorsOption = "state",
-    period: PeriodOption = 0.01,
+    period: PeriodOption = CONTROL_PERIOD,
     episodes: EpisodesOption = 100,
     seed: Annotated[
         int, typer.Option(min=0, max=MAX_SEED, help="Seed of the first episode; episode i has the seed + i.")
@@ -283,7 +284,7 @@ def export(
     """
     from ..evaluation import Scenario, export_dataset, make_controller
 
-    import_module("hframe_gym.agents")  # registers the agents as controllers
+    register_agents()
     with value_errors_as_input_errors():
         options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
         scenario = Scenario(machine, task, period=period, **options)
@@ -314,7 +315,7 @@ def play(
     ] = None,
     randomize: RandomizeOption = "none",
     sensors: SensorsOption = "state",
-    period: PeriodOption = 0.01,
+    period: PeriodOption = CONTROL_PERIOD,
     speed: Annotated[
         float, typer.Option(min=0.001, max=100.0, help="Speed relative to real time; a hand is slower than a motor.")
     ] = 0.3,
@@ -333,7 +334,7 @@ def play(
     from ..evaluation.play import Game
     from ..recordings import load_machine
 
-    import_module("hframe_gym.agents")  # registers the agents as controllers
+    register_agents()
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "seed": seed, "period": period}
     with value_errors_as_input_errors():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -96,7 +98,8 @@ class MachineAnswers:
 def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str], None]) -> None:
     """Write a new machine.json from the options of `hframe machines new`.
 
-    If the template or the file is not given, all missing values are asked for on the terminal.
+    If the template or the file is not given, it is asked for on the terminal, and so is every value that has a question
+    (`ask`) and is not given.
 
     Args:
         answers: Values of the command's options, empty or None where not given.
@@ -106,38 +109,38 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
     Raises:
         InputError: If a value is wrong, the file exists, or something is missing and there is no terminal.
     """
-    if not answers.like or answers.out is None:
-        missing = " and ".join(f"--{name}" for name in ("like", "out") if not getattr(answers, name))
-        if not sys.stdin.isatty():
-            raise InputError(f"{missing}: missing, for example hframe machines new --like corexy --out my.json")
+    if answers.out and (obstacle := file_obstacle(answers.out, force)):
+        replacing = ", or replace it with --force" if obstacle.startswith("exists") else ""
+        raise InputError(f"--out {answers.out}: {obstacle}{replacing}")
+    missing = " and ".join(f"--{name}" for name in ("like", "out") if not getattr(answers, name))
+    if missing and not sys.stdin.isatty():
+        raise InputError(f"{missing}: missing, for example hframe machines new --like corexy --out my.json")
+    if missing:
         answers = ask(answers, log, force)
-    path = require_new_file(answers.out, force)
+    path = answers.out or Path(f"my_{answers.like}.json")
     machine = new_machine(answers.like, answers.name or path.stem, answers.options())
     write_machine_template(answers.like, machine, path)
     log(f"wrote {path}: {answers.like} with {', '.join(machine.input_channels + machine.output_channels)}")
     for line in motion_lines(machine):
         log(line)
-    log(f"next: edit its values, then `hframe machines show {path}` and `hframe check RUNS --machine {path}`")
+    log("if one of these values is implausible, check the units of the values you entered")
+    word = shlex.quote(str(path))
+    log(f"next: edit its values, then `hframe machines show {word}` and `hframe check RUNS --machine {word}`")
 
 
-def require_new_file(path: Path | None, force: bool) -> Path:
-    """Raise an error if a machine cannot be written to a file.
+def file_obstacle(path: Path, force: bool) -> str:
+    """Return why a new machine cannot be written to a file.
 
     Args:
-        path: Value of --out.
+        path: File that the user has named.
         force: Whether an existing file is replaced.
 
     Returns:
-        The same path.
-
-    Raises:
-        InputError: If the name does not end in .json, or the file exists and is not to be replaced.
+        What is wrong with the file and what to do; empty if nothing is.
     """
-    if path is None or path.suffix != ".json":
-        raise InputError(f"--out {path}: must end in .json")
-    if path.exists() and not force:
-        raise InputError(f"--out {path}: exists already; choose another name, or replace it with --force")
-    return path
+    if path.suffix != ".json":
+        return "must end in .json"
+    return "exists already; choose another name" if path.exists() and not force else ""
 
 
 def motion_lines(machine: Machine) -> list[str]:
@@ -153,15 +156,14 @@ def motion_lines(machine: Machine) -> list[str]:
     for name, limit in motion_limits(machine).items():
         c = machine.coordinate(name)
         values = f"{limit.force:.3g} {c.unit('force')} at rest, up to {limit.speed:.3g} {c.unit('speed')}"
-        moved = f"{limit.inertia:.4g} {c.unit('mass')} with the rotors"
-        lines.append(f"along {name}: {moved}, {values}; if this is implausible, a value has another unit")
+        lines.append(f"along {name}: {limit.inertia:.4g} {c.unit('mass')} with the rotors, {values}")
     return lines
 
 
 def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False) -> MachineAnswers:
-    """Ask on the terminal for every value that is not given; Enter accepts the value of the template.
+    """Ask on the terminal for template, file, sensors and those values of `_QUESTIONS` that are not given.
 
-    A value that cannot be used is asked for again.
+    Enter accepts the value of the template. An answer that cannot be used is asked for again.
 
     Args:
         answers: Values of the command's options, empty or None where not given.
@@ -169,43 +171,69 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
         force: Whether an existing file is replaced.
 
     Returns:
-        Answers without missing values.
+        Answers with template, file and sensors; a value stays empty or None where the user accepts the template's.
 
     Raises:
-        InputError: If the template is unknown, or an option given before cannot be used.
+        InputError: If an option given before cannot be used, for example an unknown template.
     """
     log("Enter accepts the value in brackets. All values are in SI units.")
-    like = answers.like or typer.prompt("Template (hframe, axis or corexy)", default="corexy")
-    given = dataclasses.replace(answers, linear_sensor=None)  # whether a sensor is left shows at the end
-    new_machine(like, "template", given.options())  # refuses wrong options before the first question
-    template = new_machine(like, "template", MachineOptions())
-    new: dict[str, object] = {"like": like, "out": answers.out and require_new_file(answers.out, force)}
-
-    def accepted(**values: object) -> bool:
-        """Return whether answers can be used; otherwise say why not."""
-        try:
-            trial = dataclasses.replace(given, **(new | values))  # type: ignore[arg-type]
-            require_new_file(trial.out, force)
-            new_machine(like, "template", trial.options())
-        except InputError as error:
-            log(str(error))
-            return False
-        return True
-
-    while new["out"] is None:
+    like = answers.like
+    while not like:
+        like = typer.prompt(f"Template ({', '.join(TEMPLATES)})", default="corexy")
+        if like not in TEMPLATES:
+            log(f"{like}: there is no such template")
+            like = ""
+    answers = dataclasses.replace(answers, like=like)
+    # Refuses wrong options before the first question. Encoders that no option gives can still be answered.
+    lines_given = answers.encoder_lines is not None
+    new_machine(like, "template", (answers if lines_given else _with_linear_sensor(answers)).options())
+    while answers.out is None:
         path = Path(typer.prompt("File to write", default=f"my_{like}.json"))
-        new["out"] = path if accepted(out=path) else None
+        obstacle = file_obstacle(path, force)
+        if obstacle:
+            log(f"{path}: {obstacle}")
+        else:
+            answers = dataclasses.replace(answers, out=path)
     for option, question, templates in _QUESTIONS:
-        default = template_value(template, option)
-        while like in templates and getattr(answers, option) in ("", None) and option not in new:
-            answer = typer.prompt(question, default=default, type=type(default))
-            if answer == default:  # the template's value stays, to the last digit
-                break
-            new |= {option: answer} if accepted(**{option: answer}) else {}
-    if answers.linear_sensor is None:
+        if like in templates and getattr(answers, option) in ("", None):
+            answers = _ask_value(answers, option, question, log)
+    while answers.linear_sensor is None:
         axes = "x" if like == "axis" else "x and y"
-        new["linear_sensor"] = typer.confirm(f"Does a sensor measure {axes} directly?", default=True)
-    return dataclasses.replace(answers, **new)  # type: ignore[arg-type]
+        measured = typer.confirm(f"Does a sensor measure {axes} directly?", default=True)
+        trial = dataclasses.replace(answers, linear_sensor=measured)
+        if _is_usable(trial, log):
+            answers = trial
+        elif not lines_given:
+            option, question, _ = _QUESTIONS[-1]
+            answers = _ask_value(dataclasses.replace(answers, encoder_lines=None), option, question, log)
+    return answers
+
+
+def _ask_value(answers: MachineAnswers, option: str, question: str, log: Callable[[str], None]) -> MachineAnswers:
+    """Ask for the value of an option until it can be used, and return the answers with it."""
+    default = template_value(new_machine(answers.like, "template", MachineOptions()), option)
+    while True:
+        answer = typer.prompt(question, default=default, type=type(default))
+        # The template's value stays, to the last digit.
+        answered = answers if answer == default else dataclasses.replace(answers, **{option: answer})
+        # Whether a sensor is left shows with the last value, the encoders.
+        if _is_usable(answered if option == "encoder_lines" else _with_linear_sensor(answered), log):
+            return answered
+
+
+def _with_linear_sensor(answers: MachineAnswers) -> MachineAnswers:
+    """Return answers with sensors that measure x and y."""
+    return dataclasses.replace(answers, linear_sensor=True)
+
+
+def _is_usable(answers: MachineAnswers, log: Callable[[str], None]) -> bool:
+    """Return whether a machine can be made with the answers; otherwise say why not, without the names of options."""
+    try:
+        new_machine(answers.like, "template", answers.options())
+    except InputError as error:
+        log(re.sub(r" \(--[\w-]+\)|--[\w-]+:? ", "", str(error)))
+        return False
+    return True
 
 
 def template_value(template: Machine, option: str) -> str | float | int:

@@ -123,20 +123,26 @@ def option_words(**values: str | None) -> str:
     return "".join(f" --{name} {shlex.quote(value)}" for name, value in values.items() if value is not None)
 
 
-def training_period_note(period: float) -> str:
-    """Return a note for a message that proposes training, if an evaluation had another control period than training.
+def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
+    """Propose to train an agent with the settings of an evaluation of controllers.
 
     Args:
+        machine: Value of the option --machine.
+        task: Value of the option --task.
+        randomize: Value of the option --randomize.
         period: Control period of the evaluation, s.
 
     Returns:
-        Words that follow "evaluate FOLDER too"; empty if the recipes have this control period.
+        One line of text with the command; empty if no recipe exists for the task.
     """
-    from ..envs import EnvConfig
+    from ..agents import load_recipe, recipe_names
 
-    if period == EnvConfig.period:
+    if f"ppo_{task}" not in recipe_names():
         return ""
-    return f" with --period {EnvConfig.period:g}, the control period of the recipes"
+    recipe = load_recipe("ppo", task)
+    words = option_words(machine=machine, task=task, randomize=None if randomize == recipe.randomize else randomize)
+    note = "" if period == recipe.period else f" with --period {recipe.period:g}, the control period of the recipe"
+    return f"Next: hframe train ppo{words} --out FOLDER, then evaluate FOLDER too{note}"
 
 
 @contextmanager
@@ -332,7 +338,7 @@ def write_new_effect(folder: Path, name: str, path: Path, number: int, table: st
 
     proposed = formulas_of_folder(folder, name, table)
     for index, p in enumerate(proposed, start=1):
-        error = f", {p.noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
+        error = f", {p.mean_noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
         form = p.effect.formula
         mark = " (recommended)" if p.recommended else ""
         log(f"{index}. {p.effect.text}: {form.name}, {form.complexity} parameters{error}{mark}")

@@ -91,15 +91,13 @@ def score_table(scores: Mapping[str, Any]) -> Table:
 
 def _settling_cells(score: Mapping[str, Any]) -> list[str]:
     """Return the mean settling times, s, and the ratio of the mean settling time to the mean time-optimal bound."""
-    times = [_settling_text(score["success"][band], score["settling_s"][band]["mean"]) for band in BANDS]
+    from ..evaluation import settling_or_none
+
+    settling = (settling_or_none(score["success"][band], score["settling_s"][band]) for band in BANDS)
+    times = [f"{scores['mean']:.3f}" if scores else "-" for scores in settling]
     over_bound = (score.get("over_bound") or {}).get(BOUND_BAND) or {}
     ratio = (over_bound.get("ratio_of_means") or {}).get("mean")
     return [*times, f"{ratio:.3f}" if ratio else "-"]
-
-
-def _settling_text(success: float, mean_s: float) -> str:
-    """Return a mean settling time, s, or "-" if no episode settles: the mean is then the length of the episodes."""
-    return f"{mean_s:.3f}" if success else "-"
 
 
 def _path_cells(score: Mapping[str, Any]) -> list[str]:
@@ -118,6 +116,8 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
         episodes, %, that settle within 1, 0.2 and 0.05 mm, and the mean settling time to 0.2 mm, s, with its 95 %
         interval. For paths: root mean square and largest contour error, mm, with their intervals.
     """
+    from ..evaluation import settling_or_none
+
     tables = []
     for part, first in results[0]["scores"].items():
         moves = "final_error_mm" in first
@@ -131,11 +131,10 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
             settling = [scores[f"settling_s.{band}"] for band in BANDS] if moves else []
             means = [scores[f"settling_s.{BOUND_BAND}"]] if moves else scores.values()
             cells = [f"{100 * score['success']:.1f}" for score in settling]
+            known = (settling_or_none(score.get("success", 1.0), score) for score in means)
             cells += [
-                "{mean:.4f} ({0:.4f} to {1:.4f})".format(*score["ci95"], mean=score["mean"])
-                if score.get("success", 1.0)
-                else "-"
-                for score in means
+                "{mean:.4f} ({0:.4f} to {1:.4f})".format(*score["ci95"], mean=score["mean"]) if score else "-"
+                for score in known
             ]
             table.add_row(escape(result["entry"]["name"]), *cells)
         tables.append(table)

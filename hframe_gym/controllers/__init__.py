@@ -28,6 +28,7 @@ from .base import (
     OutputFeedbackController,
     check_period,
 )
+from .estimation_model import ParameterRatios
 from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, PreviewTracker
 from .input_compensation import DeadTime, InputInversion
 from .linear_motion import SimulatedTransfers
@@ -54,6 +55,7 @@ __all__ = [
     "OperatingPointGrid",
     "OutputFeedbackController",
     "ParameterFilter",
+    "ParameterRatios",
     "ParameterWindow",
     "PredictiveController",
     "PreviewGains",

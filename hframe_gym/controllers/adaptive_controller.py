@@ -51,7 +51,7 @@ FRICTION_STD, MASS_STD, BELT_STD = 0.5, 0.1, 0.2
 # coordinates that reverse during the period, and for the tool a fraction of the belt force, because the belts' lengths
 # are inaccurate too.
 BALANCE_NOISE, REVERSAL_NOISE, BELT_FORCE_NOISE = 0.7, 1.0, 0.15
-REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes: tanh(v / REVERSAL_SPEED)
+MEAN_REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes, in means over a period: tanh(v / it)
 
 
 @CONTROLLERS.register("adaptive-pid")
@@ -282,7 +282,7 @@ class MomentumFilter:
         H = np.zeros((*D.shape, len(self._prior_std)))
         H[:, :, :-1] = -np.concatenate([friction, inertial], axis=1)[:, None] * np.hstack([self._rows] * 2)
         H[:, axes:, -1] = belt_force
-        reversal = np.tanh(velocities[1] / REVERSAL_SPEED) - np.tanh(velocities[0] / REVERSAL_SPEED)
+        reversal = np.tanh(velocities[1] / MEAN_REVERSAL_SPEED) - np.tanh(velocities[0] / MEAN_REVERSAL_SPEED)
         variance = BALANCE_NOISE**2 + REVERSAL_NOISE**2 * (reversal * model.coulomb) ** 2 @ self._rows.T**2
         variance[:, axes:] += (BELT_FORCE_NOISE * belt_force) ** 2
         return D, H, variance
@@ -340,11 +340,11 @@ def _interpolation_weights(values: Array, grid: Array) -> Array:
 
 
 def _mean_direction(before: Array, after: Array) -> Array:
-    """Return the mean of tanh(v / REVERSAL_SPEED) while velocities change linearly from `before` to `after`."""
-    change = (after - before) / REVERSAL_SPEED
+    """Return the mean of tanh(v / MEAN_REVERSAL_SPEED) while velocities change linearly from `before` to `after`."""
+    change = (after - before) / MEAN_REVERSAL_SPEED
     # The integral of tanh is log cosh.
-    integral = np.logaddexp(after / REVERSAL_SPEED, -after / REVERSAL_SPEED)
-    integral = integral - np.logaddexp(before / REVERSAL_SPEED, -before / REVERSAL_SPEED)
+    integral = np.logaddexp(after / MEAN_REVERSAL_SPEED, -after / MEAN_REVERSAL_SPEED)
+    integral = integral - np.logaddexp(before / MEAN_REVERSAL_SPEED, -before / MEAN_REVERSAL_SPEED)
     constant = np.abs(change) < 1e-4  # where the quotient below would lose its digits
-    at_middle = np.tanh(0.5 * (before + after) / REVERSAL_SPEED)
+    at_middle = np.tanh(0.5 * (before + after) / MEAN_REVERSAL_SPEED)
     return np.asarray(np.where(constant, at_middle, integral / np.where(constant, 1.0, change)))

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import mode_frequencies
 from .base import check_period
-from .linear_motion import reachability, state_scale
+from .linear_motion import reachability, scaled_matrices, state_scale
 from .motion_model import MotionModel, OperatingPointGrid
 
 Array = NDArray[np.float64]
@@ -187,9 +187,8 @@ class MinimumEnergyTransfers:
         start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)
         N = int(self.select(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
-        A, B = self._matrices[int(self.grid.nearest(goal)[0])]
+        A, B = scaled_matrices(*self._matrices[int(self.grid.nearest(goal)[0])])
         scale = state_scale(len(A))
-        A, B = A / scale[:, None] * scale, B / scale[:, None]
         powers = [np.eye(len(A))]
         for _ in range(N):
             powers.append(A @ powers[-1])

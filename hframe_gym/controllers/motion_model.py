@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, argument_names, rest_state
+from ..machine import AppliedEffect, Machine, argument_names, observed_coordinates, rest_state
 
 Array = NDArray[np.float64]
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
-# m/s: the direction of friction is tanh(v / REVERSAL_SPEED). Far below the speeds of a move, and far above what remains
-# at its end, so that the voltage does not chatter with the sign of noise.
-REVERSAL_SPEED = 0.02
+# m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of a move,
+# and far above what remains at its end, so that the voltage does not chatter with the sign of noise.
+FRICTION_COMPENSATION_SPEED = 0.02
 
 
 class OperatingPointGrid:
@@ -93,7 +93,7 @@ class MotionModel:
         names = machine.coordinate_names
         self.machine = machine
         self.axes = axes = machine.tool_axes
-        self.observed = (*axes, *(d.coordinate for d in machine.drives if d.coordinate not in axes))
+        self.observed = observed_coordinates(machine)
         if not axes or len(machine.drives) != len(axes) or sorted(self.observed) != sorted(names):
             raise InputError(
                 f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, one"
@@ -271,7 +271,7 @@ class MotionModel:
 
     def _direction(self, state: Array) -> Array:
         """Return the smoothed direction of motion of each coordinate (B, n), within [-1, 1]."""
-        return np.tanh(state[:, len(self.mass) :] / REVERSAL_SPEED)
+        return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
     def static_stretch(self, force: Array, goal: Array) -> Array:
         """Compute the displacement of the motors at which the stretched belts balance a force on the tool, at rest.

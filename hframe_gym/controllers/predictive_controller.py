@@ -28,7 +28,7 @@ from ..machine import Machine
 from .base import CONTROLLERS, Feedback, FullStateController, Mask
 from .finite_horizon_control import HORIZON_S, longest_transfer_s
 from .input_compensation import DeadTime, InputInversion
-from .linear_motion import LinearMotion, opposing_friction
+from .linear_motion import LinearMotion
 from .motion_model import MotionModel, OperatingPointGrid
 from .parameter_estimators import ParameterWindow
 from .predictive_plans import ArrivalPlanner, PlanSimulation
@@ -161,9 +161,7 @@ class PredictiveController(FullStateController):
         goal = goals[:, 0]
         error = state - self.model.goal_state(goal)
         elapsed_s = self._elapsed.astype(np.float64) * self.period
-        force = opposing_friction(self._undelayed_model, state, error, parameters) + self.model.effect_force(
-            state, elapsed_s
-        )
+        force = self._linear.opposing_friction(state, error, parameters) + self.model.effect_force(state, elapsed_s)
         force += self.estimator.offset @ self.model.drive.T
         self._arrival_planner.predict(self._linear.matrices(parameters, goal), error, force)
         plans = self._plan_arrival()

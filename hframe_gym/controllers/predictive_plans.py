@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import mode_frequencies, rollout
 from .base import SIMULATION_STEP_S
-from .linear_motion import state_scale
+from .linear_motion import scaled_matrices, state_scale
 from .motion_model import MotionModel
 
 Array = NDArray[np.float64]
@@ -77,10 +77,8 @@ class ArrivalPlanner:
                 its velocity, m and m/s, shape (B, 2 n).
             force: Force on each coordinate until the tool arrives, for example friction, N, shape (B, n).
         """
-        scale = self._scale
-        A = matrices[0] / scale[:, None] * scale
-        pulse, push = matrices[1] / scale[:, None], np.einsum("bij,bj->bi", matrices[2] / scale[:, None], force)
-        state = error / scale
+        A, pulse, force_response = scaled_matrices(*matrices)
+        push, state = np.einsum("bij,bj->bi", force_response, force), error / self._scale
         pulses, states, pushes = [pulse], [state], [np.zeros_like(push), push]
         for _ in range(self._longest + self._hold):
             pulses.append(A @ pulses[-1])

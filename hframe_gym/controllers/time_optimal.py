@@ -37,7 +37,7 @@ except ImportError as error:
 Array = NDArray[np.float64]
 HOLD_S = 0.04  # s, in which the tool comes to rest within the band; twice as long changes T by less than 1 us
 DEGREE = 2  # Radau points per interval: third order, and L-stable, which steep friction needs
-REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 0.5 to 1 m/s
+SMOOTHED_REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 0.5 to 1 m/s
 EFFORT_WEIGHT_S = 1e-6  # s, weight of the mean squared voltage: selects one of several motions of nearly equal T
 LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search
 # By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of 1e-7 s per
@@ -103,7 +103,7 @@ class TimeOptimalReach:
         *,
         band: float = 2e-4,
         intervals: tuple[int, int] = (60, 20),
-        reversal_speed: float = REVERSAL_SPEED,
+        reversal_speed: float = SMOOTHED_REVERSAL_SPEED,
     ) -> None:
         check_supported(machine)
         self.machine = machine

@@ -75,13 +75,13 @@ class ParameterSpace:
         bounds |= {name: (0.0, MAXIMUM_CONVERTER_BITS) for name in values if name.endswith(".converter_bits")}
         defaults = {name: SMALLEST_FRACTION * value if value >= 0.0 else -math.inf for name, value in values.items()}
         defaults |= {name: 0.0 for name in values if name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))}
-        lower, upper = np.array([bounds.get(name, (low, math.inf)) for name, low in defaults.items()]).T.copy()
+        lower = np.array([bounds.get(name, (low, math.inf))[0] for name, low in defaults.items()], np.float64)
+        upper = np.array([bounds.get(name, (low, math.inf))[1] for name, low in defaults.items()], np.float64)
         # Idler pulleys divide a belt into sections whose lengths are tied to one of them. The shortest section can need
         # a longer belt than a rule for all belts yields. This is no mistake of the user, so the samples are clipped.
         names = tuple(values)
         clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
-        nominal = np.array(list(values.values()), np.float64)
-        return cls(machine.name, names, nominal, lower, upper, frozenset(clipped))
+        return cls(machine.name, names, np.array(list(values.values()), np.float64), lower, upper, frozenset(clipped))
 
 
 def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:

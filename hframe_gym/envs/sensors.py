@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..errors import InputError
-from ..machine import Machine, Sensor, rest_state
+from ..machine import Machine, Sensor, observed_coordinates, rest_state
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -198,7 +198,7 @@ class DeclaredSensors(SensorSuite):
         Returns:
             Sensors in the order of the observation.
         """
-        first = [*machine.tool_axes, *(d.coordinate for d in machine.drives)]
+        first = observed_coordinates(machine)
         order = [*first, *(c for c in machine.coordinate_names if c not in first)]
         return tuple(sorted(machine.sensors, key=lambda sensor: order.index(sensor.coordinate)))
 

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine import Machine, Sensor, rest_state
+from ..machine import Machine, Sensor, observed_coordinates, rest_state
 from .workspace import workspace_of
 
 Array = NDArray[np.float64]
@@ -65,8 +65,7 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
         for d in machine.drives
     )
     positions, velocities = [], []
-    default = dict.fromkeys((*machine.tool_axes, *(d.coordinate for d in machine.drives)))
-    for name in default if names is None else names:
+    for name in observed_coordinates(machine) if names is None else names:
         c = machine.coordinate(name)
         if name in machine.tool_axes:
             positions.append(_tool_signal(machine, workspace, name))

@@ -22,6 +22,7 @@ from .protocol_results import (
     protocol_bounds,
     read_result,
     result_content,
+    settling_or_none,
     write_result,
 )
 from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, run_protocol
@@ -81,6 +82,7 @@ __all__ = [
     "run_protocol",
     "save_plot",
     "score_episodes",
+    "settling_or_none",
     "settling_times",
     "stored_bounds",
     "with_absent_effects",

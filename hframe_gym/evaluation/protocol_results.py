@@ -151,6 +151,19 @@ def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
     return np.array([duration_s if value is None else value for value in column], np.float64)
 
 
+def settling_or_none(success: float, settling: Any) -> Any:
+    """Return scores of settling times, or None if no episode settles: they are then the length of the episodes.
+
+    Args:
+        success: Fraction of the episodes that settle, 0 to 1.
+        settling: Mean settling time, s, or an object with several scores of the settling times.
+
+    Returns:
+        `settling`; None if `success` is 0.
+    """
+    return settling if success else None
+
+
 def result_file_name(content: Mapping[str, Any]) -> str:
     """Return the name of a result file, made of the names of the protocol and of the controller or agent.
 

@@ -9,6 +9,7 @@ from typing import Any
 from ..web_page import Panel, number, write_page
 from .metrics import BANDS, BOUND_BAND, mean_with_interval, settling_times
 from .plots import BAND_TEXTS, distance_panel, episode_panels, interval_panel, success_panel
+from .protocol_results import settling_or_none
 from .scenario import Episodes
 
 _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
@@ -80,11 +81,12 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) 
     """Return heading, tone and sentences about the fastest of the most successful controllers."""
     controllers = scores["controllers"]
     ranked = sorted(
-        controllers, key=lambda n: (-controllers[n]["success"][BOUND_BAND], _settling(controllers[n])["mean"])
+        controllers,
+        key=lambda n: (-controllers[n]["success"][BOUND_BAND], controllers[n]["settling_s"][BOUND_BAND]["mean"]),
     )
     best = controllers[ranked[0]]
     success, settling = best["success"][BOUND_BAND], _settling(best)
-    if success == 0.0:
+    if settling is None:
         sentence = f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
         return "No controller succeeds", "warning", [sentence]
     sentences = [
@@ -125,9 +127,9 @@ def _track_verdict(scores: Mapping[str, Any]) -> tuple[str, str, list[str]]:
     return f"Best: {best}", "good", [sentence]
 
 
-def _settling(score: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the settling times in the band of the time-optimal bounds."""
-    times: Mapping[str, Any] = score["settling_s"][BOUND_BAND]
+def _settling(score: Mapping[str, Any], band: str = BOUND_BAND) -> Mapping[str, Any] | None:
+    """Return the settling times in a band, by default that of the time-optimal bounds; None if no episode settles."""
+    times: Mapping[str, Any] | None = settling_or_none(score["success"][band], score["settling_s"][band])
     return times
 
 
@@ -155,8 +157,7 @@ def _cell(value: Mapping[str, Any] | None, form: str = ".3g", factor: float = 1.
 def _row(name: str, score: Mapping[str, Any], reaches: bool) -> dict[str, Any]:
     """Return one controller's row of the main table."""
     if reaches:
-        # Without a success the mean is the length of the episodes.
-        times = [score["settling_s"][band] if score["success"][band] else None for band in BANDS]
+        times = [_settling(score, band) for band in BANDS]
         cells = [_cell(value, ".3f") for value in (*times, _bound_ratio(score))]
     else:
         cells = [
@@ -188,7 +189,8 @@ def _panels(
     else:
         panels = [success_panel("Episodes that end within a band around the goal", success)]
         values = {name: _settling(score) for name, score in controllers.items()}
-        panels.append(interval_panel(f"Settling time to {BAND_TEXTS[BOUND_BAND]}", "s", values))
+        if any(values.values()):
+            panels.append(interval_panel(f"Settling time to {BAND_TEXTS[BOUND_BAND]}", "s", values))
         ratios = {name: _bound_ratio(score) for name, score in controllers.items()}
         if any(ratios.values()):
             panels.append(interval_panel("Settling time / shortest possible time", "", ratios))

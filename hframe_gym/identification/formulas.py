@@ -63,8 +63,11 @@ class ProposedFormula:
     recommended: bool = False
 
     @property
-    def noise_ratio(self) -> float:
-        """Ratio of rms error to sensor noise on the held-out runs, mean of the channels; NaN if not simulated."""
+    def mean_noise_ratio(self) -> float:
+        """Ratio of rms error to sensor noise on the held-out runs, mean over the channels; NaN if not simulated.
+
+        `PredictionErrors.noise_ratio` is the root mean square over the channels instead.
+        """
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
@@ -135,8 +138,8 @@ class TableComparison:
     formulas: tuple[ProposedFormula, ...]
 
     @property
-    def noise_ratio(self) -> float:
-        """Ratio of rms error to sensor noise on the held-out runs with the table, mean of the channels."""
+    def mean_noise_ratio(self) -> float:
+        """Ratio of rms error to sensor noise on the held-out runs with the table, mean over the channels."""
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
@@ -219,7 +222,7 @@ def compare_formulas(
         for proposal in propose_formulas(machine, table):
             formula = _refitted(proposal.effect, machine, runs, table_error=error)
             form = proposal.effect.formula
-            errors = f"{formula.noise_ratio:.4g}" if formula else "the simulation diverges"
+            errors = f"{formula.mean_noise_ratio:.4g}" if formula else "the simulation diverges"
             log(f"  {form.name}, {form.complexity} parameters: {errors}")
             formulas += [formula] if formula else []
         comparisons.append(TableComparison(table, error, held_out, _with_recommendation(formulas)))

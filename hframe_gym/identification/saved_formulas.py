@@ -67,6 +67,6 @@ def _notes(proposed: ProposedFormula, saved: SavedResult) -> tuple[str, ...]:
     label, complexity = proposed.effect.table.label, proposed.effect.formula.complexity
     table_error = mean_error(next(t["held_out"] for t in saved.report["proposed_formulas"] if t["table"] == label))
     return (
-        f"Error on the held-out runs: {proposed.noise_ratio:.3g} times the sensor noise with this formula of "
+        f"Error on the held-out runs: {proposed.mean_noise_ratio:.3g} times the sensor noise with this formula of "
         f"{complexity} parameters, {table_error:.3g} with the table of {KNOTS} values.",
     )

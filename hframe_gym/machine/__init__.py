@@ -19,7 +19,16 @@ from .components import (
 from .diagram import draw_machine
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .machine import Machine
-from .motion import SIMULATORS, MotionLimits, Simulator, Trajectory, motion_limits, rest_state, rigid_motions
+from .motion import (
+    SIMULATORS,
+    MotionLimits,
+    Simulator,
+    Trajectory,
+    motion_limits,
+    observed_coordinates,
+    rest_state,
+    rigid_motions,
+)
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 from .stage_geometry import BeltGeometry, Box, CoreXYGeometry, Point, StageGeometry, stage_geometry
 
@@ -54,6 +63,7 @@ __all__ = [
     "argument_names",
     "draw_machine",
     "motion_limits",
+    "observed_coordinates",
     "rest_state",
     "rigid_motions",
     "stage_geometry",

@@ -1,4 +1,4 @@
-"""Motion of a machine: states at rest, motions that stretch no belt, and the interface of simulators."""
+"""Motion of a machine: observed coordinates, states at rest, motions that stretch no belt, interface of simulators."""
 
 from __future__ import annotations
 
@@ -54,6 +54,18 @@ class Simulator(Protocol):
         Returns:
             Positions, velocities and noise-free sensor readings at every sample.
         """
+
+
+def observed_coordinates(machine: Machine) -> tuple[str, ...]:
+    """List the coordinates of which an observation of the full state has positions and velocities, in its order.
+
+    Args:
+        machine: Machine with its tool axes and drives.
+
+    Returns:
+        Names of the tool's axes, then of the other driven coordinates in the order of the drives, each once.
+    """
+    return tuple(dict.fromkeys((*machine.tool_axes, *(drive.coordinate for drive in machine.drives))))
 
 
 # This package does not depend on the integrator. Whoever provides one registers it under the name "default".

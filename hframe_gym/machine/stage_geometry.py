@@ -50,7 +50,7 @@ class StageGeometry:
     clearance = CLEARANCE  # m, from the workspace to the frame, on the sides to which the bridge reaches
     plate = (0.04, 0.02, 0.02)  # m, of the bridge's end plates: half width, and length beyond and inside the rails
     half_beam = 0.012  # m, half width of the bridge between them
-    _swapped_axis = 1  # bridge axis for which `_swap` exchanges x and y
+    _swapped_axis = 1  # bridge axis for which `_swap` exchanges x and y: a bridge along y is drawn as one along x
 
     def __init__(self, workspace: NDArray[np.float64], bridge_axis: int | None = 0) -> None:
         (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()
@@ -166,11 +166,11 @@ class BeltGeometry(StageGeometry):
         """
         return [self._swap(point) for point in self._pulleys(self._swap((x, y))[0])]
 
-    def _pulleys(self, u: float) -> list[Point]:
-        """Return the pulleys in the coordinates along the motion of the bridge and along the bridge, m."""
+    def _pulleys(self, bridge: float) -> list[Point]:
+        """Return the pulleys for a position of the bridge, along its motion and along the bridge, m."""
         d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
         corners = [(u, v) for v in (self._v0, self._v1) for u in (self._u0, self._u1)]
-        return [*corners, *((u + s * d, v) for v in (self._v0 + rise, self._v1 - rise) for s in (-1.0, 1.0))]
+        return [*corners, *((bridge + s * d, v) for v in (self._v0 + rise, self._v1 - rise) for s in (-1.0, 1.0))]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
         """Compute where to draw the nine belt sections of an H-frame, seen from above.
@@ -214,7 +214,7 @@ class CoreXYGeometry(StageGeometry):
 
     radius = SMALL_RADIUS
     clearance = 0.11  # m; the carriage does not cover the pulleys on the bridge
-    _swapped_axis = 0
+    _swapped_axis = 0  # drawn with a bridge that moves along y, the motors in front
 
     def __init__(
         self, workspace: NDArray[np.float64], machine: Machine, bridge_axis: int, travel: NDArray[np.float64]
@@ -247,7 +247,7 @@ class CoreXYGeometry(StageGeometry):
             (that of the left motor), then of the second belt; on the bridge: left and right in front, left and right
             behind.
         """
-        return [self._swap(point) for point in self._pulleys(*self._swap((x, y)))]
+        return [self._swap(point) for point in self._pulleys(self._swap((x, y))[1])]
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
         """Compute where to draw the four belt sections of a CoreXY stage, seen from above with the motors in front.
@@ -260,36 +260,37 @@ class CoreXYGeometry(StageGeometry):
             Vertices (x, y), m, of the line of each section: "front1" and "rear1" from the left motor to the carriage,
             directly and around the rear of the frame; "front2" and "rear2" likewise from the right motor.
         """
-        u, v = self._swap((x, y))  # along the bridge, and along the motion of the bridge
-        motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(u, v)
+        carriage, bridge = self._swap((x, y))  # positions along the bridge, and along its motion
+        motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(bridge)
         r, pi = self.radius, math.pi
+        front, rear = (carriage, bridge - r), (carriage, bridge + r)  # where the belts are fixed to the carriage
         lines = {
-            "front1": [*_arc(motor1, 1.5 * pi, 2 * pi, r), *_arc(front_l, pi, HALF_PI, r), (u, v - r)],
+            "front1": [*_arc(motor1, 1.5 * pi, 2 * pi, r), *_arc(front_l, pi, HALF_PI, r), front],
             "rear1": [
                 *_arc(motor1, 1.5 * pi, pi, r),
                 *_arc(left1, pi, HALF_PI, r),
                 *_arc(right1, HALF_PI, 0.0, r),
                 *_arc(rear_r, 0.0, -HALF_PI, r),
-                (u, v + r),
+                rear,
             ],
-            "front2": [*_arc(motor2, 1.5 * pi, pi, r), *_arc(front_r, 0.0, HALF_PI, r), (u, v - r)],
+            "front2": [*_arc(motor2, 1.5 * pi, pi, r), *_arc(front_r, 0.0, HALF_PI, r), front],
             "rear2": [
                 *_arc(motor2, 1.5 * pi, 2 * pi, r),
                 *_arc(right2, 0.0, HALF_PI, r),
                 *_arc(left2, HALF_PI, pi, r),
                 *_arc(rear_l, pi, 1.5 * pi, r),
-                (u, v + r),
+                rear,
             ],
         }
         return {name: [self._swap(point) for point in line] for name, line in lines.items()}
 
-    def _pulleys(self, u: float, v: float) -> list[Point]:
-        """Return the pulleys in the coordinates along the bridge and along the motion of the bridge, m."""
-        (u0, v0), (u1, v1) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
-        r = self.radius
-        inner = v1 - 3.5 * r  # the second belt runs inside the first one at the rear, where they cross
-        bridge = [(end, v + side) for side in (-2 * r, 2 * r) for end in (u0 + 2 * r, u1 - 2 * r)]
-        return [(u0, v0), (u1, v0), (u0, v1), (u1 - 2 * r, v1), (u0 + 2 * r, inner), (u1, inner), *bridge]
+    def _pulleys(self, bridge: float) -> list[Point]:
+        """Return the pulleys for a position of the bridge, along the bridge (left, right) and along its motion, m."""
+        (left, front), (right, rear) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
+        gap = 2 * self.radius
+        inner = rear - 1.75 * gap  # the second belt runs inside the first one at the rear, where they cross
+        fixed = [(left, front), (right, front), (left, rear), (right - gap, rear), (left + gap, inner), (right, inner)]
+        return fixed + [(end, bridge + side) for side in (-gap, gap) for end in (left + gap, right - gap)]
 
 
 def _arc(center: Point, start: float, end: float, radius: float = PULLEY_RADIUS) -> list[Point]:
@@ -331,8 +332,7 @@ def stage_geometry(machine: Machine) -> StageGeometry:
 def _belt_travel(machine: Machine) -> NDArray[np.float64] | None:
     """Return the belt travel at both drives per travel along x and y, (2, 2), or None if it is not 1 or -1."""
     motions = rigid_motions(machine)
-    drives = [machine.coordinate(d.coordinate) for d in machine.drives]
-    axes = machine.tool_axes
+    drives, axes = [machine.coordinate(d.coordinate) for d in machine.drives], machine.tool_axes
     if len(drives) != 2 or not set(axes) <= set(motions) or any(d.kind == "linear" for d in drives):
         return None
     columns = [machine.coordinate_names.index(d.name) for d in drives]

@@ -123,7 +123,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     gear_ratios = {d.coordinate: d.gear_ratio for d in BUILTIN_MACHINES[like]().drives}
     machine = machine.replace(sensors=_sensors(machine, gear_ratios, options))
     if not machine.sensors:
-        raise InputError("no sensor is left: give --encoder-lines, or keep the linear sensor")
+        raise InputError("no sensor is left: give the lines of encoders (--encoder-lines), or keep the linear sensor")
     return _with_values(machine, options.values)
 
 

@@ -56,6 +56,12 @@ def test_one_axis_without_motor_coordinate_has_features_of_error_and_speed():
     assert float(extractor(observation).abs().max()) > 0.05
 
 
+def test_features_of_transfers_that_the_machine_lacks_are_refused():
+    axis = BUILTIN_MACHINES["axis"]()
+    with pytest.raises(InputError, match=r"transfers are \[0, 27\]; machine 'axis' has those of 0 to 24"):
+        feature_parameters(axis, transfers=[0, 27])
+
+
 @pytest.mark.parametrize("transfers", [[4, 0, 8], [0, 4, 4]])
 def test_durations_of_transfers_that_are_not_ascending_are_refused(transfers):
     with pytest.raises(InputError, match="list durations in ascending order"):

@@ -97,5 +97,9 @@ def test_the_page_states_scores_failures_and_curve():
     failures = card["failures"]["reach"]["0.05mm"]["episodes"]
     assert f"0.05mm: {failures} of 512 episodes" in page
     assert f"| {card['curve'][-1]['steps']} |" in page
+    settling_s = card["scores"]["reach"]["settling_s"]["0.05mm"]
+    assert f" % | {settling_s['mean']:.3f} |" in page
+    card["scores"]["reach"]["success"]["0.05mm"] = 0.0  # the times are then the length of the episodes
+    assert "| 0.05mm | 0.0 % | - | - | - |" in render_card(card)
     del card["scores"], card["failures"]
     assert "## Scores" not in render_card(card)

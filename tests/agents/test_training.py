@@ -4,12 +4,14 @@ import io
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
 import time
 import zipfile
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -199,10 +201,13 @@ def test_resuming_on_another_machine_is_refused(untrained_agent):
 
 def test_a_run_is_replaced_only_by_force(untrained_agent):
     before = (untrained_agent / "policy.safetensors").read_bytes()
-    with pytest.raises(InputError, match=r"holds the agent ppo of machine 'hframe', seed 0, \d+ steps, .* --force"):
-        train("ppo", "axis", steps=1, out=untrained_agent, log=ignore)
+    described = r"holds the agent ppo of machine 'hframe', seed 0, \d+ steps, "
+    with pytest.raises(InputError, match=described + r".* continue the run with --resume, .* --force"):
+        train("ppo", steps=1, out=untrained_agent, log=ignore)
     (untrained_agent / "card.json").write_text("{}")
-    with pytest.raises(InputError, match=r"holds agent\.json, policy\.safetensors, checkpoint\.zip, .* --force"):
+    with pytest.raises(
+        InputError, match=r"holds agent\.json, policy\.safetensors, card\.json, checkpoint\.zip, .* --force"
+    ):
         train("ppo", "axis", steps=1, out=untrained_agent, log=ignore)
     assert (untrained_agent / "policy.safetensors").read_bytes() == before
     train("ppo", "axis", steps=1, out=untrained_agent, log=ignore, force=True)
@@ -210,10 +215,26 @@ def test_a_run_is_replaced_only_by_force(untrained_agent):
 
 
 def test_several_seeds_replace_no_run_without_force(untrained_agent):
-    folder = untrained_agent.rename(untrained_agent.parent / "seed_1").parent
-    with pytest.raises(InputError, match=r"seed_1: holds the agent ppo"):
+    folder = untrained_agent.rename(untrained_agent.parent / "seed_0").parent
+    command = re.escape(f"`hframe train ppo --seed 0 --resume --out {folder / 'seed_0'}`")
+    with pytest.raises(InputError, match=rf"seed_0: holds the agent ppo.* continue the run alone with {command}"):
         train_seeds("ppo", steps=1, seeds=(0, 1), out=folder, log=ignore)
-    assert not (folder / "seed_0").exists()
+    assert not (folder / "seed_1").exists()
+
+
+@pytest.mark.parametrize(
+    "hindrance", ["no checkpoint", "another seed", "another recipe", "another machine", "a damaged card"]
+)
+def test_a_run_that_cannot_be_resumed_is_refused_without_that_advice(hindrance, untrained_agent):
+    if hindrance == "no checkpoint":  # the folder holds an agent that was copied
+        (untrained_agent / "checkpoint.zip").unlink()
+    if hindrance == "a damaged card":
+        (untrained_agent / "card.json").write_text("{}")
+    algorithm, seed = "sac" if hindrance == "another recipe" else "ppo", 1 if hindrance == "another seed" else 0
+    machine = "axis" if hindrance == "another machine" else "hframe"
+    with pytest.raises(InputError) as error:
+        train(algorithm, machine, steps=1, seed=seed, out=untrained_agent, log=ignore)
+    assert str(error.value).endswith("training would replace; choose another folder, or replace it with --force")
 
 
 def test_a_recipe_that_continues_an_agent_of_two_axes_refuses_one_axis(tmp_path):
@@ -221,6 +242,27 @@ def test_a_recipe_that_continues_an_agent_of_two_axes_refuses_one_axis(tmp_path)
     with pytest.raises(InputError, match=message):
         train("adapt", "axis", steps=1, out=tmp_path, log=ignore)
     assert not list(tmp_path.rglob("*.json"))
+
+
+@pytest.mark.parametrize("algorithm", ["apg", "apg_mix", "apg_plan", "sac"])
+@pytest.mark.parametrize("run", [train, partial(train_seeds, seeds=(0, 1))], ids=["one seed", "two seeds"])
+def test_a_recipe_whose_transfers_a_short_axis_lacks_is_refused_before_training(algorithm, run, tmp_path):
+    with pytest.raises(InputError) as error:
+        run(algorithm, "axis", out=tmp_path, log=ignore)
+    assert str(error.value) == (
+        f"recipe {algorithm}_reach: needs motions that last up to 27 control periods longer than the shortest one, but "
+        "the longest in the workspace of machine 'axis' last 24 periods longer; choose a recipe without them: "
+        "apg_predictive, ppo, residual, sac_her"
+    )
+    assert not list(tmp_path.rglob("*.json"))
+
+
+@pytest.mark.parametrize("algorithm", ["apg_predictive", "ppo", "residual", "sac_her"])
+def test_the_recipes_that_this_message_names_train_on_one_axis(algorithm, tmp_path):
+    recipe = load_recipe(algorithm, "reach")
+    card = train(replace(recipe, steps=1), "axis", out=tmp_path, log=ignore)
+    assert card["machine"] == "axis"
+    assert Agent.load(tmp_path).machine.name == "axis"
 
 
 def test_an_unknown_task_is_refused(tmp_path):

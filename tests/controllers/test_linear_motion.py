@@ -49,6 +49,27 @@ def test_the_gains_are_the_derivatives_of_the_voltages_by_the_state():
     assert np.abs(changed.volts - planned.volts - expected).max() < 1e-3 * np.abs(expected).max()
 
 
+def test_the_discrete_time_matrices_are_those_of_the_matrix_exponential_and_of_each_operating_point():
+    parameters, goal = (
+        np.tile(list(MACHINE.parameters.values()), (3, 1)),
+        np.array([[0.0, 0.0], [0.1, 0.05], [-0.1, 0.1]]),
+    )
+    matrices = linear_motion.LinearMotion(MODEL, PERIOD).matrices(parameters, goal)
+    for b, point in enumerate(goal):
+        for matrix, expected in zip(matrices, MODEL.discretize(point, PERIOD), strict=True):
+            np.testing.assert_allclose(matrix[b], expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_scaled_matrices_describe_the_same_motion_in_other_units():
+    generator = np.random.default_rng(0)
+    A, B, E = (generator.normal(size=(5, 8, columns)) for columns in (8, 2, 4))
+    state, volts, force = (generator.normal(size=(5, columns, 1)) for columns in (8, 2, 4))
+    scale = linear_motion.state_scale(8)[:, None]
+    scaled = linear_motion.scaled_matrices(A, B, E)
+    following = scaled[0] @ (state / scale) + scaled[1] @ volts + scaled[2] @ force
+    np.testing.assert_allclose(following * scale, A @ state + B @ volts + E @ force, rtol=1e-12)
+
+
 def final_distances(machine, parameters):
     """Return the distances to the goal after six periods, from 2 mm, m, (COUNT,); every period plans what remains."""
     model = MotionModel(machine)
@@ -71,6 +92,25 @@ def final_distances(machine, parameters):
     return np.linalg.norm(model.tool_position(state), axis=1)
 
 
+@pytest.mark.parametrize("declared", ["with friction", "without friction"])
+def test_friction_opposes_motion_and_at_rest_the_way_to_the_goal(declared):
+    """The estimated friction counts, also of a coordinate that is declared without friction."""
+    machine, names = MACHINE, MACHINE.coordinate_names
+    if declared == "without friction":
+        machine = MACHINE.replace({f"{name}.coulomb": 0.0 for name in names})
+    parameters = different_machines()
+    columns = [list(MACHINE.parameters).index(f"{name}.coulomb") for name in names]
+    expected = parameters[:, columns] / MACHINE.travel_per_unit  # N
+    linear = linear_motion.LinearMotion(MotionModel(machine), PERIOD)
+    state, error = np.zeros((2, COUNT, 8))
+    error[:, :4] = [0.01, -0.01, 0.01, -0.01]
+    at_rest = linear.opposing_friction(state, error, parameters)
+    np.testing.assert_allclose(at_rest, expected * [1.0, -1.0, 1.0, -1.0], rtol=1e-6)
+    state[:, 4:] = [0.5, 0.5, -0.5, -0.5]
+    moving = linear.opposing_friction(state, error, parameters)
+    np.testing.assert_allclose(moving, expected * [-1.0, -1.0, 1.0, 1.0], rtol=1e-6)
+
+
 @pytest.mark.parametrize("delay_s", [0.0, 4e-3], ids=["no dead time", "dead time"])
 def test_simulations_bring_the_tool_to_its_goal_despite_friction(delay_s, monkeypatch):
     machine = MACHINE.with_effects(EFFECTS["input_delay"].at("drives", d=delay_s)) if delay_s else MACHINE
@@ -79,6 +119,28 @@ def test_simulations_bring_the_tool_to_its_goal_despite_friction(delay_s, monkey
     assert np.median(corrected) < 5e-5
     monkeypatch.setattr(linear_motion, "CORRECTIONS", 0)
     assert np.median(final_distances(machine, parameters)) > 1.5 * np.median(corrected)
+
+
+def test_of_the_simulated_plans_the_one_that_ends_nearest_is_used(monkeypatch):
+    """The first voltages come from a plan that was simulated, and no other simulated plan ends nearer to the goal."""
+    generator, periods = np.random.default_rng(0), 4
+    goal, last = np.zeros((COUNT, 2)), np.zeros((COUNT, 2))
+    state = MODEL.goal_state(generator.uniform(-2e-3, 2e-3, (COUNT, 2)))
+    transfers = SimulatedTransfers(MODEL, PERIOD, [periods])
+    simulate, simulated = transfers._final_states, []
+
+    def final_states(pulse, costates, *others):
+        final = simulate(pulse, costates, *others)
+        first = np.einsum("bis,bki->bks", pulse[:, periods - 1], costates)  # voltages of the first period
+        distance = np.linalg.norm((final - MODEL.goal_state(goal)[:, None]) / transfers._scale, axis=2)
+        simulated.append((first[:, 0], distance[:, 0]))
+        return final
+
+    monkeypatch.setattr(transfers, "_final_states", final_states)
+    planned = transfers.plan(state, goal, different_machines(), last)
+    volts, distances = (np.stack(values) for values in zip(*simulated, strict=True))  # (simulations, B, ...)
+    nearest = volts[np.argmin(distances, axis=0), np.arange(COUNT)]
+    np.testing.assert_allclose(planned.volts[:, 0], nearest, rtol=1e-9)
 
 
 @pytest.mark.parametrize("durations", [[], [0, 4], [5, 4], [4, 4]])

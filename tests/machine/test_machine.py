@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.machine import SENSOR_KINDS, SIMULATORS, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, SENSOR_KINDS, SIMULATORS, Machine, observed_coordinates
 from hframe_gym.registry import Registry
+
+
+@pytest.mark.parametrize(("name", "expected"), [("hframe", ("x", "y", "phi1", "phi2")), ("axis", ("x",))])
+def test_observed_coordinates_are_the_axes_and_the_motors_each_once(name: str, expected: tuple[str, ...]) -> None:
+    assert observed_coordinates(BUILTIN_MACHINES[name]()) == expected
 
 
 def test_device_parameters_list_sensors_and_converters_with_their_units(hframe: Machine) -> None:
