@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import rollout
+from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, Sensor, rigid_motions
 from ..recordings import bridge_blanks
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _WINDOW = 0.02  # s, time over which motion is compared; long enough to average out noise
 _MAX_ROWS = 20_000  # rows of a run that are simulated; enough to determine a sign
-_STEP = 1e-3  # s, integration step; the comparison needs no accuracy
+_STEP = 1e-3  # s, longest integration step; the comparison needs no accuracy
 _GOOD_AGREEMENT = 0.7  # correlation of measured and simulated speed above which no mistake is suspected
 _POOR_AGREEMENT = 0.35  # correlation below which the machine itself is doubted
 _GOOD_MISFIT = 0.2  # relative misfit of the rigid kinematics below which no mistake is suspected
@@ -178,7 +178,8 @@ def _simulate_outputs(machine: Machine, run: PreparedRecording, transforms: Arra
     The simulation starts at the center of the workspace: a position in a wrong unit would be far outside.
     """
     inputs = np.einsum("vij,nj->vni", transforms, run.inputs)
-    return rollout(machine, run.time_s, inputs, longest_step=_STEP) @ machine.sensor_matrix.T
+    step = resolved_step(machine, _STEP)
+    return rollout(machine, run.time_s, inputs, longest_step=step) @ machine.sensor_matrix.T
 
 
 def _single_corrections(machine: Machine) -> tuple[dict[str, Array], dict[str, Array]]:

@@ -3,7 +3,7 @@
 from .belts import BeltState
 from .equations import Equations, ForceBalance
 from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text
-from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, stiffness_matrix
+from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, resolved_step, stiffness_matrix
 from .motion_forces import (
     belt_forces,
     belt_states,
@@ -41,6 +41,7 @@ __all__ = [
     "matrix_exponential",
     "mode_frequencies",
     "net_forces",
+    "resolved_step",
     "rollout",
     "sensor_readings",
     "share_kernel",

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from ..dynamics import simulate_batch
+from ..dynamics import resolved_step, simulate_batch
 from ..dynamics.simulation import Motion, threads
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
@@ -139,7 +139,7 @@ def predict(
         initial_state: Positions, velocities and states of the effects (default: zero), in their units, shape
             (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
             observer shifts the measurements of encoders so that they agree with the (first) initial state.
-        longest_step: Maximum integration step, s.
+        longest_step: Maximum integration step, s; stiff belts may need shorter ones (`resolved_step`).
         states: Whether to return positions and velocities too.
 
     Returns:
@@ -166,7 +166,7 @@ def predict(
         extra_force=extra_force,
         measured=measured,
         gains=gains,
-        longest_step=longest_step,
+        longest_step=resolved_step(machine, longest_step),
         states=states,
         parallel=False,
     )

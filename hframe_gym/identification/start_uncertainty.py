@@ -97,7 +97,13 @@ def initial_state_projection(
     initial_states = np.tile(state, (len(displacements) + 1, 1))
     initial_states[1:] += displacements
     motion = predict(
-        machine, run, bandwidth, period=data.period, initial_state=initial_states, longest_step=longest_step
+        machine,
+        run,
+        bandwidth,
+        period=data.period,
+        initial_state=initial_states,
+        extra_measurement=_displaced_zeros(machine, run, initial_states) if bandwidth else None,
+        longest_step=longest_step,
     )
     residual = residuals(run, data, motion.readings, rows_per_block)
     columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
@@ -106,6 +112,18 @@ def initial_state_projection(
     # The squared norm of the projected residual is the minimum over w of |residual - columns w|^2 + |w|^2.
     directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
+
+
+def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array:
+    """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, n, sensors).
+
+    An encoder without a known zero counts from the state at the start. If that state is displaced, all of its
+    measurements are, which an observer feeds back throughout the run.
+    """
+    unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.offset_known
+    positions = initial_states[:, : len(machine.coordinates)]
+    changes = np.where(unknown, (positions - positions[0]) @ machine.sensor_matrix.T, 0.0)  # (batch, sensors)
+    return np.repeat(-changes[:, None], len(run.time_s), axis=1)
 
 
 def prediction_residuals(

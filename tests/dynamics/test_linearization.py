@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hframe_gym.dynamics import linearize, mode_frequencies, simulate, stiffness_matrix
+from hframe_gym.dynamics import linearize, mode_frequencies, resolved_step, simulate, stiffness_matrix
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 
@@ -102,3 +102,10 @@ def test_simulation_of_linear_machines_equals_scipy() -> None:
         outputs = simulate(machine, time, inputs, longest_step=0.05e-3).outputs
         scale = np.array([0.0194, 0.0194, 1.0, 1.0])  # m per rad, m per m
         assert np.abs((outputs - exact) * scale).max() < 1e-7
+
+
+def test_the_integration_step_resolves_stiff_belts(hframe: Machine) -> None:
+    assert resolved_step(hframe, 0.5e-3) == 0.5e-3
+    stiff = hframe.replace({name: 100.0 * value for name, value in hframe.parameters.items() if name.endswith(".EA")})
+    step = resolved_step(stiff, 0.5e-3)
+    assert 2 * np.pi * mode_frequencies(stiff).max() * step == pytest.approx(0.75)
