@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +39,10 @@ _HELD_OUT_CONTRADICTION = (
     "{} was held out and contradicts the fitted runs: either something was wrong with it (check its voltages, gains "
     "and sensors), or it shows what the fitted runs do not excite (hold out another run with --hold-out). The "
     "errors on held-out runs include it."
+)
+_EXCHANGED = (
+    "{} was held out at first and contradicted the other runs, which alone show no effect. It is fitted now, and {} is "
+    "held out instead."
 )
 _CAUSED_ERROR = -1.0  # gain on a held-out run below which an effect causes its error: half of the squared error or more
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
@@ -81,25 +87,80 @@ def identify(
     as_measured = recordings
     recordings = [_cleaned(recording, machine, log) for recording in recordings]
     all_runs, ranges = _prepare(recordings, machine, criteria, log)
-    held_out_runs, excluded = with_known_positions(all_runs.with_runs(held_names))
-    validation = with_all_measurements(held_out_runs, recordings)
-    data, unused = with_known_positions(all_runs.with_runs([r.name for r in recordings if r.name not in held_names]))
-    log(f"fitting {machine.name} to {len(data.runs)} runs, {len(validation.runs)} held out")
-    outcome = search_effects(machine, data, criteria, log)
-    differing = _contradicting_held_out_runs(outcome, held_out_runs)
-    if outcome.contradiction and differing:
-        log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
-        outcome = search_effects(machine, data, criteria, log, leave_out=False)
-        differing = _contradicting_held_out_runs(outcome, held_out_runs)
-    agreeing = held_out_runs.with_runs([run.name for run in held_out_runs.runs if run.name not in differing])
-    outcome = _without_unconfirmed(outcome, agreeing, log)
-    unused += (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
-    unused += tuple(map(_HELD_OUT_CONTRADICTION.format, differing))
+    search = partial(_search, machine, all_runs, criteria=criteria, log=log)
+    found = search(held_names)
+    if not held_out and not found.outcome.selected and found.differing == tuple(r.name for r in found.held_out.runs):
+        found = _with_exchanged_runs(found, search, log)
+    agreeing = found.held_out.with_runs([run.name for run in found.held_out.runs if run.name not in found.differing])
+    outcome = _without_unconfirmed(found.outcome, agreeing, log)
+    messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
+    messages += tuple(map(_HELD_OUT_CONTRADICTION.format, found.differing))
+    validation = with_all_measurements(found.held_out, recordings)
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
     for warning in (*result.limit_warnings, *result.divergence_warnings):
         log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
-    return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*unused, *excluded))
+    return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*messages, *found.messages))
+
+
+class _Found(NamedTuple):
+    """Outcome of a search in the fitted runs.
+
+    Attributes:
+        outcome: Outcome of the search.
+        held_out: Runs that were not fitted.
+        differing: Names of those that contradict the machine which explains the fitted runs.
+        messages: What the user should know about the division of the runs, one sentence each.
+    """
+
+    outcome: SearchOutcome
+    held_out: Dataset
+    differing: tuple[str, ...]
+    messages: tuple[str, ...]
+
+
+def _search(
+    machine: Machine, all_runs: Dataset, held_names: Sequence[str], *, criteria: SelectionCriteria, log: Log
+) -> _Found:
+    """Search for effects in the runs that are not held out, and compare the result with those that are."""
+    fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
+    held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
+    data, unused = with_known_positions(all_runs.with_runs(fitted_names))
+    log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out")
+    outcome = search_effects(machine, data, criteria, log)
+    differing = _contradicting_held_out_runs(outcome, held_out)
+    if outcome.contradiction and differing:
+        log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
+        outcome = search_effects(machine, data, criteria, log, leave_out=False)
+        differing = _contradicting_held_out_runs(outcome, held_out)
+    return _Found(outcome, held_out, differing, (*unused, *excluded))
+
+
+def _with_exchanged_runs(found: _Found, search: Callable[[Sequence[str]], _Found], log: Log) -> _Found:
+    """Fit the held-out runs, and hold out others in exchange, because every held-out run contradicts the fitted ones.
+
+    Either something was wrong with these runs, or only they excite an effect. In the second case, an effect explains
+    all runs once these are fitted, and the runs that are held out in exchange confirm it.
+
+    Args:
+        found: Outcome of the search, without effects.
+        search: Function that searches with other held-out runs, given their names.
+        log: Called with a line of text.
+
+    Returns:
+        Outcome with the other division of the runs if it explains them, else the given one.
+    """
+    names = ", ".join(found.differing)
+    others = [run.name for run in found.outcome.data.runs][: len(found.differing)]
+    if found.outcome.contradiction or len(found.outcome.data.runs) <= len(others):
+        return found
+    log(f"{names} contradicts the fitted runs; searching with {', '.join(others)} held out instead")
+    exchanged = search(others)
+    if not exchanged.outcome.selected or not exchanged.outcome.explained or exchanged.differing:
+        return found
+    if exchanged.outcome.contradiction:
+        return found
+    return exchanged._replace(messages=(*exchanged.messages, _EXCHANGED.format(names, ", ".join(others))))
 
 
 def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import IdentificationResult, SelectionCriteria, hold_out, identify, write_result
 from hframe_gym.identification.report import build_report
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, load_machine, load_recordings
+from tests.identification.axis_results import AXIS
 from tools.make_examples import RIGS
 
 pytestmark = pytest.mark.integration
@@ -160,3 +164,27 @@ def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
     result = identify(load_recordings(EXAMPLES / "rig_a", machine)[:4], machine, criteria=criteria)
     assert result.verdict == "no_effect"
     assert result.as_json()["criteria"]["max_effects"] == 0
+
+
+def limited_runs(volts: Sequence[float]) -> list[Recording]:
+    """Return runs of an axis with a current limit of 5 A and random voltage steps of the given sizes."""
+    truth = AXIS.with_effects(EFFECTS["current_limit"].at("motor", I=5.0))
+    rng = np.random.default_rng(4)
+    recordings = []
+    for k, size in enumerate(volts):
+        time_s = np.arange(1500) * 1e-3
+        inputs = np.repeat(rng.uniform(-size, size, (15, 1)), 100, axis=0)
+        inputs[:100] = 0.0
+        outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, 2e-5, (1500, 1))
+        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
+    return recordings
+
+
+def test_an_effect_that_only_the_held_out_run_excites_is_found() -> None:
+    result = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS)
+    assert [s.effect.label for s in result.effects] == ["current_limit@motor"]
+    assert [run.name for run in result.held_out.runs] == ["run_0"]
+    assert any("run_3 was held out at first" in text for text in result.run_warnings)
+    chosen = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS, held_out=["run_3"])  # as the user wants it
+    assert not chosen.effects
+    assert any("run_3 was held out and contradicts" in text for text in chosen.run_warnings)
