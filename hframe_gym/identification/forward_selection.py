@@ -23,7 +23,7 @@ from .dataset import Dataset
 from .estimation import Fit
 from .evidence import doubt_about_candidate, doubt_beside_others
 from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
-from .prediction import SEARCH_BANDWIDTH, SIMULATION
+from .prediction import SIMULATION, noise_floor
 from .rivals import close_rivals, compare_rivals, simplest_first
 from .trial_fits import (
     converge,
@@ -190,7 +190,7 @@ class EffectSearch:
         If these did not pass before, they are tried again only after the error has become clearly smaller.
         """
         criteria = self._criteria
-        floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
+        floor = noise_floor(current.bandwidth, criteria)
         left = unexplained_fraction(current, trials, criteria)
         bandwidth, tried_excess = self._structures_tried
         excess = current.chi2 - 1.0

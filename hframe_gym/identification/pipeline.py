@@ -18,8 +18,8 @@ from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions
 from .estimation import Fit, with_uncertainty
-from .evidence import drive_force, effect_force
 from .experiment_design import design_discriminating_experiment
+from .force_sizes import drive_force, effect_force
 from .forward_selection import ConsideredEffect, Log, SelectedEffect
 from .held_out import contradicting_held_out_runs, error_reduction, held_out_gain, hold_out, is_excited
 from .initial_rest import without_moving_start

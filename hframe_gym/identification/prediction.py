@@ -24,6 +24,7 @@ from threadpoolctl import ThreadpoolController
 from ..dynamics import resolved_step, simulate_batch
 from ..dynamics.simulation import Motion, threads
 from ..machine import Machine
+from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .rest_measurement import max_fitted_zero_means, max_zero_means, sensor_zero_error
 
@@ -171,6 +172,19 @@ def predict(
         parallel=False,
     )
     return motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
+
+
+def noise_floor(bandwidth: float, criteria: SelectionCriteria) -> float:
+    """Return chi-squared per sample of predictions by a correct model.
+
+    Args:
+        bandwidth: Bandwidth of the observer that corrects the predictions, rad/s; 0 for a simulation.
+        criteria: Decision thresholds.
+
+    Returns:
+        Chi-squared per sample, dimensionless: 1, or 1.1 with the widest observer, which feeds back the sensors' noise.
+    """
+    return criteria.one_step_floor if bandwidth >= SEARCH_BANDWIDTH else 1.0
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:

@@ -21,7 +21,7 @@ from .saved_result import SavedResult, load_result, next_command
 Array = NDArray[np.float64]
 _VERDICTS = {  # heading and tone of the page
     "effect_found": ("Missing effects found", "good"),
-    "no_effect": ("No effect is missing", "neutral"),
+    "no_effect": ("No missing effect found", "neutral"),
     "unexplained": ("Unexplained error", "warning"),
 }
 _STAGES = ("declared", "before", "after")
@@ -115,10 +115,10 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
             f"falls from {before} to {after} {unit}.{_remainder(report)}"
         )
     if report["verdict"] == "no_effect":
-        return (
-            "No effect is missing: with refitted parameters, the error of the declared model on the held-out runs is "
-            f"{before} {unit}.{_remainder(report)}"
-        )
+        remainder = _remainder(report)
+        start = "No effect was found" if remainder else "No effect is missing"
+        error = f"the error of the declared model on the held-out runs is {before} {unit}"
+        return f"{start}: with refitted parameters, {error}.{remainder}"
     text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
     return " ".join([text, *_dependence_sentences(report)])
 
@@ -141,7 +141,7 @@ def _remainder(report: Mapping[str, Any]) -> str:
     if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
         return ""
     error = f"{number(left)} times the sensors' noise ({_largest_position_error(report['after']['held_out'])})"
-    return f" An error of {error} is left, which no effect of the library explains."
+    return f" An error of {error} is left, whose cause was not found."
 
 
 def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:

@@ -286,8 +286,11 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
 
 
 def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the grid of an effect's starting values; those of structural effects are absolute, SI."""
-    grids = [[g * (1.0 if effect.structure else typical.get(p.unit, 1.0)) for g in p.grid] for p in effect.parameters]
+    """Return the grid of an effect's starting values, within bounds; those of structural effects are absolute, SI."""
+    grids = []
+    for p in effect.parameters:
+        scale = 1.0 if effect.structure else typical.get(p.unit, 1.0)
+        grids.append(sorted({min(max(g * scale, p.lower), p.upper) for g in p.grid}))
     names = [p.name for p in effect.parameters]
     return [dict(zip(names, values, strict=True)) for values in itertools.product(*grids)]
 

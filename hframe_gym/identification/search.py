@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 from ..machine import Machine
@@ -58,11 +59,12 @@ def search_effects(
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
-    If one run contradicts the others, effects are searched for in the other runs first. The contradicting run is left
-    out, and named in the outcome, if no effect explains it:
+    One run may contradict the others because of a mistake, or because it excites a missing effect more. If the others
+    need no effect, or if no known effects explain all runs, effects are searched for without this run. It is left out,
+    and named in the outcome, if no effect explains it:
 
     - If effects explain the other runs to within the noise, these and at most one more effect must explain all runs.
-    - Otherwise effects are also searched for in all runs together. They must explain all runs, or leave less than ten
+    - Otherwise the effects and tables that are found in all runs together must explain them, or leave less than ten
       times the chi-squared per sample of the search without this run.
 
     Args:
@@ -80,8 +82,10 @@ def search_effects(
     suspect = contradicting_run(all_runs.base, data) if leave_out else None
     if suspect is None:
         return all_runs.run()
-    log(f"{suspect} contradicts the other runs; searching for effects without it first")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
+    if not others.needs_no_effect and all_runs.known_effects_explain:
+        return all_runs.run()
+    log(f"{suspect} contradicts the other runs; searching for effects without it")
     outcome = others.run()
     if not outcome.explained:
         complete = all_runs.run()
@@ -135,8 +139,7 @@ class _Search:
         Args:
             start: Fit with effects that are known already. Default: the refitted machine, without effects.
         """
-        self._log("searching for effects")
-        after, effects, considered = self._known_effects(start or (self.before, ()))
+        after, effects, considered = self._known if start is None else self._known_effects(start)
         if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
             return self._outcome(verdict, after if effects else self.before, effects, considered)
@@ -150,6 +153,21 @@ class _Search:
             self._log(f"  {s.effect.label} is removed: it {reason}")
         considered += tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
         return self._outcome("unexplained", self.before, (), considered)
+
+    @property
+    def needs_no_effect(self) -> bool:
+        """Whether the refitted machine explains the runs without effects."""
+        return self._explains(self.before)
+
+    @property
+    def known_effects_explain(self) -> bool:
+        """Whether effects of the library explain the runs."""
+        return self._explains(self._known[0])
+
+    @cached_property
+    def _known(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
+        """Fit with effects of the library, the effects, and those that failed a test."""
+        return self._known_effects((self.before, ()))
 
     def _outcome(
         self,
@@ -169,8 +187,9 @@ class _Search:
         return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data)
 
     def _known_effects(self, start: Selection) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
-        """Return the fit with effects of the library, the effects, and those that failed a test."""
+        """Search from a fit; return the fit with effects of the library, the effects, and those that failed a test."""
         criteria, data, log = self._criteria, self._data, self._log
+        log("searching for effects")
         search = EffectSearch(data, self.before.machine, criteria, log)
         current, effects = search.run(*start)
         refined = refine_starts(data, current.machine)

@@ -19,10 +19,10 @@ from .candidates import candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset, TypicalScales, scales_of_motion
 from .estimation import Fit, fit, prediction_cost
-from .evidence import effect_force, residue_force
+from .force_sizes import effect_force, residue_force
 from .free_parameters import FreeParameter, default_free_parameters, values_at
 from .model_error import search_step
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, predict
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, noise_floor, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
@@ -132,7 +132,7 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
     Returns:
         Fraction, dimensionless, at most 1; 1 without trials.
     """
-    floor = criteria.one_step_floor if current.bandwidth >= SEARCH_BANDWIDTH else 1.0
+    floor = noise_floor(current.bandwidth, criteria)
     smallest = min((t.chi2 for t in trials), default=current.chi2)
     return min(1.0, (smallest - floor) / max(current.chi2 - floor, 1e-9))
 

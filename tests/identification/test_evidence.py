@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import evidence
-from hframe_gym.identification.evidence import depend_on_same_variable, force_size
+from hframe_gym.identification import evidence, force_sizes
+from hframe_gym.identification.evidence import depend_on_same_variable
+from hframe_gym.identification.force_sizes import force_size
 from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.machine import AppliedEffect, Machine
 from tests.identification.axis_results import axis_runs
@@ -70,11 +71,11 @@ def test_the_difference_of_forces_is_that_at_the_belt(monkeypatch: pytest.Monkey
         return SimpleNamespace(positions=np.zeros((1, 5, 4)), velocities=np.zeros((1, 5, 4)))
 
     forces = {HFRAME.name: np.full((5, 4), 0.1), "other": np.tile([3.1, 4.1, 0.1, 0.1 + 12.0 * 0.0194], (5, 1))}
-    monkeypatch.setattr(evidence, "predict", predict)
-    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
-    monkeypatch.setattr(evidence, "net_forces", lambda machine, *record: forces[machine.name])
+    monkeypatch.setattr(force_sizes, "predict", predict)
+    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(force_sizes, "net_forces", lambda machine, *record: forces[machine.name])
     data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(time_s=np.arange(5.0), inputs=np.zeros((5, 2)))] * 2)
-    assert evidence.force_difference(HFRAME, other, data) == pytest.approx(13.0)
+    assert force_sizes.force_difference(HFRAME, other, data) == pytest.approx(13.0)
     assert set(moved) == {HFRAME.name}
 
 
@@ -82,22 +83,22 @@ def test_the_force_of_the_drives_is_at_the_belt() -> None:
     inputs = np.array([[3.0, -4.0], [0.0, 0.0]])
     data: Any = SimpleNamespace(runs=[SimpleNamespace(inputs=inputs)])
     drive = HFRAME.drives[0]
-    assert evidence.drive_force(HFRAME, data) == pytest.approx(np.sqrt(12.5) * drive.gain / 0.0194)
+    assert force_sizes.drive_force(HFRAME, data) == pytest.approx(np.sqrt(12.5) * drive.gain / 0.0194)
 
 
 @pytest.mark.parametrize("effect", [FRAME, EFFECTS["sensor_scale"].at("x_m", g=1.01)])
 def test_no_force_describes_structures_and_measurements(effect: AppliedEffect) -> None:
-    assert evidence.effect_force(AXIS, effect, DATA) == np.inf
+    assert force_sizes.effect_force(AXIS, effect, DATA) == np.inf
 
 
 def test_the_size_of_an_effect_is_its_force() -> None:
     data = axis_runs(AXIS, rows=1500, volts=3.0)
-    assert evidence.effect_force(AXIS, EFFECTS["constant_force"].at("x", size=-0.3), data) == pytest.approx(0.3)
-    assert evidence.effect_force(AXIS, EFFECTS["sensor_scale"].at("x_m", g=1.01), data) == np.inf
+    assert force_sizes.effect_force(AXIS, EFFECTS["constant_force"].at("x", size=-0.3), data) == pytest.approx(0.3)
+    assert force_sizes.effect_force(AXIS, EFFECTS["sensor_scale"].at("x_m", g=1.01), data) == np.inf
     (drive,) = AXIS.drives
     rms = np.sqrt(np.mean(np.concatenate([run.inputs for run in data.runs]) ** 2))
     expected = rms * drive.gain / AXIS.coordinates[0].travel_per_unit
-    assert evidence.drive_force(AXIS, data) == pytest.approx(expected)
+    assert force_sizes.drive_force(AXIS, data) == pytest.approx(expected)
 
 
 def doubt(scripted: Scripted, without: float = 1.4, with_effect: float = 1.2, *effects: AppliedEffect) -> str:
@@ -169,15 +170,15 @@ def test_the_residue_is_the_correction_beyond_that_of_noise(monkeypatch: pytest.
     innovation = np.array([[3e-3], [-5e-3], [np.nan], [1e-3]])
     run: Any = SimpleNamespace(outputs=innovation, noise=np.array([1e-3]))
     data: Any = SimpleNamespace(period=1e-3, runs=[run])
-    monkeypatch.setattr(evidence, "predict", lambda *arguments, **more: SimpleNamespace(readings=None))
-    monkeypatch.setattr(evidence, "prediction_error", lambda run, data, readings: innovation[None])
-    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(force_sizes, "predict", lambda *arguments, **more: SimpleNamespace(readings=None))
+    monkeypatch.setattr(force_sizes, "prediction_error", lambda run, data, readings: innovation[None])
+    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
     power = (9.0 + 25.0 + 1.0 - 3.0) / 4.0 * 1e-6  # m^2; the missing measurement has neither error nor noise
     mass = AXIS.coordinates[0].mass
     expected = max(bandwidth, 3.0) ** 2 * mass * np.sqrt(power)
-    assert evidence.residue_force(fit_with(chi2=1.0, bandwidth=bandwidth), data) == pytest.approx(expected)
+    assert force_sizes.residue_force(fit_with(chi2=1.0, bandwidth=bandwidth), data) == pytest.approx(expected)
     run.noise = np.array([9e-3])
-    assert evidence.residue_force(fit_with(chi2=1.0), data) == 0.0
+    assert force_sizes.residue_force(fit_with(chi2=1.0), data) == 0.0
 
 
 class CorrelatedResidual:
@@ -202,7 +203,7 @@ def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_vari
     monkeypatch: pytest.MonkeyPatch, rows: int
 ) -> None:
     monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
     free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
     fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
     data: Any = SimpleNamespace(period=1e-3, runs=[(seed, rows) for seed in range(100)])
@@ -213,7 +214,7 @@ def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_vari
 def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     """The quantile of F(1, 8) at one in ten thousand is 3.35 times that of the chi-squared distribution."""
     monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
     free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
     fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
     run = (0, 200)

@@ -14,7 +14,8 @@ from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, model_error, prepare
 from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.evidence import long_run_variance, residue_force
+from hframe_gym.identification.evidence import long_run_variance
+from hframe_gym.identification.force_sizes import residue_force
 from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.identification.model_error import (
     BANDWIDTHS,

@@ -186,7 +186,7 @@ def test_a_table_is_drawn_and_named_as_a_table(data: Dataset, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("verdict", "text"), [("no_effect", "No effect is missing"), ("unexplained", "no known effect explains it")]
+    ("verdict", "text"), [("no_effect", "No missing effect found"), ("unexplained", "no known effect explains it")]
 )
 def test_the_page_without_an_effect(verdict: Verdict, text: str, data: Dataset, tmp_path: Path) -> None:
     page = page_of(result_of(data, verdict, AXIS), tmp_path)
