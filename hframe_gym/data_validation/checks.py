@@ -15,6 +15,7 @@ from ..recordings import Recording, only_measurements, without_repetitions
 from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity
 from .identifiability import check_parameters
+from .input_timing import check_input_timing
 from .sampling import check_sampling, overlapping_clocks, sampling_rate, slow_sensors, times_in_milliseconds
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
@@ -31,9 +32,10 @@ _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise i
 def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Check recordings of a machine before identification.
 
-    The checks cover the clock, the rest before the motion, the sensors (noise, outliers, empty, stuck or clipped
-    channels), the wiring (signs, swapped channels, units, gear ratios), the excitation, and the precision with which
-    parameters can be estimated. If the times of a run appear to be in milliseconds, only this is reported.
+    The checks cover the clock, the timing of the voltages, the rest before the motion, the sensors (noise, outliers,
+    empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear ratios), the excitation, and the
+    precision with which parameters can be estimated. If the times of a run appear to be in milliseconds, only this is
+    reported.
 
     Args:
         recordings: Runs of the machine (times, voltages, measurements), at least one.
@@ -62,8 +64,8 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     """Find faults in recordings that make a fit meaningless, and defects that impair it.
 
     `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the quality of
-    the data: clock, inputs that never change, outliers, stuck or clipped outputs, and wiring (signs, swapped channels,
-    units, gear ratios). It does not check whether the excitation suffices.
+    the data: clock, inputs that never change or are logged late, outliers, stuck or clipped outputs, and wiring (signs,
+    swapped channels, units, gear ratios). It does not check whether the excitation suffices.
 
     Args:
         recordings: Runs of the machine (times, voltages, measurements), at least one.
@@ -95,7 +97,7 @@ def _faults_and_advice(
     moving: Sequence[str],
     machine: Machine,
 ) -> list[Finding]:
-    """Check slow sensors, sampling, outliers, motion without input, stuck outputs and wiring.
+    """Check slow sensors, sampling, outliers, motion without input, stuck outputs, wiring and the timing of inputs.
 
     The runs are given as recorded, without outliers (`cleaned`), and prepared for a fit (`data`).
     """
@@ -108,7 +110,10 @@ def _faults_and_advice(
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
     findings += stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
-    return findings + check_wiring(data.with_runs(moving), machine)
+    findings += check_wiring(data.with_runs(moving), machine)
+    if any(finding.severity == "fault" for finding in findings):
+        return findings  # a fit would be meaningless
+    return findings + check_input_timing(data.with_runs(moving), machine)
 
 
 def _by_severity(findings: Sequence[Finding]) -> list[Finding]:

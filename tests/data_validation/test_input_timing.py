@@ -1,0 +1,57 @@
+"""Tests of the check for voltages that are logged one row late."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.data_validation import check_before_fit
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+DECLARED = BUILTIN_MACHINES["hframe"]()
+# The rig is not the declared machine.
+RIG = DECLARED.replace({"x.mass": 4.5, "x.coulomb": 2.6, "y.viscous": 20.0})
+
+
+def recordings(machine: Machine, late: int) -> list[Recording]:
+    """Return runs with random voltage steps whose inputs are logged some rows late."""
+    rng = np.random.default_rng(1)
+    runs = []
+    for k in range(4):
+        time_s = np.arange(1200) * 1e-3
+        inputs = np.repeat(rng.uniform(-5.0, 5.0, (24, 2)), 50, axis=0)
+        inputs[:100] = 0.0
+        motion = machine.simulate(time_s, inputs)
+        outputs = motion.outputs + rng.normal(0.0, [2e-4, 2e-4, 2e-5, 2e-5], motion.outputs.shape)
+        logged = np.vstack([np.zeros((late, 2)), inputs[: len(inputs) - late]])
+        runs.append(Recording(f"run_{k}", time_s, logged, outputs))
+    return runs
+
+
+def late_findings(machine: Machine, late: int) -> list[str]:
+    """Return the faults about late voltages."""
+    findings = check_before_fit(recordings(machine, late), DECLARED)
+    return [f.message for f in findings if f.severity == "fault" and "one row late" in f.message]
+
+
+def test_voltages_that_are_logged_one_row_late_are_a_fault() -> None:
+    (message,) = late_findings(RIG, 1)
+    assert message.startswith("v1_V and v2_V are logged one row late")
+    assert "Move the voltages up by one row" in message
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        None,
+        EFFECTS["input_delay"].at("drives", d=2e-3),
+        EFFECTS["electrical_lag"].at("drives", tau=2e-3),
+        EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.02),
+    ],
+)
+def test_voltages_that_act_when_they_are_logged_are_no_fault(effect: AppliedEffect | None) -> None:
+    machine = RIG if effect is None else RIG.with_effects(effect)
+    assert late_findings(machine, 0) == []
