@@ -68,6 +68,8 @@ def _pulley_stiffness(machine: Machine) -> dict[str, float]:
     for i in rotary:
         coordinate = machine.coordinates[i]
         if i not in idlers and coordinate.name not in machine.spring_loaded:
-            turning = [i, *idlers]
-            stiffness[coordinate.name] = 1.0 / float(np.linalg.inv(matrix[np.ix_(turning, turning)])[0, 0])
+            turning = matrix[np.ix_([i, *idlers], [i, *idlers])]
+            if np.linalg.matrix_rank(turning) < len(turning):  # the pulley could turn the idlers without any stretch
+                turning = matrix[i : i + 1, i : i + 1]
+            stiffness[coordinate.name] = 1.0 / float(np.linalg.inv(turning)[0, 0])
     return stiffness

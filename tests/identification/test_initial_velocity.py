@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,3 +85,11 @@ def test_all_drives_of_a_pulley_stretch_its_belts(hframe: Machine) -> None:
     small = dataclasses.replace(hframe.drives[0], name="small", channel="v3_V", Kt=0.1 * hframe.drives[0].Kt)
     more = dataclasses.replace(hframe, drives=(*hframe.drives, small))
     assert stretch_angles(more, moving=True)["phi1"] > stretch_angles(hframe, moving=True)["phi1"]
+
+
+def test_pulleys_that_no_carriage_holds_stretch_their_belt() -> None:
+    """Two motors turn a pulley by a belt, and no carriage is on it."""
+    two_motors_and_a_pulley = load_machine(Path(__file__).parents[2] / "benchmarks" / "machines" / "ced.json")
+    angles = stretch_angles(two_motors_and_a_pulley, moving=True)
+    assert angles
+    assert all(0.0 < angle < 10.0 for angle in angles.values())
