@@ -6,14 +6,18 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..identification import MIN_ROWS
 from ..machine import Machine
 from ..recordings import GAP_PERIODS, Recording, repetitions
 from .findings import Finding, Severity
 
+Array = NDArray[np.float64]
+
 _LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
 _LONG_RUN = 120.0  # s
+_NEIGHBORS = 10  # rows on each side of a gap whose lateness is compared
 _JITTER = 0.02  # standard deviation of the time steps / period above which it is noted
 _IRREGULAR = 0.1  # standard deviation of the time steps / period above which identification may suffer
 _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
@@ -57,6 +61,13 @@ def check_sampling(recording: Recording) -> list[Finding]:
     findings = []
     period = float(np.median(steps))
     gaps = steps > GAP_PERIODS * period
+    if gaps.any() and not _rows_were_lost(recording.time_s, gaps):
+        rate = len(steps) / float(np.sum(steps))
+        message = (
+            f"sampling is irregular: {int(gaps.sum())} times are late by half a period, but no row is missing. "
+            f"If the samples were taken at a fixed rate, state it: hframe import FILE --map time_s={rate:.4g}Hz"
+        )
+        return [Finding("advice", recording.name, "time_s", message)]
     if gaps.any():
         lost = float(np.sum(steps[gaps]) - np.sum(gaps) * period)  # s
         message = (
@@ -73,6 +84,22 @@ def check_sampling(recording: Recording) -> list[Finding]:
         message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
         findings.append(Finding(severity, recording.name, "time_s", message))
     return findings
+
+
+def _rows_were_lost(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
+    """Return whether the times after one of the gaps stay late, so that rows are missing there.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        gaps: True for steps that are longer than a period, shape (n - 1,).
+    """
+    period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    lateness = time_s - period * np.arange(len(time_s))  # plus a constant
+    return any(
+        np.median(lateness[k + 1 : k + 1 + _NEIGHBORS]) - np.median(lateness[max(k + 1 - _NEIGHBORS, 0) : k + 1])
+        > 0.5 * period
+        for k in np.flatnonzero(gaps)
+    )
 
 
 def sampling_rate(recordings: Sequence[Recording]) -> Finding:

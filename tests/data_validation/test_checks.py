@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.data_validation import check_before_fit, check_recordings
+from hframe_gym.data_validation.sampling import check_sampling
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine
 from tests.data_validation.planted_mistakes import PHI1, X, Y, faults, measure, with_column
@@ -298,3 +299,12 @@ def test_a_run_of_many_rows_is_checked_and_should_be_cut(runs: list[Recording], 
     findings = check_recordings([long], hframe)
     assert any("s long, which makes a fit slow: cut it by hframe import --split-at-rests" in str(f) for f in findings)
     assert any(f.channel == "x.mass" and "standard error" in f.message for f in findings)
+
+
+def test_late_time_stamps_are_not_lost_rows(runs: list[Recording]) -> None:
+    """A logger that samples at a fixed rate stamps some rows late; it loses no row."""
+    run = runs[0]
+    late = np.where(np.random.default_rng(6).random(len(run.time_s)) < 0.05, 0.7e-3, 0.0)
+    [finding] = check_sampling(dataclasses.replace(run, time_s=run.time_s + late))
+    assert "no row is missing" in finding.message
+    assert "--map time_s=1000Hz" in finding.message
