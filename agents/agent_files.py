@@ -145,11 +145,13 @@ def refuse_to_replace(folder: Path, recipe: str, machine: str, seed: int, alone:
         recipe: Name of the recipe of the new run, ALGORITHM_TASK.
         machine: Name of its machine.
         seed: Its seed.
-        alone: Whether the command trains this seed only, in its process, so that it accepts the option --resume.
+        alone: Whether the command trains this seed only, not several seeds. Only then does it accept the option
+            --resume, which the message then proposes.
 
     Raises:
-        InputError: If the folder holds such files. The message says what they are and how to continue or replace the
-            run; it can be continued if it has a checkpoint and recipe, machine and seed of the new one.
+        InputError: If the folder holds such files. The message says what they are and how to replace the run in the
+            folder or to continue it, which is possible if that run has a checkpoint and the same recipe, machine and
+            seed as the new one.
     """
     complete_commit(folder)
     files = [name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"]  # which a user may have written

@@ -111,12 +111,12 @@ def shipped_agent_folder(name: str, task: str) -> Path:
 
 
 def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
-    """Find the folder of the shipped agent from which a recipe continues, for example "adapt".
+    """Find the folder of the agent whose training a recipe such as "adapt" continues. The package contains the agent.
 
     Args:
-        recipe: Recipe with a `start`.
+        recipe: Recipe whose `start` names the agent.
         task: Name of the task, "reach" or "track".
-        machine: Machine on which training continues.
+        machine: Machine on which training continues; it needs the agent's numbers of axes and drives.
 
     Returns:
         Folder of the agent, for `load_weights`.

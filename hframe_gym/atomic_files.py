@@ -191,7 +191,7 @@ def write_text(path: str | Path, text: str) -> None:
 def remove_file(path: str | Path) -> None:
     """Remove a file if it exists.
 
-    Inside an `output_batch` of the same folder, an existing file disappears only at the end of the batch.
+    Inside a block `with output_batch(folder)` of the same folder, the file disappears only at the end of the block.
 
     Args:
         path: File to remove.

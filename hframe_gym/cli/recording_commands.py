@@ -165,7 +165,7 @@ def identify(
     out: OutOption,
     machine: MachineOption = "hframe",
     hold_out: Annotated[
-        list[str] | None, typer.Option(help="A run to evaluate on instead of fitting it; repeat for more runs.")
+        list[str] | None, typer.Option(help="Run (file name without ending) to hold out; repeat for more runs.")
     ] = None,
     jobs: Annotated[
         int | None,
@@ -175,8 +175,8 @@ def identify(
             help="Number of threads (default: all cores); with several rigs, number of rigs at a time (default: 1).",
         ),
     ] = None,
-    # Has no effect, because identification draws no random numbers; scripts that pass it keep working.
-    seed: Annotated[int, typer.Option(hidden=True)] = 0,
+    # Kept for scripts that pass it.
+    seed: Annotated[int, typer.Option(hidden=True, help="No effect: identification draws no random numbers.")] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,

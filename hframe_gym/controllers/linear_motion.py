@@ -98,9 +98,10 @@ class LinearMotion:
         return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
 
     def opposing_friction(self, state: Array, error: Array, parameters: Array) -> Array:
-        """Predict the Coulomb friction on the way to the goal, as one constant force per coordinate for a linear plan.
+        """Predict the Coulomb friction during the motion to the goal, as one constant force per coordinate.
 
-        Friction opposes the present motion. Where a coordinate hardly moves, it opposes the motion towards the goal.
+        Constant forces permit to plan the motion with a linear model. Friction opposes the present motion; below about
+        20 mm/s, it opposes the motion towards the goal.
 
         Args:
             state: Belt travel (radius * angle) of the n coordinates of B machines and its velocity, m and m/s, shape

@@ -224,7 +224,7 @@ class EnvironmentBatch:
 
         Returns:
             Observations, rewards, terminations and distances to goal and path, m, of all environments, in new arrays
-            whose first axis has `count` rows; `StepResult` documents the shape of each.
+            whose first axis has the length `count`; `StepResult` documents the shape of each.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.

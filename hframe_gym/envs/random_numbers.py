@@ -79,7 +79,7 @@ def uniform(key: Any, step: Any, channel: Any) -> float:
     Equal arguments always give the same number; there is no internal state.
 
     Args:
-        key: Key of the episode, which takes the place of a seed, uint64.
+        key: Key of the episode, which `episode_keys` derives from a seed, uint64.
         step: Index of the control period since the reset, from 0; 2^62 (`RESET_STEP`) for numbers that the reset
             itself uses; integer.
         channel: Index of the random number within the step, from 0; integer.
@@ -144,7 +144,7 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
     """Generate two independent normal random numbers of mean 0 and variance 1 (Box and Muller 1958).
 
     Args:
-        key: Key of the episode, which takes the place of a seed, uint64.
+        key: Key of the episode, which `episode_keys` derives from a seed, uint64.
         step: Index of the control period since the reset, from 0; integer.
         channel: Index of a random number within the step, integer. The pair is computed from the uniform random numbers
             `channel` and `channel + 1` of the step.

@@ -327,7 +327,7 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
 
     Returns:
         times_s: Shortest possible settling time of each of B episodes to 0.2 mm, s, shape (B,), NaN where no bound is
-            stored; None if none is.
+            stored; None instead of the array if none is stored for any episode.
         reason: Why bounds are missing, one sentence; None if none is missing.
 
     Raises:

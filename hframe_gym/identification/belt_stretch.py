@@ -21,7 +21,7 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
     """Return the typical difference between the angle of each pulley and that of unstretched belts.
 
     Args:
-        machine: Machine with or without belts.
+        machine: Machine; without belts the result is empty.
         moving: True if the run begins in motion (the drives stretch the belts), False at rest (friction holds the
             stretch).
 
@@ -39,12 +39,13 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
 def vibration_speeds(machine: Machine) -> dict[str, float]:
     """Return the speeds with which the pulleys typically vibrate against the belts while the machine moves.
 
+    The amplitude of the vibration is the stretch of the belts that a quarter of the drives' rated torque causes.
+
     Args:
-        machine: Machine with or without belts.
+        machine: Machine; without belts the result is empty.
 
     Returns:
-        Amplitude of the velocity, rad/s, of a vibration at the pulley's natural frequency with the stretch that the
-        drives cause, by name of each pulley with a sensor.
+        Amplitude times natural frequency of the pulley on its belts, rad/s, by name of each pulley with a sensor.
     """
     angles = stretch_angles(machine, moving=True)
     return {

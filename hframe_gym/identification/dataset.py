@@ -50,7 +50,7 @@ class PreparedRecording:
 
     @property
     def counted(self) -> Array:
-        """Weight of each squared error, shape (n, sensors): 1; less if a rounded value repeats; 0 if it is not used."""
+        """Weights of squared errors, shape (n, sensors): 1, 1 / N if a rounded value repeats N times, 0 if not used."""
         return self.weights if self.rows is None else self.weights * self.rows[:, None]
 
     @property

@@ -243,18 +243,19 @@ class EffectSearch:
         return None
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Replace effects (deviations from the model) by more likely rivals, and forget rivals that are less likely.
+        """Compare effects (deviations from the model) with their rivals again, now beside all other effects.
 
-        While other effects were missing, predictions needed strong feedback of the measurements (an observer of wide
-        bandwidth), which hid how an effect differs from its rivals. Beside all other effects, they are compared again.
+        An effect was selected while others were still missing. Predictions then needed an observer of wide bandwidth
+        (strong feedback of the measurements), which hid how the effect differs from its rivals. The most likely one is
+        kept; rivals that are clearly less likely are dropped.
 
         Args:
             current: Fit of the machine with all selected effects.
             selected: All selected effects, with their rivals.
 
         Returns:
-            fit: Fit of the machine with the more likely effects.
-            selected: These effects with their fitted parameters.
+            fit: Fit of the machine with the most likely effects.
+            selected: These effects with their fitted parameters and the rivals that remain.
         """
         settled: tuple[SelectedEffect, ...] = ()
         for old in selected:

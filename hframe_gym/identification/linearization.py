@@ -110,7 +110,7 @@ class NormalEquations:
             parts: Normal equations of at least one run.
 
         Returns:
-            Sums of all products, of the same shapes, and of the counts.
+            Products in the same shapes, and numbers of values, each summed over the parts.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))

@@ -71,7 +71,7 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
         resting_rows: Number of rows at rest at the beginning of each run.
 
     Returns:
-        Standard deviation in the sensor's unit; None if too few rows are at rest. Runs with fewer than 10 do not count.
+        Standard deviation in the sensor's unit. None if too few rows are at rest; fewer than 10 in a run do not count.
     """
     squares, rows = 0.0, 0
     for values, count in zip(channel, resting_rows, strict=True):
@@ -110,10 +110,10 @@ _REST_S = 0.02  # s; a quantized measurement that stays the same for longer show
 
 
 def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
-    """Return how many independent values each measurement counts as in a sum of squared errors, at most 1.
+    """Return the weight of each measurement in a sum of squared errors: 1 if it is independent of its neighbors.
 
     While a machine rests, all measurements of a quantized sensor have the same rounding error. Together, they contain
-    no more information about the position than one of them, so their counts add up to 1.
+    no more information about the position than one of them, so their weights add up to 1.
 
     Args:
         time_s: Sample times, s, shape (n,).
@@ -121,7 +121,7 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:
-        Counts, dimensionless, shape (n, sensors): 0 where not measured; 1 / N for N equal measurements in succession
+        Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N for N equal measurements in succession
         over more than 20 ms; otherwise, and always without quantization, 1.
     """
     counts = np.isfinite(outputs).astype(float)

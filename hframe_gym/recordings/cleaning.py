@@ -151,7 +151,7 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     Such samples depart from the straight line between their neighbors, and from the extrapolations of the two samples
     before and of the two after them. Kinks and steps of a real motion (a shock at an end stop, a stop by Coulomb
     friction) agree with one of the extrapolations, so they are kept. The departure must be large relative to three
-    quantities: the departures of all samples of the run, the distance that the change of speed around it explains, and
+    quantities: the departures of all samples of the run, the distance that the change of speed there explains, and
     the noise and resolution that the machine declares. Empty cells are skipped, and sensors with fewer than 30
     measurements have no outliers.
 

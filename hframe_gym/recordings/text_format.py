@@ -137,6 +137,8 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
 def split_row(line: str, separator: str) -> list[str]:
     """Split a line of a table into cells, and remove blanks and quotation marks around them.
 
+    A separator between quotation marks does not split a cell, unless the separator is a blank.
+
     Args:
         line: Line of a table.
         separator: Character between the cells; a blank means one or more blanks.
