@@ -2,7 +2,7 @@
 
 A recording holds in each row the voltage that acts from its time to the time of the next row. Many loggers write the
 voltage that has acted until then, so that every voltage is one row late. A delay of the response has physical causes,
-which identification can find; a response before its cause has none.
+which identification can find; a response before its cause has none, unless too long a delay is declared.
 """
 
 from __future__ import annotations
@@ -33,17 +33,18 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
 
     Returns:
         A fault about all runs together if the second fit has less than 70 % of the chi-squared (mean squared error over
-        noise variance) of the first, else nothing. Nothing also if all runs have more than 20,000 rows.
+        noise variance) of the first, else nothing. Nothing also if all runs have more than 20,000 rows, or if the
+        machine is declared with a delay or lag, which may be too long.
     """
     largest = sorted((run for run in data.runs if len(run.time_s) <= _MAX_ROWS), key=_input_changes)[-_RUNS:]
-    if not largest:
+    if not largest or any(e.definition.delay or e.definition.next_state for e in machine.effects):
         return []
     runs = data.with_runs([run.name for run in largest])
     earlier = dataclasses.replace(runs, runs=tuple(map(_with_earlier_inputs, runs.runs)))
     free = default_free_parameters(machine)
     logged = fit(machine, free, runs, SEARCH_BANDWIDTH, iterations=_ITERATIONS)
     shifted = fit(machine, free, earlier, SEARCH_BANDWIDTH, theta=logged.theta, iterations=_ITERATIONS)
-    if not shifted.cost < _CERTAIN * logged.cost:
+    if not shifted.cost < _CERTAIN * logged.cost < np.inf:
         return []
     channels = " and ".join(machine.input_channels)
     verb = "are" if len(machine.drives) > 1 else "is"

@@ -51,8 +51,8 @@ def check_sampling(recording: Recording) -> list[Finding]:
 
     Returns:
         Findings (severity, run, channel, message). Fewer rows than identification needs (20) are a fault. Lost samples,
-        a duration above 120 s and a jitter above 10 % of the period are advice; a jitter of 2 % to 10 % is a note.
-        Empty if nothing is wrong.
+        times that are late although no row is missing, a duration above 120 s and a jitter above 10 % of the period are
+        advice; a jitter of 2 % to 10 % is a note. Empty if nothing is wrong.
     """
     steps = np.diff(recording.time_s)
     if len(steps) + 1 < MIN_ROWS:
@@ -61,14 +61,15 @@ def check_sampling(recording: Recording) -> list[Finding]:
     findings = []
     period = float(np.median(steps))
     gaps = steps > GAP_PERIODS * period
-    if gaps.any() and not _rows_were_lost(recording.time_s, gaps):
+    if gaps.any() and _late_stamps(recording.time_s, gaps):
         rate = len(steps) / float(np.sum(steps))
         message = (
-            f"sampling is irregular: {int(gaps.sum())} times are late by half a period, but no row is missing. "
-            f"If the samples were taken at a fixed rate, state it: hframe import FILE --map time_s={rate:.4g}Hz"
+            "sampling is irregular: times are late by half a period or more, but no row is missing. If the samples "
+            f"were taken at a fixed rate, state it: hframe import FILE --map time_s={rate:.4g}Hz --out RUNS"
         )
-        return [Finding("advice", recording.name, "time_s", message)]
-    if gaps.any():
+        findings.append(Finding("advice", recording.name, "time_s", message))
+        gaps[:] = True  # nothing more is said of the steps
+    elif gaps.any():
         lost = float(np.sum(steps[gaps]) - np.sum(gaps) * period)  # s
         message = (
             f"{int(gaps.sum())} gaps ({1e3 * lost:.3g} ms in total, {100 * lost / np.sum(steps):.2g} %): samples were "
@@ -78,7 +79,7 @@ def check_sampling(recording: Recording) -> list[Finding]:
     if np.sum(steps) > _LONG_RUN:
         message = f"is {np.sum(steps):.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
         findings.append(Finding("advice", recording.name, "", message))
-    jitter = float(np.std(steps[~gaps]))
+    jitter = float(np.std(steps[~gaps])) if not gaps.all() else 0.0
     if jitter > _JITTER * period:
         severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
         message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
@@ -86,19 +87,23 @@ def check_sampling(recording: Recording) -> list[Finding]:
     return findings
 
 
-def _rows_were_lost(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
-    """Return whether the times after one of the gaps stay late, so that rows are missing there.
+def _late_stamps(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
+    """Return whether long steps are late time stamps, which short steps follow, and no row is missing.
 
     Args:
         time_s: Sample times, s, shape (n,).
         gaps: True for steps that are longer than a period, shape (n - 1,).
     """
-    period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    lateness = time_s - period * np.arange(len(time_s))  # plus a constant
-    return any(
+    steps = np.diff(time_s)
+    short = steps < (2.0 - GAP_PERIODS) * np.median(steps)
+    if np.count_nonzero(short) < 0.5 * np.count_nonzero(gaps):
+        return False
+    period = float(time_s[-1] - time_s[0]) / len(steps)
+    lateness = time_s - period * np.arange(len(time_s))  # plus a constant; a missing row makes all later times late
+    return not any(
         np.median(lateness[k + 1 : k + 1 + _NEIGHBORS]) - np.median(lateness[max(k + 1 - _NEIGHBORS, 0) : k + 1])
         > 0.5 * period
-        for k in np.flatnonzero(gaps)
+        for k in np.flatnonzero(gaps[:-1])
     )
 
 

@@ -126,8 +126,8 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 def resolved_step(machine: Machine, longest_step: float) -> float:
     """Return an integration step that resolves the fastest vibration of the belts, at most a given step.
 
-    Steps that are too long for a stiff belt change the frequency of its vibration, and beyond 2 / frequency (rad/s) the
-    integrator diverges.
+    Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
+    integrator diverge. The stiffness is that at position 0.
 
     Args:
         machine: Machine with its belts.
@@ -136,8 +136,13 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     Returns:
         Step, s: `longest_step`, or 0.75 / highest natural frequency (rad/s) if that is shorter.
     """
-    highest = 2 * np.pi * float(mode_frequencies(machine).max()) if machine.belts else 0.0
-    return min(longest_step, _MAX_PHASE / highest) if highest else longest_step
+    mass = np.array([c.mass for c in machine.coordinates])
+    stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
+    # The sum of all squared natural frequencies, which is quickly computed, is usually a sufficient bound.
+    squared_sum = float(np.sum(stiffness[:, None] * machine.belt_matrix**2 / mass)) if machine.belts else 0.0
+    if longest_step**2 * squared_sum <= _MAX_PHASE**2:
+        return longest_step
+    return min(longest_step, _MAX_PHASE / (2 * np.pi * float(mode_frequencies(machine).max())))
 
 
 def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equations, Array]:

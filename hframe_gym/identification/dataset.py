@@ -334,13 +334,13 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
             "drag": drive / speed**2,
             "stiffness": drive / distance,
         }
-    voltages = np.concatenate(list(inputs))
-    for j, d in enumerate(machine.drives):
+    for d, voltage in zip(machine.drives, np.concatenate(list(inputs)).T, strict=True):
         i = machine.coordinate_names.index(d.coordinate)
         # Ohm's law with the back-EMF of the motor, which turns gear_ratio times as fast as the coordinate.
-        current = (voltages[:, j] - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
-        by_coordinate[d.coordinate]["A"] = max(float(np.abs(current).max()), 1e-9)
-        by_coordinate[d.coordinate]["voltage"] = max(float(np.abs(voltages[:, j]).max()), 1e-9)
+        current = (voltage - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
+        sizes = by_coordinate[d.coordinate]
+        for key, values in (("A", current), ("voltage", voltage)):
+            sizes[key] = max(float(np.abs(values).max()), sizes.get(key, 1e-9))
     general: dict[str, float] = {}
     if machine.belts:
         extension = positions @ machine.belt_matrix.T  # (n, belts)

@@ -37,7 +37,9 @@ _VARIABLES = {
     "s": "extension",
     "rate": "extension",
 }
-_PATCH_REMAINDER = 0.02  # of the error beyond the noise; an error in a form is not removed up to that by another form
+# An error in an effect's form is not removed by another form to less than a fiftieth. Of an error of less than about
+# twice the noise, too little is visible to tell.
+_CORRECTION_REMAINDER, _CLEAR_ERROR = 0.02, 5.0  # fraction of the error beyond the noise; chi-squared per sample
 _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
 _CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 
@@ -235,9 +237,10 @@ def _form_error(
     """Return that an effect may be an error in the form of one of another family, "" if nothing speaks for that."""
     machine = with_effect.machine
     # What an inexact form leaves has no simple formula itself. An effect that removes nearly all of an error of several
-    # times the noise is therefore none of its patches.
+    # times the noise is therefore no correction of another effect's form.
     floor = noise_floor(without.bandwidth, criteria)
-    if max(with_effect.chi2 - floor, floor - 1.0) < _PATCH_REMAINDER * (without.chi2 - floor):
+    removes_all = with_effect.chi2 - floor < _CORRECTION_REMAINDER * (without.chi2 - floor)
+    if removes_all and without.chi2 > _CLEAR_ERROR:
         return ""
     for other in (e for e in machine.effects if e.definition.family != effect.definition.family):
         if depend_on_same_variable(effect, other, machine):

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 # noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_ROWS = (0.005, 0.01, 0.02, 0.04), 8
 _COMPARED_S = 0.05  # s; first part of the run whose simulations decide between the velocities, and rest
-_SIGNIFICANT_SPEED = 5.0  # standard deviations: noise reaches this once in millions of runs
+_SIGNIFICANT_SPEED = 5.0  # standard deviations, which noise hardly ever reaches
 # Of two starts, one is certainly better if its sum of squared errors is less than this fraction of the other's. The sum
 # contains model errors, which do not average out, so no test for independent errors applies.
 _CERTAIN = 0.5
@@ -54,10 +54,11 @@ class InitialVelocity(NamedTuple):
 def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> InitialVelocity:
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
-    Parabolas are fitted to the measurements of the first 5 to 40 ms, at least eight rows. Weighted least squares
-    convert their slopes at the first row to velocities of the rigid motions (those that stretch no belt). A run that
-    begins at rest and is driven from its first row on has such slopes as well. Therefore the machine is simulated from
-    rest and with each velocity, and the start is chosen whose simulation is closest to the first 50 ms of measurements.
+    Parabolas are fitted to the measurements of the first 5 to 40 ms, at least eight rows, of which half must be
+    measured. Weighted least squares convert their slopes at the first row to velocities of the rigid motions (those
+    that stretch no belt). A run that begins at rest and is driven from its first row on has such slopes as well.
+    Therefore the machine is simulated from rest and with each velocity, and the start is chosen whose simulation is
+    closest to the first 50 ms of measurements.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -66,8 +67,9 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
 
     Returns:
         Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, shape (errors,
-        coordinates). The standard deviation is the distance to the farthest start whose sum of squared errors is at
-        most twice the smallest, and at least 20 % of the speed. Zeros and no errors if rest is certainly the best.
+        coordinates). The variance is that of the slopes' noise plus the squared distance to the farthest start whose
+        sum of squared errors is at most twice the smallest, or plus (20 % of the speed) squared if that is larger.
+        Zeros and no errors if rest is certainly the best, or if the first rows do not measure a velocity.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_ROWS:

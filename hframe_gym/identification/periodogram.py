@@ -48,7 +48,8 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
     Returns:
         At most seven spatial rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
         (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
-        Strength is the square sum that sine and cosine explain. Empty if the position does not change, or never slowly
+        Strength is the square sum of the force that sine and cosine explain in the rows used, so that a rate with few
+        rows counts little. Empty if the position does not change, or never slowly
         enough.
 
     References:
@@ -108,7 +109,7 @@ def _spectrum(
         points = np.arange(first, min(end, round(_POINTS_PER_PERIOD * _MAX_PERIODS) + 1))
         fastest = highest * _POINTS_PER_PERIOD * span / end
         rows = (speed > _SLOWEST * min(fastest, top)) & (speed < fastest)
-        if len(points) == 0 or np.count_nonzero(rows) < _MIN_ROWS:
+        if np.count_nonzero(rows) < _MIN_ROWS:
             continue
         sign = np.sign(velocity[rows]) if friction else np.ones(np.count_nonzero(rows))
         all_points.append(points)

@@ -40,9 +40,9 @@ _HELD_OUT_CONTRADICTION = (
     "and sensors), or it shows what the fitted runs do not excite (hold out another run with --hold-out). The "
     "errors on held-out runs include it."
 )
-_EXCHANGED = (
-    "{} was held out at first and contradicted the other runs, which alone show no effect. It is fitted now, and {} is "
-    "held out instead."
+_HINT = (
+    "If the held-out runs are fitted as well, {} would explain all runs, but no other run confirms it. Record another "
+    "run such as {} and identify again."
 )
 _CAUSED_ERROR = -1.0  # gain on a held-out run below which an effect causes its error: half of the squared error or more
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
@@ -89,12 +89,11 @@ def identify(
     all_runs, ranges = _prepare(recordings, machine, criteria, log)
     search = partial(_search, machine, all_runs, criteria=criteria, log=log)
     found = search(held_names)
-    if not held_out and not found.outcome.selected and found.differing == tuple(r.name for r in found.held_out.runs):
-        found = _with_exchanged_runs(found, search, log)
+    hint = () if found.outcome.selected or held_out else _effects_of_differing_runs(found, search, log)
     agreeing = found.held_out.with_runs([run.name for run in found.held_out.runs if run.name not in found.differing])
     outcome = _without_unconfirmed(found.outcome, agreeing, log)
     messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
-    messages += tuple(map(_HELD_OUT_CONTRADICTION.format, found.differing))
+    messages += (*map(_HELD_OUT_CONTRADICTION.format, found.differing), *hint)
     validation = with_all_measurements(found.held_out, recordings)
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
     for warning in (*result.limit_warnings, *result.divergence_warnings):
@@ -136,11 +135,11 @@ def _search(
     return _Found(outcome, held_out, differing, (*unused, *excluded))
 
 
-def _with_exchanged_runs(found: _Found, search: Callable[[Sequence[str]], _Found], log: Log) -> _Found:
-    """Fit the held-out runs, and hold out others in exchange, because every held-out run contradicts the fitted ones.
+def _effects_of_differing_runs(found: _Found, search: Callable[[Sequence[str]], _Found], log: Log) -> tuple[str, ...]:
+    """Return a hint if every held-out run contradicts the fitted ones, and effects would explain all runs together.
 
-    Either something was wrong with these runs, or only they excite an effect. In the second case, an effect explains
-    all runs once these are fitted, and the runs that are held out in exchange confirm it.
+    Either something was wrong with the held-out runs, or only they excite an effect. The effects are searched for with
+    these runs fitted. They are named only as a hint: no run is left that could confirm them.
 
     Args:
         found: Outcome of the search, without effects.
@@ -148,19 +147,19 @@ def _with_exchanged_runs(found: _Found, search: Callable[[Sequence[str]], _Found
         log: Called with a line of text.
 
     Returns:
-        Outcome with the other division of the runs if it explains them, else the given one.
+        A sentence for the user, or nothing.
     """
-    names = ", ".join(found.differing)
-    others = [run.name for run in found.outcome.data.runs][: len(found.differing)]
-    if found.outcome.contradiction or len(found.outcome.data.runs) <= len(others):
-        return found
-    log(f"{names} contradicts the fitted runs; searching with {', '.join(others)} held out instead")
+    fitted = [run.name for run in found.outcome.data.runs]
+    if len(found.differing) < len(found.held_out.runs) or len(fitted) <= len(found.differing):
+        return ()
+    names, others = ", ".join(found.differing), fitted[: len(found.differing)]
+    log(f"all held-out runs contradict the fitted ones ({names}); searching with {', '.join(others)} held out instead")
     exchanged = search(others)
-    if not exchanged.outcome.selected or not exchanged.outcome.explained or exchanged.differing:
-        return found
-    if exchanged.outcome.contradiction:
-        return found
-    return exchanged._replace(messages=(*exchanged.messages, _EXCHANGED.format(names, ", ".join(others))))
+    outcome = exchanged.outcome
+    if not outcome.selected or not outcome.explained or outcome.contradiction or exchanged.differing:
+        return ()
+    effects = ", ".join(s.effect.label for s in outcome.selected)
+    return (_HINT.format(effects, names),)
 
 
 def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:
@@ -233,15 +232,15 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         refuted = [
             s for s in selected if gains[s.effect.label] <= 0.0 and is_excited(s, after.machine, runs, after.bandwidth)
         ]
-        if not refuted:
+        refined = refine_starts(data, after.machine)
+        ordered = sorted(refuted, key=lambda s: gains[s.effect.label])
+        fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)
+        # The weakest that can be removed: no other effect requires it or acts on a coordinate that it added.
+        weakest, reduced = next(((s, fitted) for s, fitted in fits if fitted is not None), (None, None))
+        if weakest is None or reduced is None:
             break
-        weakest = min(refuted, key=lambda s: gains[s.effect.label])
         reason = "does not reduce the error of the held-out runs"
         log(f"  {weakest.effect.label} is removed: it {reason}")
-        refined = refine_starts(data, after.machine)
-        reduced = without_effect(after, weakest.effect.label, refined, before.machine)
-        if reduced is None:  # another effect acts on a coordinate that this one added, or requires it
-            break
         entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
         selected = tuple(s for s in selected if s is not weakest)
         after, considered = reduced if selected else before, (*considered, entry)

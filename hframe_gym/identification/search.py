@@ -82,10 +82,11 @@ def search_effects(
     suspect = contradicting_run(all_runs.base, data) if leave_out else None
     if suspect is None:
         return all_runs.run()
+    log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
     if not others.needs_no_effect and all_runs.known_effects_explain:
         return all_runs.run()
-    log(f"{suspect} contradicts the other runs; searching for effects without it")
+    log(f"searching for effects without {suspect}")
     outcome = others.run()
     if not outcome.explained:
         complete = all_runs.run()

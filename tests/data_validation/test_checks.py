@@ -308,3 +308,20 @@ def test_late_time_stamps_are_not_lost_rows(runs: list[Recording]) -> None:
     [finding] = check_sampling(dataclasses.replace(run, time_s=run.time_s + late))
     assert "no row is missing" in finding.message
     assert "--map time_s=1000Hz" in finding.message
+
+
+@pytest.mark.parametrize("every", [4, 5, 10])
+def test_rows_that_are_lost_regularly_are_no_late_stamps(runs: list[Recording], every: int) -> None:
+    run = runs[0]
+    kept = np.arange(len(run.time_s)) % every > 0
+    lossy = dataclasses.replace(run, time_s=run.time_s[kept], inputs=run.inputs[kept], outputs=run.outputs[kept])
+    assert any("samples were dropped" in finding.message for finding in check_sampling(lossy))
+
+
+def test_late_stamps_do_not_hide_that_a_run_is_long() -> None:
+    time_s = np.arange(200_000) * 1e-3
+    time_s[::20] += 0.7e-3
+    long = Recording("long", time_s, np.zeros((200_000, 1)), np.zeros((200_000, 1)))
+    messages = [finding.message for finding in check_sampling(long)]
+    assert any("no row is missing" in message for message in messages)
+    assert any("which makes a fit slow" in message for message in messages)

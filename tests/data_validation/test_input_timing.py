@@ -55,3 +55,9 @@ def test_voltages_that_are_logged_one_row_late_are_a_fault() -> None:
 def test_voltages_that_act_when_they_are_logged_are_no_fault(effect: AppliedEffect | None) -> None:
     machine = RIG if effect is None else RIG.with_effects(effect)
     assert late_findings(machine, 0) == []
+
+
+def test_a_delay_that_is_declared_too_long_is_no_fault_of_the_recordings() -> None:
+    declared = DECLARED.with_effects(EFFECTS["input_delay"].at("drives", d=2e-3))
+    findings = check_before_fit(recordings(RIG, 0), declared)
+    assert [f.message for f in findings if f.severity == "fault"] == []

@@ -159,6 +159,15 @@ def test_an_addition_of_the_same_family_is_a_better_form(scripted: Scripted) -> 
     assert doubt(scripted, 1.4, 1.2, STRIBECK, tustin) == ""
 
 
+@pytest.mark.parametrize(("without", "with_effect", "sure"), [(60.0, 1.1, True), (60.0, 3.0, False), (4.9, 1.0, False)])
+def test_an_effect_that_removes_a_clear_error_is_no_correction_of_a_form(
+    scripted: Scripted, without: float, with_effect: float, sure: bool
+) -> None:
+    scripted.difference = 0.05
+    text = doubt(scripted, without, with_effect, STRIBECK, DRAG)
+    assert ("the form of that effect may be in error" not in text) == sure
+
+
 def test_a_faulty_machine_is_doubted(scripted: Scripted) -> None:
     scripted.fault = "makes the machine unstable"
     assert doubt(scripted) == scripted.fault
@@ -203,7 +212,7 @@ def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_vari
     monkeypatch: pytest.MonkeyPatch, rows: int
 ) -> None:
     monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
     free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
     fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
     data: Any = SimpleNamespace(period=1e-3, runs=[(seed, rows) for seed in range(100)])
@@ -214,7 +223,7 @@ def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_vari
 def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     """The quantile of F(1, 8) at one in ten thousand is 3.35 times that of the chi-squared distribution."""
     monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
     free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
     fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
     run = (0, 200)

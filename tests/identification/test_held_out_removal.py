@@ -18,6 +18,7 @@ from hframe_gym.identification.held_out import contradicting_held_out_runs
 from hframe_gym.identification.pipeline import _contradicting_held_out_runs, _without_unconfirmed
 from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.identification.search import SearchOutcome
+from hframe_gym.identification.trial_fits import without_effect
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -79,3 +80,21 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     _, outcome = outcome_with_force(axis, data, 0.3, False)
     assert contradicting_held_out_runs(outcome.after, validation) == ("run_1",)
     assert _contradicting_held_out_runs(outcome, validation) == contradicting
+
+
+def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first(axis: Machine) -> None:
+    """An overtone of cogging is not identified without cogging; the held-out run shows neither."""
+    cogging, overtone = (
+        EFFECTS[name].at("motor", A=0.01, n=rate, p=0.3) for name, rate in (("cogging", 4.0), ("second_cogging", 8.0))
+    )
+    cogged = axis.with_effects(cogging, overtone)
+    data, validation = prepare([recorded(cogged, 0)], axis), prepare([recorded(axis, 1)], axis)
+    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
+    after = fit(cogged, default_free_parameters(axis), data, SIMULATION, iterations=1)
+    assert without_effect(after, cogging.label, data, before.machine) is None
+    selected = tuple(SelectedEffect(e, 1.0, axis).with_values(after.machine) for e in cogged.effects)
+    outcome = SearchOutcome(before, True, True, "effect_found", after, selected, (), data)
+    lines: list[str] = []
+    removed = _without_unconfirmed(outcome, validation, lines.append)
+    assert removed.selected == ()
+    assert [line.split()[0] for line in lines] == [overtone.label, cogging.label]

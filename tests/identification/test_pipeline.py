@@ -180,11 +180,14 @@ def limited_runs(volts: Sequence[float]) -> list[Recording]:
     return recordings
 
 
-def test_an_effect_that_only_the_held_out_run_excites_is_found() -> None:
+def test_an_effect_that_only_the_held_out_run_excites_is_a_hint() -> None:
+    """No other run confirms the effect, and held-out runs select nothing."""
     result = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS)
-    assert [s.effect.label for s in result.effects] == ["current_limit@motor"]
-    assert [run.name for run in result.held_out.runs] == ["run_0"]
-    assert any("run_3 was held out at first" in text for text in result.run_warnings)
-    chosen = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS, held_out=["run_3"])  # as the user wants it
-    assert not chosen.effects
-    assert any("run_3 was held out and contradicts" in text for text in chosen.run_warnings)
+    assert result.effects == ()
+    assert [run.name for run in result.held_out.runs] == ["run_3"]
+    warnings = " ".join(result.run_warnings)
+    assert "run_3 was held out and contradicts the fitted runs" in warnings
+    assert "current_limit@motor would explain all runs" in warnings
+    assert "Record another run such as run_3" in warnings
+    chosen = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS, held_out=["run_3"])
+    assert "would explain" not in " ".join(chosen.run_warnings)  # the user chose this division
