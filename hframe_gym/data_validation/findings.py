@@ -59,10 +59,10 @@ def group_findings(findings: Sequence[Finding]) -> list[Finding]:
         The first finding of each group, in the order of first occurrence. Its `run` names the first run and the number
         of further ones, for example "run_01 and 2 more runs".
     """
-    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    groups: dict[tuple[str, str, str, bool], list[Finding]] = {}
     for finding in findings:
         text = re.sub(r"\d[\d.e+-]*", "#", finding.message) if finding.run else finding.message
-        groups.setdefault((finding.severity, finding.channel, text), []).append(finding)
+        groups.setdefault((finding.severity, finding.channel, text, bool(finding.run)), []).append(finding)
     return [_merged(group) for group in groups.values()]
 
 

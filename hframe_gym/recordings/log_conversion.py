@@ -264,7 +264,7 @@ def _merge(tables: Sequence[tuple[Array, dict[str, Array]]]) -> tuple[Array, dic
     times = np.concatenate([time_s for time_s, _ in tables])
     order = np.argsort(times, kind="stable")
     ordered = times[order]
-    period = min(float(np.median(np.diff(time_s))) for time_s, _ in tables if len(time_s) > 1)
+    period = min((float(np.median(np.diff(time_s))) for time_s, _ in tables if len(time_s) > 1), default=0.0)
     is_new = np.concatenate([[True], np.diff(ordered) > _SAME_TIME * period])
     merged_row = np.empty(len(times), np.int64)  # by row of the concatenated tables
     merged_row[order] = np.cumsum(is_new) - 1

@@ -200,13 +200,13 @@ def parse_factor(where: str, factor: object) -> float:
         The factor, dimensionless.
 
     Raises:
-        InputError: If it is not a finite number other than zero.
+        InputError: If it is not a number with a size from 1e-30 to 1e30.
     """
     try:
         value = float(factor)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         value = 0.0
-    if not abs(value) > 0.0 or value in (float("inf"), float("-inf")):
+    if not 1e-30 <= abs(value) <= 1e30:
         raise InputError(f"{where}: {factor!r} is not a factor; give a number such as 0.001")
     return value
 

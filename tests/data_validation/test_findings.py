@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from hframe_gym.cli import main
-from hframe_gym.data_validation import Finding, print_findings
+from hframe_gym.data_validation import Finding, group_findings, print_findings
 from tests.data_validation.planted_mistakes import EXAMPLES
 
 FINDINGS = [Finding("fault", "run_01", "x_m", "stuck [at 0.1]"), Finding("note", "", "", "8 runs")]
@@ -39,6 +39,11 @@ def test_equal_findings_of_many_runs_are_printed_once() -> None:
     lines = plain.getvalue().splitlines()
     assert lines[0].startswith("advice: run_0 and 4 more runs, time_s: 0 gaps")
     assert lines[1:] == [*map(str, notes), "faults: 0, advice: 1, notes: 2"]
+
+
+def test_a_finding_about_all_runs_is_not_one_of_several_runs() -> None:
+    findings = [Finding("advice", run, "x_m", "noisy") for run in ("", "run_1", "run_2")]
+    assert [finding.run for finding in group_findings(findings)] == ["", "run_1 and 1 more run"]
 
 
 def test_the_command_prints_findings_and_writes_them_as_json(
