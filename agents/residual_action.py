@@ -236,7 +236,7 @@ class ResidualAction:
     def history(self) -> dict[str, NDArray[np.float32]]:
         """Return the arrays that the policy receives in addition to the environment's observation.
 
-        After `action`, `last_action` is already the new action.
+        It is called before `action`; afterwards, `last_action` is the action that was just computed.
 
         Returns:
             last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
@@ -244,11 +244,12 @@ class ResidualAction:
             last_action: Voltages divided by the rated voltages, shape (batch, drives).
             base_action: Action of the base controller, which the policy corrects, as a fraction of the rated voltages,
                 shape (batch, drives); only with a base controller.
-            expected_friction: Voltages against friction ahead on the path, as fractions of the rated voltages, shape
-                (batch, size); only with an `AdaptiveController` as base, whose attribute it is.
+            expected_friction: Voltages that compensate the friction expected in the next periods, as fractions of the
+                rated voltages, shape (batch, 4 * drives); only with an `AdaptiveController` as base, whose attribute
+                documents the columns.
             estimates: Estimated deviations of friction, masses and belts from the model, dimensionless (0.1: about 10 %
-                above), shape (batch, size): the attribute of an adaptive or predictive base, which documents the
-                columns, or of a `ParameterFilter` if the constructor's argument `estimates` is True.
+                above), shape (batch, parameters). They come from a `ParameterFilter` if the constructor's argument
+                `estimates` is True, else from an adaptive or predictive base, whose attribute documents the columns.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_observation, "last_action": self._last_action}
         if self.base:

@@ -243,7 +243,7 @@ def random_state(model: Any) -> dict[str, Any]:
 
 
 def set_random_state(model: Any, state: dict[str, Any]) -> None:
-    """Set all random generators that the training of a model uses to the states that `random_state` returned.
+    """Restore the states, as `random_state` returned them, of all random generators that train a model.
 
     Args:
         model: Model of stable-baselines3 or of the analytic policy gradient, whose generators are changed.

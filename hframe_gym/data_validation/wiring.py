@@ -70,7 +70,8 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
         machine: Machine with these sensors.
 
     Returns:
-        prediction: Predicted measurements, m or rad, shape (n,), correct except for an unknown constant.
+        prediction: Predicted measurements, m or rad, shape (n,), correct except for an unknown constant; NaN where a
+            sensor that is used has no measurement.
         weights: Weight of each sensor in the prediction, in the unit of the predicted sensor per unit of the weighted
             one, shape (sensors,); 0 for sensors that are not used.
 

@@ -182,7 +182,7 @@ class ParameterizedMachine:
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield those effects (deviations from the nominal model) on a component that define a certain formula.
+        """Yield the effects (deviations from the nominal model) that act on a component and define a formula, `hook`.
 
         Args:
             hook: Name of the formula, for example "voltage"; `hframe_gym.machine.Effect` lists these formulas

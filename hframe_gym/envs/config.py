@@ -131,7 +131,7 @@ def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str,
 
     Args:
         constructor: Name of the environment's class, for the error message.
-        options: Keywords given to the constructor, except those in `others`.
+        options: Keyword arguments of the constructor, except those in `others`; only the names are checked.
         others: Keywords that the constructor accepts besides the options; the message lists them too.
 
     Raises:

@@ -101,7 +101,7 @@ class SensorSuite(ABC):
         """Select the sensors of a machine whose measurements are in the observation.
 
         Args:
-            machine: Machine that declares the sensors of this suite, as `apply` returns it.
+            machine: Machine that `apply` returned, which declares the sensors of this suite.
 
         Returns:
             Sensors in the order of their measurements in the observation.

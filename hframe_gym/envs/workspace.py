@@ -33,7 +33,7 @@ def workspace_of(machine: Machine) -> Array:
         One row per axis, columns low and high, m, shape (axes, 2).
 
     Raises:
-        InputError: If the machine has no tool axes, an axis has no range, or there is not one drive per axis.
+        InputError: If the machine has no tool axes, an axis has no range, or there are not as many drives as axes.
     """
     axes = machine.tool_axes
     if not axes:

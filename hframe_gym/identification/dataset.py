@@ -99,7 +99,7 @@ class Dataset:
 
     @property
     def period(self) -> float:
-        """Median sampling period, s."""
+        """Median sampling period over all runs, s."""
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
@@ -120,7 +120,7 @@ class Dataset:
             rows: One mask per run in the order of `runs`, True for a row that enters the residual, shape (n,) each.
 
         Returns:
-            Copy with these masks of shape (n,); times, voltages and measurements are unchanged.
+            Copy with these masks of shape (n,) instead of earlier ones; times, voltages and measurements are unchanged.
 
         Raises:
             ValueError: If the number of masks is not the number of runs.
@@ -306,7 +306,7 @@ class TypicalScales:
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
     """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
-    Other functions state starting values and scales of parameters relative to these sizes. A speed is the 99th
+    Starting values and scales of parameters are given as multiples of these sizes. A speed is the 99th
     percentile, a position the range, a voltage or current the maximum over the motion. A force is a tenth of that of
     all drives together at rated voltage.
 
@@ -317,7 +317,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes by coordinate ("force", "speed", ... in its units) and in general ("A", ... in SI), all positive.
+        Typical sizes, all positive, by the keys that `TypicalScales` documents.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

@@ -30,17 +30,18 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
     """Sort trial fits of different effects by preference: of equally good ones, that with fewest parameters first.
 
     Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost by
-    no more than a margin: 0.002 per measured value, or 3 % of the best fit's reduction of the cost if this is more.
+    no more than a margin: 0.002 per measured value, or 3 % of the reduction from the cost of `current` to that of the
+    best fit, whichever is larger.
 
     Args:
         trials: Fits with one candidate effect (deviation from the model) each.
-        current: Fit without candidates, at the same bandwidth (rad/s) of the observer that corrects predictions.
+        current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         data: Prepared recordings (times, voltages, measurements, SI).
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        First the fits that are as good as the best one, by the number k of their parameters (theta, shape (k,)); then
-        all others, by cost.
+        First the fits that are as good as the best one, those with the fewest parameters (theta, shape (k,)) first;
+        then all others, lowest cost first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -59,7 +60,7 @@ def close_rivals(
 
     Args:
         trials: Fits with one candidate effect (deviation from the model) each, that of the selected effect first.
-        current: Fit without candidates, at the same bandwidth (rad/s) of the observer that corrects predictions.
+        current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         data: Prepared recordings (times, voltages, measurements, SI).
         criteria: Decision thresholds; the values above are its defaults.
 

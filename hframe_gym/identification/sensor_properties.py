@@ -161,8 +161,8 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
     """Estimate the jitter of the clock from the noise of a channel during fast motion.
 
     A measurement that is late by dt has an error of dt * speed. Fifth differences of the measurements contain this
-    error and the sensor's noise, but hardly any smooth motion. Their variance during fast motion therefore gives
-    jitter^2 = (variance - noise^2) / speed^2.
+    error and the sensor's noise, but hardly any smooth motion. Their variance during fast motion, divided by 252 (its
+    value for white noise of variance 1), therefore gives jitter^2 = (variance - noise^2) / speed^2.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
@@ -170,8 +170,8 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         noise: Standard deviation of the sensor's noise at rest, in its unit.
 
     Returns:
-        Standard deviation of the sampling time relative to the recorded time, s. It is 0 unless the variance due to
-        jitter exceeds that of the sensor's noise, because vibrations may cause smaller values.
+        Standard deviation of the sampling time relative to the recorded time, s. It is 0 if jitter causes less variance
+        than the sensor's noise, because vibrations may cause as little.
     """
     squares, speeds = [], []
     for time_s, values in zip(times, channel, strict=True):

@@ -156,14 +156,15 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
     They have four causes:
 
     - Static friction holds an unknown stretch of the belts: one displacement per pulley with an encoder.
-    - No sensor with a fixed zero (laser) measures at rest: one per unmeasured motion that stretches no belt.
+    - No laser (sensor with a fixed zero) measures before the motion begins, so that the position is uncertain: one per
+      motion that stretches no belt and that no laser measures there.
     - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that stretches
       no belt, and one per pulley with an encoder, because the belts vibrate.
     - An effect such as hysteresis remembers motion before the recording: one per state of an effect that defines an
       `initial_spread`.
 
     Args:
-        machine: Machine that predicts.
+        machine: Machine whose simulation starts from this state.
         initial: Measured initial state of the run.
 
     Returns:

@@ -211,17 +211,17 @@ class Effect:
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Names of the parameters that are zero where the effect (deviation from the nominal model) is absent."""
+        """Names of the parameters whose value 0 means that the effect (deviation from the model) is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
         """Return the effect (deviation from the nominal model) at a site, with parameter values.
 
         Args:
-            site: Where the effect acts. Depending on the attribute `site`: name of a coordinate ("coordinate"), a drive
-                ("motor", "drive", "drives"), a belt ("belts") or a sensor channel ("sensor"); or the word "drives",
-                "belts" or "machine" for all components at once. `Machine.with_effects` checks that the machine has this
-                site.
+            site: Component on which the effect acts. Effects of the kind (attribute `site` of this class) "coordinate"
+                take the name of a coordinate, "motor" and "drive" that of a drive, "sensor" that of a channel; "drives"
+                and "belts" the name of one component or, for all of them, this word; "machine" this word.
+                `Machine.with_effects` checks the name.
             **parameters: Value of every parameter of the effect, SI, within its bounds.
 
         Returns:

@@ -424,13 +424,13 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
 def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     """Delay the readings of one sample by each sensor's delay, for a block (LANES machines, simulated side by side).
 
-    The readings are stored; those of the SENSORS sensors that have a delay are replaced by earlier, interpolated ones.
+    The readings become row i of `past_readings`. Those of sensors with a delay are then interpolated between its rows.
 
     Args:
         time: Sample times, s, shape (n,).
         i: Index of the sample.
         sensor_delays: Delay of each sensor, s, shape (SENSORS, LANES), one machine per column.
-        past_readings: Readings without delay of all samples, m or rad, shape (n, SENSORS, LANES); row i is set.
+        past_readings: Readings without delay, m or rad, shape (n, SENSORS, LANES), up to sample i - 1; row i is added.
         reading: Readings of sample i, m or rad, shape (SENSORS, LANES): without delay on entry, delayed on return.
     """
     past_readings[i] = reading
