@@ -54,6 +54,7 @@ FIELDS = (
     "drive_gain",
     "voltage_offset_V",
     "dead_band_V",
+    "voltage_limit_V",
     "current_limit_A",
     "electrical_lag_s",
     "torque_per_ampere",
@@ -109,6 +110,7 @@ FIELDS = (
     DRIVE_GAIN,
     VOLTAGE_OFFSET_V,
     DEAD_BAND_V,
+    VOLTAGE_LIMIT_V,
     CURRENT_LIMIT_A,
     ELECTRICAL_LAG_S,
     TORQUE_PER_AMPERE,
@@ -223,7 +225,7 @@ def add_drives(
 ) -> None:  # pragma: no cover - compiled
     """Add the motors' torques, set the friction that they cause; advance their currents by the implicit Euler rule."""
     for j in range(DRIVES):
-        u = p[DRIVE_GAIN, j] * volts[j]
+        u = p[DRIVE_GAIN, j] * min(max(volts[j], -p[VOLTAGE_LIMIT_V, j]), p[VOLTAGE_LIMIT_V, j])
         band = p[DEAD_BAND_V, j]
         if band > 0.0:
             u = u - band if u > band else (u + band if u < -band else 0.0)

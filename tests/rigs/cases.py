@@ -118,6 +118,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "friction_warm_up": ("machine",),
     "frame_resonance": ("x",),
     "lugre": ("x",),
+    "voltage_limit": ("motor1",),
 }
 PAIRS = (
     ("stribeck_friction@x", "input_delay@drives"),

@@ -230,6 +230,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             fraction = 1.0 - 0.6 * size
             build = partial(limit_current, site=site, fraction=fraction)
             return _hidden(name, site, build, {"I": fraction * _stall_amps(Rig())})
+        case "voltage_limit":
+            volts = (1.0 - 0.6 * size) * MAX_VOLTAGE_V
+            return _hidden(name, site, partial(motor, voltage_limit_V=volts), {"U": volts})
         case "electrical_lag":
             tau = size * 1.5e-3
             return _hidden(name, site, partial(motor, electrical_lag_s=tau), {"tau": tau})
