@@ -8,15 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
-from ..identification.initial_rest import InitialRest, initial_rest, peak_to_peak, without_moving_start
+from ..identification.initial_rest import InitialRest, initial_rest, without_moving_start
 from ..identification.sensor_properties import noise_at_rest
 from ..machine import Machine
-from ..recordings import Recording, only_measurements, without_repetitions
+from ..recordings import Recording, only_measurements, peak_to_peak, without_repetitions
 from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity
 from .identifiability import check_parameters
-from .input_timing import check_input_timing
-from .sampling import check_sampling, overlapping_clocks, sampling_rate, slow_sensors, times_in_milliseconds
+from .sampling import (
+    check_input_timing,
+    check_sampling,
+    overlapping_clocks,
+    sampling_rate,
+    slow_sensors,
+    times_in_milliseconds,
+)
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
 

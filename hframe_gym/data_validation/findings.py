@@ -14,8 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..atomic_files import write_text
-from ..errors import InputError
-from ..recordings import name_runs
+from ..errors import InputError, name_runs
 
 Severity = Literal["fault", "advice", "note"]
 

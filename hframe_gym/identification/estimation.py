@@ -105,7 +105,7 @@ def fit(
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
-    prior = precision = prior_precision(free)
+    prior = prior_precision(free)
     information = np.zeros((len(free), len(free)))
     cost = math.inf
     for _ in range(iterations):
@@ -131,9 +131,10 @@ def fit(
         theta, cost = trials[best], float(trial_costs[best])
         if decrease < tolerance * cost:
             break
-    data_cost = cost - float(theta @ precision @ theta)  # infinite if nothing could be fitted
     machine = model.machine_at(theta)
-    return Fit(machine, model.free, theta, data_cost, data.count, bandwidth, information, longest_step)
+    if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
+        cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
+    return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step)
 
 
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:

@@ -11,8 +11,8 @@ from ..machine import Machine
 from ..recordings import Recording
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, prediction_cost
+from .force_sizes import force_error
 from .forward_selection import SelectedEffect
-from .inverse_dynamics import force_error
 from .model_error import CONTRADICTION
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs
 from .start_uncertainty import prediction_residuals
@@ -77,7 +77,7 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
 
     The error is the prediction error in units of the sensors' noise. With the widest observer (60 rad/s), for machines
     without belts and with a drive and a sensor for each coordinate, it is the error of the drives' force instead:
-    force by the voltages minus force that the measured motion requires (`inverse_dynamics.force_error`).
+    force by the voltages minus force that the measured motion requires (`force_sizes.force_error`).
 
     Args:
         without: Machine to compare with, for example without an effect (deviation from the nominal model).

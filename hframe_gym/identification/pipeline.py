@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, merge_run_warnings
 from ..machine import Machine
-from ..recordings import Recording, merge_run_warnings, without_outliers, without_repetitions
+from ..recordings import Recording, without_outliers, without_repetitions
 from ..registry import load_plugins
 from .criteria import SelectionCriteria
 from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions

@@ -19,9 +19,9 @@ from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, with_encoder_zeros
 from .encoder_zeros import EncoderZeros
+from .force_sizes import force_error
 from .initial_rest import count_resting_rows, without_moving_start
 from .initial_state import measured_initial_state, model_initial_state
-from .inverse_dynamics import force_error
 from .prediction import POLISH_STEP, map_runs
 from .residual import ChannelError, errors_by_channel
 from .rest_measurement import (

@@ -1,10 +1,10 @@
 """Estimate from the first measurements the initial position of a run and the zero of every sensor.
 
-A recording should begin at rest; the rows before the first input change measure the position there (`initial_rest`). If
-it begins in motion, its first row has a position and a velocity (`initial_velocity`). The zero of a sensor is its
-measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position
-of the tool. The angles of the pulleys follow from unstretched belts or from encoders whose zero is known. An unknown
-zero is the measurement at rest minus the reading that the model computes for the estimated state.
+A recording should begin at rest; the rows before the first input change measure the position there. If it begins in
+motion, its first row has a position and a velocity (`initial_rest`). The zero of a sensor is its measurement at
+position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The angles of the pulleys
+follow from unstretched belts or from encoders whose zero is known. An unknown zero is the measurement at rest minus the
+reading that the model computes for the estimated state.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros
-from .initial_rest import count_resting_rows
-from .initial_velocity import InitialVelocity, initial_velocity
+from .initial_rest import InitialVelocity, count_resting_rows, initial_velocity
 
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.

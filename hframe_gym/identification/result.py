@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, output_batch, remove_file, write_text
+from ..errors import merge_run_warnings
 from ..machine import AppliedEffect, Machine
-from ..recordings import merge_run_warnings, save_machine
+from ..recordings import save_machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign

@@ -19,8 +19,8 @@ from scipy.linalg import null_space
 
 from ..dynamics import Equations
 from ..machine import Machine
-from .belt_stretch import stretch_angles, vibration_speeds
 from .dataset import Dataset, PreparedRecording, refine_encoder_zeros
+from .encoder_zeros import stretch_angles, vibration_speeds
 from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
 

@@ -6,6 +6,7 @@ from .cleaning import (
     fill_gaps,
     only_measurements,
     outlier_mask,
+    peak_to_peak,
     repetitions,
     without_outliers,
     without_repetitions,
@@ -17,7 +18,6 @@ from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
-from .run_messages import merge_run_warnings, name_runs
 from .table_file import read_path, recording_files
 
 __all__ = [
@@ -41,12 +41,11 @@ __all__ = [
     "load_recordings",
     "machine_json_schema",
     "machine_to_dict",
-    "merge_run_warnings",
-    "name_runs",
     "new_machine",
     "only_measurements",
     "outlier_mask",
     "parse_factor",
+    "peak_to_peak",
     "read_mapping_file",
     "read_path",
     "recording_files",

@@ -288,3 +288,15 @@ def _departures(time_s: Array, values: Array, length: int) -> Array:
         for slope, anchor in ((slope_before, 1), (slope_after, -2), (slope_across, 1)):
             np.minimum(smallest, np.abs(value - y[anchor] - slope * (time - t[anchor])), out=smallest)
     return smallest
+
+
+def peak_to_peak(outputs: Array) -> Array:
+    """Compute the difference between the largest and the smallest measurement of each channel.
+
+    Args:
+        outputs: Measurements, in the sensors' units, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
+
+    Returns:
+        Differences in the same units, 0 where nothing was measured, shape (sensors,), or a scalar for one sensor.
+    """
+    return np.nan_to_num(np.fmax.reduce(outputs) - np.fmin.reduce(outputs))

@@ -46,8 +46,7 @@ def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine,
 def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> None:
     two_runs = data.with_runs([run.name for run in data.runs[:2]])
     fitted = fit(hframe, default_free_parameters(hframe), two_runs, SEARCH_BANDWIDTH, iterations=3)
-    # What unknown starts explain is linearized at the parameters before the last iteration.
-    assert fitted.cost == pytest.approx(prediction_cost(fitted.machine, two_runs, SEARCH_BANDWIDTH), rel=1e-3)
+    assert fitted.cost == pytest.approx(prediction_cost(fitted.machine, two_runs, SEARCH_BANDWIDTH), rel=1e-7)
     assert fitted.cost < prediction_cost(hframe, two_runs, SEARCH_BANDWIDTH)
     assert fitted.chi2 == fitted.cost / two_runs.count
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import simulate_recording
-from hframe_gym.identification.belt_stretch import stretch_angles
-from hframe_gym.identification.initial_velocity import initial_velocity
+from hframe_gym.identification.encoder_zeros import stretch_angles
+from hframe_gym.identification.initial_rest import initial_velocity
 from hframe_gym.identification.rest_measurement import estimate_initial_state, rigid_basis
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import prepare
-from hframe_gym.identification.inverse_dynamics import force_error
+from hframe_gym.identification.force_sizes import force_error
 from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hframe_gym.recordings import merge_run_warnings, name_runs
+from hframe_gym.errors import merge_run_warnings, name_runs
 
 pytestmark = pytest.mark.unit
 
