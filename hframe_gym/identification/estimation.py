@@ -118,8 +118,7 @@ def fit(
         # scaled by chi2 instead, so that it keeps its weight relative to the data.
         precision = prior * max(1.0, equations.chi2)
         cost = equations.cost + float(theta @ precision @ theta)
-        hessian = information + precision
-        gradient = equations.gradient + precision @ theta
+        hessian, gradient = information + precision, equations.gradient + precision @ theta
         # Steps of all dampings are simulated as one batch; the one with the lowest cost is taken.
         scaling = np.diag(np.diag(hessian))
         trials = theta + [bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS]
