@@ -70,7 +70,8 @@ class SelectionCriteria:
             well.
         min_table_gain_fraction: Smallest gain of a table relative to the excess over `one_step_floor`.
         max_screened_tables: Number of screened tables that are cross-validated.
-        max_tables_per_coordinate: Number of tables per coordinate that are screened, besides one against time.
+        max_tables_per_coordinate: Number of tables per coordinate that are screened, in addition to one over time and
+            one over the coordinate's position.
         max_table_cross_validation: Largest cost of the half of the data that a table was not fitted to, relative to the
             cost without the table.
         cross_validation_blocks: Number of blocks into which a single run is divided for cross-validation.

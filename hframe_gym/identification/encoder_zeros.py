@@ -178,12 +178,12 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
 
 
 def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
-    """Return the typical difference between the angle of each pulley and that of unstretched belts.
+    """Return the typical deviation of each pulley from the angle at which the belts are unstretched.
 
     Args:
         machine: Machine; without belts the result is empty.
-        moving: True if the run begins in motion (the drives stretch the belts), False at rest (friction holds the
-            stretch).
+        moving: True if the run begins in motion: the torque of the drives is added to that which friction holds at
+            rest.
 
     Returns:
         Angle, rad, by name of each rotary coordinate with belts and a sensor, and without a spring.
@@ -199,7 +199,7 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
 def vibration_speeds(machine: Machine) -> dict[str, float]:
     """Return the speeds with which the pulleys typically vibrate against the belts while the machine moves.
 
-    The amplitude of the vibration is the stretch of the belts that a quarter of the drives' rated torque causes.
+    The amplitude of the vibration is `stretch_angles(machine, moving=True)`.
 
     Args:
         machine: Machine; without belts the result is empty.

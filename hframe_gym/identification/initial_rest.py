@@ -50,7 +50,7 @@ class InitialVelocity(NamedTuple):
     Attributes:
         mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,); zero for a run that begins at rest.
         deviations: Square root of their covariance: independent errors, one per row, each of the size of one standard
-            deviation, shape (errors, coordinates); no rows if the run certainly begins at rest.
+            deviation, shape (errors, coordinates); no rows if the run begins at rest or shows no velocity.
     """
 
     mean: Array
@@ -334,7 +334,7 @@ def _costs_of_starts(velocities: Array, recording: Recording, machine: Machine, 
     """
     rows = _first_rows(recording, _COMPARED_S)
     time_s = recording.time_s[:rows] - recording.time_s[0]
-    # Only the stiffness of the belts depends on the position at the start, so a rough estimate suffices.
+    # A rough position suffices: only the stiffness of the belts and some declared effects depend on it.
     fixed = np.array([not s.incremental for s in machine.sensors])
     measured_start = np.nan_to_num(recording.outputs[0, fixed])
     position = rigid @ np.linalg.pinv((machine.sensor_matrix @ rigid)[fixed]) @ measured_start

@@ -1,8 +1,8 @@
-"""Nonparametric candidates: a table of a force or a friction level against one variable.
+"""Propose and add tables: a force, or a change of the Coulomb friction force, interpolated over one variable.
 
-They are the fallback for a residual that no effect of the library explains. The missing force (the force that the model
-lacks) of every coordinate is compared with every variable; the best pairs become candidates. The report calls a table a
-table, not a physical effect.
+They are the fallback for a residual that no effect of the library explains. For every coordinate, the missing force
+(the force that the model lacks) is averaged over bins of every variable; the variables that explain most of it become
+candidates. A table describes the residual but not its physical cause.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from .screening import ScoredCandidate, screen
 from .trial_fits import fit_with_candidate, typical_scales
 
 Array = NDArray[np.float64]
-_BINS = 96  # Bins of the variable over which a force is averaged.
-_BASE_KNOT_DENSITY = 0.15  # Density of the knots where the curve is straight; at the sharpest bend it is larger by 1.
-_MIN_SAMPLES = 20  # Samples that make the mean of a bin usable.
+_BINS = 4 * KNOTS  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
+_BASE_KNOT_DENSITY = 0.15  # Relative density of knots where the curve is straight; the sharpest bend adds 1.
+_MIN_BIN_SAMPLES = 21  # The mean of a bin with fewer samples is too noisy to be used.
 
 
 class Table(NamedTuple):
-    """A proposed table: a force or friction level that is interpolated between knots of one variable.
+    """Proposal of a table: a force, or a change of the Coulomb friction force, over knots of one variable.
 
     Attributes:
         effect: Name of the effect with its variable, for example "smooth_force[position of x]".
@@ -47,59 +47,52 @@ class Table(NamedTuple):
 def table_candidates(
     machine: Machine, data: Dataset, scales: TypicalScales, criteria: SelectionCriteria
 ) -> list[Candidate]:
-    """Propose the tables (forces or friction levels over one variable) that explain most of the missing force.
+    """Propose the tables (forces or Coulomb friction forces over one variable) that explain most of the missing force.
 
-    The missing force is the force that would have to be added to the model for it to follow the measurements. Several
-    tables are proposed for each coordinate. A force on one coordinate also appears in the missing force of the others;
-    the best table alone could therefore be the wrong one. Proposed are:
+    The missing force is the force that would have to be added to the model for it to follow the measurements. A force
+    on one coordinate also appears in the missing force of the others, so the table that explains most may act on the
+    wrong coordinate. For each coordinate, the function proposes several:
 
     - the three best tables (`max_tables_per_coordinate`);
-    - the best one over time, even if others explain more;
-    - the best one over the position of the coordinate, even if others explain more. The refitted friction may contain a
-      part of such a force, and the missing force then shows only the rest.
+    - the best of the others over time;
+    - the best of the others over the position of the coordinate. The fitted friction parameters can absorb a part of a
+      force that depends on the position, which the missing force then understates.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
         data: Prepared recordings (times, voltages, measurements, SI).
-        scales: Typical sizes on this machine; a fraction of the typical force is the unit of the ordinates.
+        scales: Typical sizes on this machine; the basis functions are multiples of the typical force.
         criteria: Decision thresholds, among them `max_tables_per_coordinate`.
 
     Returns:
-        These tables as candidates, coordinate by coordinate, without those that the machine has already; each has one
-        basis function per knot.
+        The proposed tables as candidates, grouped by coordinate, each with one basis function per knot. Tables that the
+        machine already has are left out.
     """
-    present = {e.label for e in machine.effects}
-    motion_and_force = missing_force(machine, data)
+    existing_labels = {effect.label for effect in machine.effects}
     variables = table_variables(machine, data)
-    ranked: list[tuple[float, Table]] = []
-    for site, motion in motion_and_force.items():
-        force, direction = motion[:, 2], np.sign(motion[:, 1])
+    max_per_site = criteria.max_tables_per_coordinate
+    chosen: list[Table] = []
+    for site, record in missing_force(machine, data).items():
+        _, velocity, force = record.T
         if not np.any(force):
             continue
-        # Forces on the belt travel, N, so that those on linear and on rotary coordinates can be compared.
-        travel_per_unit = float(machine.travel_per_unit[machine.coordinate_names.index(site)])
-        mean_square = float(np.mean(force**2)) * travel_per_unit**-2
-        for name, values in variables.items():
-            # A force acts independently of the direction of motion, a friction level against it.
-            for kind, curve in (("smooth_force", force), ("smooth_friction", -force * direction)):
-                # Fraction of the mean square that a curve over this variable explains.
-                fraction, knots = _curve(values, curve, symmetric=name.startswith("velocity"))
-                ranked.append((fraction * mean_square, Table(f"{kind}[{name}]", site, knots)))
-    ranked.sort(key=lambda entry: -entry[0])
-    count = criteria.max_tables_per_coordinate
-    chosen: list[Table] = []
-    for site in motion_and_force:
-        at_site = [table for _, table in ranked if table.site == site]
-        chosen += at_site[:count]
-        for variable in ("time", f"position of {site}"):
-            chosen += [table for table in at_site[count:] if table.effect.endswith(f"[{variable}]")][:1]
-    return [_candidate(table, scales) for table in chosen if f"{table.effect}@{table.site}" not in present]
+        ranked: list[tuple[float, Table]] = []
+        for name, variable in variables.items():
+            # Friction opposes the motion: to the missing force f belongs the Coulomb friction force -f sign(v).
+            for kind, samples in (("smooth_force", force), ("smooth_friction", -force * np.sign(velocity))):
+                fraction, knots = _explained_fraction(variable, samples, symmetric=name.startswith("velocity"))
+                ranked.append((fraction, Table(f"{kind}[{name}]", site, knots)))
+        tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
+        chosen += tables[:max_per_site]
+        for name in ("time", f"position of {site}"):  # at most one each
+            chosen += [table for table in tables[max_per_site:] if table.effect.endswith(f"[{name}]")][:1]
+    return [_candidate(table, scales) for table in chosen if f"{table.effect}@{table.site}" not in existing_labels]
 
 
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
-    """Return the variables over which a table may interpolate a force or a friction level, along all runs.
+    """Return the samples of every variable that a table can depend on, over all runs in sequence.
 
-    Positions and velocities are predictions that an observer corrects by the measurements at every sample.
+    Positions, velocities and paths are predictions that an observer corrects by the measurements at every sample.
 
     Args:
         machine: Machine that predicts the motion.
@@ -124,34 +117,38 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[float, Array]:
-    """Return the fraction of the mean square that a curve explains beyond the mean, and the curve's knots.
+def _explained_fraction(variable: Array, samples: Array, *, symmetric: bool) -> tuple[float, Array]:
+    """Return the fraction of the sum of squares that the means over bins explain, and knots for a table.
 
     Args:
-        variable_values: Variable, shape (n,).
-        values: Force or friction level, shape (n,).
-        symmetric: Whether the knots extend equally far to both sides of zero, as for a velocity.
+        variable: Variable of the table, shape (n,).
+        samples: Force or Coulomb friction force, shape (n,).
+        symmetric: Whether the range of the knots is symmetric about zero, so that a table over a velocity covers both
+            directions.
 
     Returns:
-        Fraction between 0 and 1, and knots of shape (knots,).
+        Fraction between 0 and 1, in addition to what the mean over all samples explains, and knots, denser where the
+        means bend, shape (knots,).
     """
-    low, high = np.percentile(variable_values, [0.05, 99.95])
+    low, high = np.percentile(variable, [0.05, 99.95])  # outliers do not widen the range; they count in the end bins
     if symmetric:
         high = max(high, -low)
         low = -high
     if not high > low:
         return 0.0, np.linspace(-1.0, 1.0, KNOTS)
     edges = np.linspace(low, high, _BINS + 1)
-    index = np.clip(np.searchsorted(edges, variable_values) - 1, 0, _BINS - 1)
+    index = np.clip(np.searchsorted(edges, variable) - 1, 0, _BINS - 1)
     count = np.bincount(index, minlength=_BINS)
-    mean = np.bincount(index, values, _BINS) / np.maximum(count, 1)
-    total = float(np.sum(values**2))
-    usable = count > _MIN_SAMPLES
-    fraction = float(np.sum(count[usable] * (mean[usable] - values.mean()) ** 2)) / max(total, 1e-300)
+    bin_means = np.bincount(index, samples, _BINS) / np.maximum(count, 1)
+    total = float(np.sum(samples**2))
+    usable = count >= _MIN_BIN_SAMPLES
+    fraction = float(np.sum(count[usable] * (bin_means[usable] - samples.mean()) ** 2)) / max(total, 1e-300)
     centers = 0.5 * (edges[1:] + edges[:-1])
-    smooth = mean
+    smooth = bin_means
     if usable.any():
-        smooth = np.convolve(np.interp(centers, centers[usable], mean[usable]), [0.25, 0.5, 0.25], "same")
+        smooth = np.convolve(np.interp(centers, centers[usable], bin_means[usable]), [0.25, 0.5, 0.25], "same")
+    # The error of linear interpolation is proportional to curvature times interval squared. A density of knots that is
+    # proportional to the root of the curvature makes it equal everywhere.
     curvature = np.abs(np.gradient(np.gradient(smooth)))
     density = np.sqrt(curvature / max(float(curvature.max()), 1e-300)) + _BASE_KNOT_DENSITY
     cumulative = np.concatenate([[0.0], np.cumsum(density)])
@@ -160,13 +157,13 @@ def _curve(variable_values: Array, values: Array, *, symmetric: bool) -> tuple[f
 
 
 def _candidate(table: Table, scales: TypicalScales) -> Candidate:
-    """Return a table as a candidate with one basis function (column) per knot."""
+    """Convert a table to a candidate whose basis functions (columns) are nonzero at one knot each."""
     effect = definition(table.effect)
-    at_site = scales.of(table.site)
+    typical = scales.of(table.site)
     knots = {f"k{i:02d}": float(k) for i, k in enumerate(table.knots)}
     zero = {f"f{i:02d}": 0.0 for i in range(KNOTS)}
-    size = effect.parameter("f00").scale * at_site["force"]
-    return Candidate(effect, table.site, tuple({**knots, **zero, name: size} for name in zero), at_site)
+    size = effect.parameter("f00").scale * typical["force"]
+    return Candidate(effect, table.site, tuple({**knots, **zero, name: size} for name in zero), typical)
 
 
 def add_tables(
@@ -178,17 +175,20 @@ def add_tables(
     max_tables: int,
     log: Log,
 ) -> Selection:
-    """Add tables (forces or friction levels interpolated over one variable) for the residual that the effects leave.
+    """Add tables (forces or Coulomb friction forces over one variable) that reduce the residual of a fitted machine.
 
-    A table is added only if it also predicts the half of the data that it was not fitted to (cross-validation).
+    A table is fitted to each half of the data and evaluated on the other (cross-validation). It is added only if the
+    cost over both halves falls below `max_table_cross_validation` times the cost without it, and if its gain on all
+    data suffices.
 
     Args:
-        current: Fit of the machine with the effects selected so far; its observer bandwidth is used throughout.
+        current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
         selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        criteria: Decision thresholds, among them the smallest gain of a table, 0.02 per sample (`min_table_gain`).
+        criteria: Decision thresholds. A table must reduce chi-squared per sample by `min_table_gain`, and by the
+            fraction `min_table_gain_fraction` of its excess over `one_step_floor`.
         max_tables: Largest number of tables to add.
-        log: Called with a line of text for every table that is fitted to all data.
+        log: Called with a line of text for every table that passes cross-validation.
 
     Returns:
         fit: Fit of the machine with the tables.
@@ -196,34 +196,36 @@ def add_tables(
     """
     for _ in range(max_tables):
         scales = typical_scales(current, data)
-        # Best predicted reductions of chi-squared first; of those, the first that cross-validation confirms.
+        # Of the tables with the largest linearized gain, the first that passes cross-validation.
         ranked = screen(current, table_candidates(current.machine, data, scales, criteria), data)
         excess = current.chi2 - criteria.one_step_floor
         min_gain = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
         proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)
         limit = criteria.max_table_cross_validation
-        chosen = next((s for s in proposed if _cross_validation(current, s, scales, data, criteria) < limit), None)
+        chosen = next(
+            (s for s in proposed if _cross_validated_cost_ratio(current, s, scales, data, criteria) < limit), None
+        )
         if chosen is None:
             break
         trial = fit_with_candidate(current, chosen, scales, data)
-        best = fit(trial.machine, trial.free, data, current.bandwidth, theta=trial.theta)
-        effect = best.machine.effects[-1]
-        gain = (current.cost - best.cost) / data.count
-        log(f"  {effect.label} {describe_gain(current, best)}")
+        converged = fit(trial.machine, trial.free, data, current.bandwidth, theta=trial.theta)
+        effect = converged.machine.effects[-1]
+        gain = (current.cost - converged.cost) / data.count
+        log(f"  {effect.label} {describe_gain(current, converged)}")
         if gain < min_gain:
             break
         selected = (*selected, SelectedEffect(effect, gain, current.machine))
-        current = best
+        current = converged
     return current, tuple(s.with_values(current.machine) for s in selected)
 
 
-def _cross_validation(
+def _cross_validated_cost_ratio(
     current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, criteria: SelectionCriteria
 ) -> float:
-    """Return the cost of data that a table was not fitted to, relative to the cost without the table.
+    """Return the cost with a table, on data to which it was not fitted, divided by the cost without it.
 
-    A table has two dozen values and can therefore fit errors of any cause; but a table over the wrong variable does not
-    predict other data.
+    With two dozen values, a table can fit almost any residual; one over the wrong variable fails on other data. A table
+    over time is valid for times that it was fitted to only, so it is tested on other parts of the same runs.
     """
     by_run = scored.candidate.effect.against != "time"
     halves = _halves(data, by_run=by_run, blocks=criteria.cross_validation_blocks)
@@ -236,7 +238,11 @@ def _cross_validation(
 
 
 def _halves(data: Dataset, *, by_run: bool, blocks: int) -> tuple[Dataset, Dataset]:
-    """Divide the data in two: every other run and the rest, or for a single run and for time, every other part."""
+    """Divide the data in two halves.
+
+    With several runs and `by_run`, they are alternate runs. A single run is divided into alternate blocks. Otherwise,
+    every run is divided in the middle, and its first part belongs alternately to the first and to the second half.
+    """
     if by_run and len(data.runs) > 1:
         names = [run.name for run in data.runs]
         return data.with_runs(names[0::2]), data.with_runs(names[1::2])

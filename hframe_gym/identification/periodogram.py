@@ -1,8 +1,8 @@
-"""Find the periods over the position at which the force that a model lacks (missing force) varies.
+"""Find the spatial periods of the missing force, the force that a model lacks.
 
-The periodogram is that of least squares, for positions at unequal distances. `residual.missing_force` estimates the
-missing force up to a cut-off frequency. A fast motion passes a short period within a shorter time, so that the estimate
-shows little of it, or shows it with the wrong sign. Each period is therefore compared with slow enough motion only.
+The periodogram is that of least squares, because positions are unequally spaced. `residual.missing_force` estimates the
+force up to a cut-off frequency. At high speed, a short period exceeds it, and the estimate attenuates the period or
+inverts its sign. Each period is therefore fitted only to rows in which the motion is slow enough.
 """
 
 from __future__ import annotations
@@ -20,13 +20,16 @@ Array = NDArray[np.float64]
 # spring.
 MIN_FRICTION_PERIODS, MIN_FORCE_PERIODS = 0.5, 1.0
 _MAX_PERIODS = 1000.0
-_ROWS_PER_PERIOD = 4.0  # Rows that show a period; of motion with fewer rows per period, nothing is used.
-_SLOWEST = 0.02  # Slowest rows that are used, relative to the fastest; at rest, dry friction has no certain direction.
+_ROWS_PER_PERIOD = 4.0  # Minimum number of rows per period; rows of faster motion are not used.
+# Lowest speed that is used, relative to the highest one that is used. Near standstill, the direction of dry friction is
+# uncertain.
+_SLOWEST = 0.02
 _MIN_ROWS = 50  # Slow rows, below which a period is not tried: ten for each of the five fitted coefficients.
 _POINTS_PER_PERIOD = 4  # Rates of the grid per period over the range.
-_CELLS_PER_POINT = 16  # Cells of the position per point of the grid: the shortest period has 64 cells.
+_CELLS_PER_POINT = 16  # Cells of the position grid of the transform that the shortest period has, at least.
 _BAND_RATIO = 2.0**0.5  # Highest rate over the lowest of those that are fitted to the same rows.
-_BAND_EDGES = (3.0, 12.0, 40.0, 150.0)  # of the bands whose strongest period is always returned, periods
+# Periods over the range. The strongest rate of each of these bands is returned, unless on the flank of a stronger one.
+_BAND_EDGES = (3.0, 12.0, 40.0, 150.0)
 _SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
 _MAX_RATES = 7
 
@@ -123,8 +126,8 @@ def _explained_power(
     """Return the square sum that a sine and a cosine at each point of the grid explain, shape (points,).
 
     Their products with the force and with constant, viscous and dry friction are Fourier transforms over the position.
-    Each row is distributed over the two nearest cells of a grid of positions, in proportion to its distance from them,
-    so that the transforms are fast ones.
+    Each row is distributed over the two neighboring cells of a grid of positions by linear interpolation, so that fast
+    Fourier transforms can be used.
 
     Args:
         points: Rates, in periods over `_POINTS_PER_PERIOD` times the range.
