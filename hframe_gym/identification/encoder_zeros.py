@@ -223,14 +223,18 @@ def _pulley_stiffness(machine: Machine) -> dict[str, float]:
         return {}
     matrix = stiffness_matrix(machine)
     measured = {s.coordinate for s in machine.sensors}
-    rotary = [i for i, c in enumerate(machine.coordinates) if c.kind == "rotary" and matrix[i, i] > 0.0]
+    rotary = [
+        i
+        for i, c in enumerate(machine.coordinates)
+        if c.kind == "rotary" and matrix[i, i] > 0.0 and c.name not in machine.spring_loaded
+    ]
     idlers = [i for i in rotary if machine.coordinates[i].name not in measured]
     stiffness = {}
     for i in rotary:
-        coordinate = machine.coordinates[i]
-        if i not in idlers and coordinate.name not in machine.spring_loaded:
-            turning = matrix[np.ix_([i, *idlers], [i, *idlers])]
-            if np.linalg.matrix_rank(turning) < len(turning):  # the pulley could turn the idlers without any stretch
-                turning = matrix[i : i + 1, i : i + 1]
-            stiffness[coordinate.name] = 1.0 / float(np.linalg.inv(turning)[0, 0])
+        if i in idlers:
+            continue
+        turning = matrix[np.ix_([i, *idlers], [i, *idlers])]
+        if np.linalg.matrix_rank(turning) < len(turning):  # The pulley could turn the idlers without any stretch.
+            turning = matrix[i : i + 1, i : i + 1]
+        stiffness[machine.coordinates[i].name] = 1.0 / float(np.linalg.inv(turning)[0, 0])
     return stiffness

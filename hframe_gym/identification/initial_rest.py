@@ -21,10 +21,10 @@ from .encoder_zeros import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
 
 Array = NDArray[np.float64]
-_MIN_ROWS = 16  # rows without input; fewer do not show whether the machine moves
+_MIN_ROWS = 16  # Fewer rows without input do not show whether the machine moves.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.
 _BLOCK_S, _MIN_BLOCKS = 0.01, 8
-_BLOCKS_AT_REST = 5  # blocks that show that a run begins at rest, however long no voltage is applied
+_BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however long no voltage is applied.
 # Tolerances: how far the median of a block may depart from the blocks at rest before it counts as motion. They are wide
 # because a false motion costs the rest of a run, whereas true motion soon exceeds them.
 _NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
@@ -36,12 +36,14 @@ _SLOW_NOISE_SPAN = 1e-3
 # Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
 # noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
-_COMPARED_S = 0.05  # s; first part of the run whose simulations decide between the velocities, and rest
-_SIGNIFICANT_SPEED = 5.0  # standard deviations, which noise hardly ever reaches
-# Of two starts, one is certainly better if its sum of squared errors is less than this fraction of the other's. The sum
-# contains model errors, which do not average out, so no test for independent errors applies.
-_CERTAIN = 0.5
-_MIN_ERROR = 0.2  # of the speed; belts that vibrate and curved motion falsify the slope of a parabola
+_COMPARED_S = (
+    0.05  # Duration, s, from the first row over which the simulations from rest and with each velocity are compared.
+)
+_SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
+# Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
+# sum contains model errors, which do not average out, so no test for independent errors applies.
+_CERTAIN_COST_RATIO = 0.5
+_MIN_ERROR = 0.2  # Fraction of the speed; vibrating belts and curved motion falsify the slope of a parabola.
 
 
 class InitialVelocity(NamedTuple):
@@ -153,8 +155,8 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
 def without_moving_start(recording: Recording, machine: Machine) -> Recording:
     """Remove the measurements before the machine comes to rest, if it still moves when the run begins.
 
-    The rest that follows gives the initial state. A simulation that
-    begins with this state and without input remains at rest until the first input, so times and inputs are kept.
+    The rest that follows gives the initial state. A simulation that begins with this state and without input remains at
+    rest until the first input, so times and inputs are kept.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad).
@@ -247,10 +249,10 @@ def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) ->
 def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> InitialVelocity:
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
-    Parabolas are fitted to the measurements of the first 5 to 40 ms, at least eight rows, of which half must be
-    measured. Weighted least squares convert their slopes at the first row to velocities of the rigid motions (those
+    Parabolas are fitted to the measurements of the first 5, 10, 20 and 40 ms (at least eight rows, half of them
+    measured). Weighted least squares convert their slopes at the first row to velocities of the rigid motions (those
     that stretch no belt). A run that begins at rest and is driven from its first row on has such slopes as well.
-    Therefore the machine is simulated from rest and with each velocity, and the start is chosen whose simulation is
+    Therefore the machine is simulated from rest and with each velocity, and the one is chosen whose simulation is
     closest to the first 50 ms of measurements.
 
     Args:
@@ -260,9 +262,10 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
 
     Returns:
         Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, shape (errors,
-        coordinates). The variance is that of the slopes' noise plus the squared distance to the farthest start whose
-        sum of squared errors is at most twice the smallest, or plus (20 % of the speed) squared if that is larger.
-        Zeros and no errors if rest is certainly the best, or if the first rows do not measure a velocity.
+        coordinates). The variance is that of the slopes (noise and vibration of the belts) plus the squared distance to
+        the farthest velocity whose sum of squared errors is at most twice the smallest, or plus (20 % of the speed)
+        squared if that is larger. Zeros and no errors if rest is certainly the best, or if the first rows do not
+        measure a velocity.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:
@@ -270,9 +273,9 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
     noise = np.array([measurement_noise(y, y, s) for y, s in zip(recording.outputs.T, machine.sensors, strict=True)])
     speeds = vibration_speeds(machine)
     vibration = np.array([speeds.get(s.coordinate, 0.0) for s in machine.sensors])
-    seen = machine.sensor_matrix @ rigid
-    counts = sorted({_first_rows(recording, seconds) for seconds in _FITTED_S})
-    fits = [_fit_velocity(recording, rows, seen, noise, vibration) for rows in counts]
+    sensor_of_motion = machine.sensor_matrix @ rigid
+    counts = sorted({_rows_within(recording, seconds) for seconds in _FITTED_S})
+    fits = [_fit_velocity(recording, rows, sensor_of_motion, noise, vibration) for rows in counts]
     significant = [fit for fit in fits if fit is not None]
     if not significant:
         return at_rest
@@ -280,7 +283,7 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
     velocities = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
     costs = _costs_of_starts(velocities @ rigid.T, recording, machine, rigid, noise)
     best = int(np.argmin(costs))
-    possible = costs <= costs[best] / _CERTAIN  # all others are excluded
+    possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
     if best == 0 and not possible[1:].any():
         return at_rest
     travel = np.linalg.norm(machine.travel_per_unit[:, None] * rigid, axis=0)  # m per unit of each rigid motion
@@ -290,20 +293,20 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
     return InitialVelocity(rigid @ velocities[best], (rigid @ np.linalg.cholesky(covariance)).T)
 
 
-def _first_rows(recording: Recording, seconds: float) -> int:
+def _rows_within(recording: Recording, seconds: float) -> int:
     """Return the number of rows within a duration from the first, at least `_MIN_FITTED_ROWS`."""
     return max(int(np.searchsorted(recording.time_s - recording.time_s[0], seconds)), _MIN_FITTED_ROWS)
 
 
 def _fit_velocity(
-    recording: Recording, rows: int, seen: Array, noise: Array, vibration: Array
+    recording: Recording, rows: int, sensor_of_motion: Array, noise: Array, vibration: Array
 ) -> tuple[Array, Array] | None:
     """Return the velocities of the rigid motions at the first row and their covariance, from parabolas.
 
     Args:
         recording: The run.
         rows: Number of the first rows, to which the parabolas are fitted.
-        seen: Measurement per unit of each rigid motion, shape (sensors, motions).
+        sensor_of_motion: Measurement per unit of each rigid motion, shape (sensors, motions).
         noise: Standard deviation of each sensor, shape (sensors,).
         vibration: Speed of the vibration that each sensor measures in addition to the rigid motions, shape (sensors,).
 
@@ -311,15 +314,15 @@ def _fit_velocity(
         Velocities (motions,) and covariance (motions, motions); None if they are not significant or not measured.
     """
     time_s = recording.time_s - recording.time_s[0]
-    slopes, deviations = np.zeros(len(seen)), np.full(len(seen), np.inf)
+    slopes, deviations = np.zeros(len(noise)), np.full(len(noise), np.inf)
     for j, values in enumerate(recording.outputs[:rows].T):
         measured = np.flatnonzero(np.isfinite(values))
         if len(measured) >= _MIN_FITTED_ROWS // 2:
             slope = np.linalg.pinv(np.vander(time_s[measured], 3, increasing=True))[1]
             slopes[j] = slope @ values[measured]
             deviations[j] = np.hypot(noise[j] * np.linalg.norm(slope), vibration[j])
-    weighted = seen / deviations[:, None]
-    if np.linalg.matrix_rank(weighted) < seen.shape[1]:
+    weighted = sensor_of_motion / deviations[:, None]
+    if np.linalg.matrix_rank(weighted) < weighted.shape[1]:
         return None
     inverse = np.linalg.pinv(weighted)
     velocities, covariance = inverse @ (slopes / deviations), inverse @ inverse.T
@@ -332,12 +335,12 @@ def _costs_of_starts(velocities: Array, recording: Recording, machine: Machine, 
 
     Constant errors do not count, because the zeros of encoders are not known yet.
     """
-    rows = _first_rows(recording, _COMPARED_S)
+    rows = _rows_within(recording, _COMPARED_S)
     time_s = recording.time_s[:rows] - recording.time_s[0]
     # A rough position suffices: only the stiffness of the belts and some declared effects depend on it.
-    fixed = np.array([not s.incremental for s in machine.sensors])
-    measured_start = np.nan_to_num(recording.outputs[0, fixed])
-    position = rigid @ np.linalg.pinv((machine.sensor_matrix @ rigid)[fixed]) @ measured_start
+    absolute = np.array([not s.incremental for s in machine.sensors])
+    measured_start = np.nan_to_num(recording.outputs[0, absolute])
+    position = rigid @ np.linalg.pinv((machine.sensor_matrix @ rigid)[absolute]) @ measured_start
     start = np.hstack([np.tile(position, (len(velocities), 1)), velocities])
     readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=start, states=False).readings
     measured = np.isfinite(recording.outputs[:rows])

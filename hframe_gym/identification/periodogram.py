@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 # spring.
 MIN_FRICTION_PERIODS, MIN_FORCE_PERIODS = 0.5, 1.0
 _MAX_PERIODS = 1000.0
-_ROWS_PER_PERIOD = 4.0  # Minimum number of rows per period; rows of faster motion are not used.
+_ROWS_PER_PERIOD = 4.0  # Minimum number of rows per period. Rows of faster motion are not used.
 # Lowest speed that is used, relative to the highest one that is used. Near standstill, the direction of dry friction is
 # uncertain.
 _SLOWEST = 0.02
-_MIN_ROWS = 50  # Slow rows, below which a period is not tried: ten for each of the five fitted coefficients.
-_POINTS_PER_PERIOD = 4  # Rates of the grid per period over the range.
-_CELLS_PER_POINT = 16  # Cells of the position grid of the transform that the shortest period has, at least.
-_BAND_RATIO = 2.0**0.5  # Highest rate over the lowest of those that are fitted to the same rows.
+_MIN_ROWS = 50  # A period is tried only with this many slow rows: ten for each of the five fitted coefficients.
+_POINTS_PER_PERIOD = 4  # The grid of rates has this many points per additional period over the range.
+_CELLS_PER_POINT = 16  # Least number of cells of the transform's position grid in the shortest period.
+_GROUP_RATIO = 2.0**0.5  # Ratio of the highest to the lowest rate of a group that is fitted to the same rows.
 # Periods over the range. The strongest rate of each of these bands is returned, unless on the flank of a stronger one.
 _BAND_EDGES = (3.0, 12.0, 40.0, 150.0)
 _SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
@@ -52,8 +52,7 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
         At most seven spatial rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
         (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
         Strength is the square sum of the force that sine and cosine explain in the rows used, so that a rate with few
-        rows counts little. Empty if the position does not change, or never slowly
-        enough.
+        rows counts little. Empty if the position does not change, or never slowly enough.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.
@@ -104,11 +103,11 @@ def _spectrum(
     position = position - position.min()
     top = float(np.percentile(speed, 99))
     highest = min(MISSING_FORCE_CUTOFF, 1.0 / (_ROWS_PER_PERIOD * sampling_period))  # periods per second
-    edges = [_POINTS_PER_PERIOD * fewest]
-    while edges[-1] < _POINTS_PER_PERIOD * _MAX_PERIODS:
-        edges.append(edges[-1] * _BAND_RATIO)
+    limits = [_POINTS_PER_PERIOD * fewest]
+    while limits[-1] < _POINTS_PER_PERIOD * _MAX_PERIODS:
+        limits.append(limits[-1] * _GROUP_RATIO)
     all_points, all_power = [np.zeros(0, np.int64)], [np.zeros(0)]
-    for first, end in itertools.pairwise(np.ceil(edges).astype(np.int64)):
+    for first, end in itertools.pairwise(np.ceil(limits).astype(np.int64)):
         points = np.arange(first, min(end, round(_POINTS_PER_PERIOD * _MAX_PERIODS) + 1))
         fastest = highest * _POINTS_PER_PERIOD * span / end
         rows = (speed > _SLOWEST * min(fastest, top)) & (speed < fastest)
@@ -141,12 +140,12 @@ def _explained_power(
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
     force = force - basis @ (basis.T @ force)
     cells = 2 ** int(np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1))))  # over _POINTS_PER_PERIOD times the range
-    place = position * (cells / (_POINTS_PER_PERIOD * span))
-    left = place.astype(np.int64)
+    cell_position = position * (cells / (_POINTS_PER_PERIOD * span))
+    lower_cell = cell_position.astype(np.int64)
 
     def transform(values: Array, points: NDArray[np.int64]) -> NDArray[np.complex128]:
-        weight = values * (place - left)
-        sums = np.bincount(left, values - weight, cells) + np.bincount(left + 1, weight, cells)
+        upper = values * (cell_position - lower_cell)
+        sums = np.bincount(lower_cell, values - upper, cells) + np.bincount(lower_cell + 1, upper, cells)
         # The division undoes the smoothing by the distribution over two cells.
         return np.asarray(np.fft.rfft(sums)[points].conj() / np.sinc(points / cells) ** 2)
 
