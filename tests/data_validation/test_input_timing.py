@@ -40,7 +40,7 @@ def late_findings(machine: Machine, late: int) -> list[str]:
 def test_voltages_that_are_logged_one_row_late_are_a_fault() -> None:
     (message,) = late_findings(RIG, 1)
     assert message.startswith("v1_V and v2_V are logged one row late")
-    assert "Move the voltages up by one row" in message
+    assert "Shift the voltages up by one row and delete the last row" in message
 
 
 @pytest.mark.parametrize(
