@@ -207,8 +207,8 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     verb = "are" if len(machine.drives) > 1 else "is"
     message = (
         f"{channels} {verb} logged one row late: the motion follows the voltage of the next row (chi-squared per "
-        f"sample {shifted.chi2:.3g} instead of {logged.chi2:.3g}). Shift the voltages up by one row and delete the last "
-        "row"
+        f"sample {shifted.chi2:.3g} instead of {logged.chi2:.3g}). Shift the voltages up by one row and delete "
+        "the last row"
     )
     return [Finding("fault", "", "", message)]
 
