@@ -327,7 +327,8 @@ def _belt(name: str, site: str, size: float, rng: np.random.Generator) -> DrawnE
             values = {"J": yaw.inertia, "k": yaw.stiffness, "c": yaw.viscous, "w": yaw.half_width_m}
             return make(partial(change_fields, yaw=yaw), values, dict.fromkeys(("J", "k", "c"), "force"))
         case "idler_inertia":
-            return make(partial(change_fields, idlers=True), {}, {})
+            names = ("J_left", "J_right", "B_left", "B_right")
+            return make(partial(change_fields, idlers=True), {}, dict.fromkeys(names, "force"))
     return None
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, effect_sites
-from hframe_gym.machine import rest_state
+from hframe_gym.machine import BUILTIN_MACHINES, rest_state
 from hframe_gym.recordings import load_recordings
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
 from tests.rigs.random_effects import SITES, SMALLEST_SIZE, draw_effect
@@ -124,6 +124,30 @@ def test_true_machine_is_the_rig(name):
     readings = simulate(machine, time_s, inputs, rest_state(machine, (0.08, -0.05)), longest_step=0.125e-3).outputs
     error = np.abs((readings - readings[0] - expected + expected[0]) * np.array([0.0194, 0.0194, 1.0, 1.0]))
     assert error.max() < 15e-6
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", sorted(set(SITES) - {"gain_mismatch"}))  # which the torque constants absorb
+def test_identified_values_describe_the_same_machine(name):
+    """Forces, masses and belts that are scaled with the gain of motor 1 leave the motion as it is."""
+    rng = np.random.default_rng(7)
+    rig = RandomRig(5, 0, "library", "euler", (draw_effect(name, SITES[name][-1], 0.6, rng),), Residue(), 3, 1000.0, 0)
+    true, values = true_machine(rig), identified_values(rig)
+    scale = values["x.mass"] / true.parameters["x.mass"]
+    lumped = {
+        key: scale * value
+        for key, value in true.parameters.items()
+        if key.endswith((".mass", ".viscous", ".coulomb")) and key not in values
+    }
+    declared = BUILTIN_MACHINES["hframe"]().parameters
+    resistances = {key: declared[key] for key in ("motor1.resistance", "motor2.resistance")}
+    known = {key: value for key, value in values.items() if key in true.parameters}
+    identified = true.replace(known | lumped | resistances)
+    assert abs(scale - 1.0) > 0.01
+    time_s = np.arange(500) * 1e-3
+    inputs = np.repeat(rng.uniform(-6.0, 6.0, (25, 2)), 20, axis=0)
+    readings = [simulate(m, time_s, inputs, rest_state(m, (0.08, -0.05))).outputs for m in (true, identified)]
+    np.testing.assert_allclose(readings[1], readings[0], rtol=0.0, atol=1e-9)
 
 
 def test_identified_values_are_scaled_to_the_declared_gain():

@@ -95,8 +95,8 @@ def identified_values(random_rig: RandomRig) -> dict[str, float]:
         values[f"{motor}.Kt"] = per_volt[j] * scale * declared.resistance_ohm[j]
         values[f"{motor}.Ke"] = rig.emf_constant[j] / rig.drive_gain[j]
     if any(effect.name == "idler_inertia" for effect in random_rig.hidden_effects):
-        lumped = ("y.mass", "y.viscous", "phi1.mass", "phi1.viscous", "phi2.mass", "phi2.viscous")
-        values = {name: value for name, value in values.items() if name not in lumped}
+        changed = ("y.mass", "y.viscous", "phi1.mass", "phi1.viscous", "phi2.mass", "phi2.viscous")
+        values = {name: v for name, v in values.items() if name not in changed and not name.endswith(".rest_length")}
     for effect in random_rig.hidden_effects:
         values |= _identified_effect(effect, rig, scale)
     return values
