@@ -99,7 +99,7 @@ class AdaptiveController(FullStateController):
         """Clear estimates and controller memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
         """
         super().reset(mask)
         for controller in self._controllers():
@@ -251,8 +251,8 @@ class MomentumFilter:
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             volts: Mean voltages at the motors in the period, V, shape (B, drives).
             effect_force: Modeled forces of the machine's effects (deviations from its nominal model) on each
-                coordinate, changes of friction included, N, shape (B, n).
-            starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
+                coordinate, including those by which effects change friction, N, shape (B, n).
+            starts: True for machines whose episode starts with `after`, shape (B,); their estimates become zero.
         """
         size = len(self._prior_std)
         if len(self.estimates) != len(starts):

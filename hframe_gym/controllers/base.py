@@ -99,7 +99,7 @@ class Controller(ABC):
         """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
         """
 
     def concern(self) -> str | None:
@@ -138,7 +138,7 @@ class EpisodeStarts:
         """Mark the machines that start a new episode with their next observation; earlier marks remain.
 
         Args:
-            mask: True for the machines to mark, shape (B,) for B machines. Default: all; B may then change.
+            mask: True for the machines to mark, shape (B,) for B machines. None: all, and B may change afterwards.
         """
         if mask is None:
             self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
@@ -160,7 +160,7 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Remove all marks; call it when the first observations of the episodes have been processed."""
+        """Remove all marks; call it after the first observations of the marked machines have been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
@@ -189,7 +189,7 @@ class FullStateController(Controller):
         """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
         """
         self._starts.reset(mask)
 
@@ -274,7 +274,7 @@ class Estimator(Protocol):
         """
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that were passed to `send` last by those that were applied instead.
+        """Replace the voltages of the last call of `send` by those that were applied instead.
 
         Args:
             volts: Applied voltages, V, shape (B, drives) for B simulated machines.
@@ -307,7 +307,7 @@ class OutputFeedbackController(Controller):
         """Reset controller and estimator for the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
         """
         self.controller.reset(mask)
         self.estimator.reset(mask)

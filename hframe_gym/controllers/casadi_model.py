@@ -102,8 +102,8 @@ class SymbolicModel:
             time: Time since the start, s.
 
         Returns:
-            Force on each linear coordinate without a drive minus its Coulomb friction, N, first of the force in
-            positive, then of that in negative direction.
+            For each linear coordinate without a drive, with the force f on it and its Coulomb friction F, the two
+            expressions f - F and -f - F, N; an empty list if every linear coordinate has a drive.
         """
         equations = self._equations
         at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))

@@ -178,12 +178,12 @@ class MeasurementModel:
     def in_range(self, measurements: Array) -> Mask:
         """Test which measurements lie strictly inside the ranges of their sensors.
 
-        A measurement at the end of its sensor's range contains no position and must not correct an estimate.
+        At an end of its range, a sensor does not follow the position; such a measurement must not correct an estimate.
 
         Args:
             measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).
 
         Returns:
-            True for each measurement inside the range, shape (B, channels).
+            True for each measurement inside the range, shape (B, channels); always for sensors without a range.
         """
         return (measurements > self._low) & (measurements < self._high)

@@ -58,7 +58,7 @@ HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
-    """Estimate how long the longest point-to-point motion in the workspace takes, as a limit of planned durations.
+    """Estimate the time of the longest point-to-point motion in the workspace, an upper limit of planned durations.
 
     Args:
         model: Model of the machine.
@@ -149,7 +149,8 @@ class MinimumEnergyTransfers:
                 its velocity, m and m/s, shape (B, 2 n).
             goal: Tool position at the goal, m, shape (B, axes).
             limits: Lowest and highest voltages, V, each of shape (B, drives).
-            at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
+            at_least: Minimum number of control periods until rest, between the attributes `shortest` and `longest`,
+                shape (B,).
 
         Returns:
             Number of control periods until rest, shape (B,), and voltages of the first period, V, shape (B, drives).
@@ -173,7 +174,8 @@ class MinimumEnergyTransfers:
     def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Compute the minimum-energy motion from rest to rest, in the fewest periods that the voltage limits admit.
 
-        The machine is linearized at the goal, without Coulomb friction.
+        The machine is linearized at the goal, without Coulomb friction. If no number of periods satisfies the limits,
+        the motion takes `longest` periods and exceeds them.
 
         Args:
             start: Tool position at the start, m, shape (axes,).
@@ -281,10 +283,10 @@ class PreviewTracker:
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimated disturbance forces with the linear model's prediction error over the last period.
+        """Update the estimated disturbance: the forces beyond the modeled ones that explain the state after a period.
 
-        The forces are low-pass filtered with a time constant of 28 ms. The feedforward of
-        `command` compensates them, in place of an integrator.
+        The forces are low-pass filtered with a time constant of 28 ms. `command` compensates them by feedforward, in
+        place of an integrator.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n

@@ -63,7 +63,7 @@ class DeadTime:
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that were passed to `send` last by those that were applied instead.
+        """Replace the voltages of the last call of `send` by those that were applied instead.
 
         Args:
             volts: Applied voltages of B simulated machines, V, shape (B, drives).
@@ -72,7 +72,7 @@ class DeadTime:
 
     @property
     def last_sent(self) -> Array:
-        """Voltages passed to `send` or `replace_last` last, V, shape (B, drives) for B simulated machines."""
+        """Latest commanded or applied voltages (`send`, `replace_last`), V, shape (B, drives) for B machines."""
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Array:
@@ -195,7 +195,7 @@ class InputInversion:
     def command(self, motor_voltage: Array) -> Array:
         """Compute the commands with which given voltages reach the motors in spite of dead band, offset and gain.
 
-        `motor_voltage` is the inverse: it computes the voltages that reach the motors.
+        This is the inverse of the method `motor_voltage`.
 
         Args:
             motor_voltage: Desired voltages at the motors of B simulated machines, V, shape (B, drives).

@@ -71,9 +71,11 @@ class LinearMotion:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
 
         The state is belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its velocity, m/s.
+        Viscous friction and motor constants are those of the declared machine.
 
         Args:
-            parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P).
+            parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P); masses, belts
+                and radii are used.
             position: Tool positions of the linearization, m, shape (B, axes).
 
         Returns:
@@ -100,8 +102,8 @@ class LinearMotion:
     def opposing_friction(self, state: Array, error: Array, parameters: Array) -> Array:
         """Predict the Coulomb friction during the motion to the goal, as one constant force per coordinate.
 
-        Constant forces permit to plan the motion with a linear model. Friction opposes the present motion; below about
-        20 mm/s, it opposes the motion towards the goal.
+        Constant forces allow a plan with a linear model. Friction opposes the present motion or, at speeds far below 20
+        mm/s, the motion towards the goal; there it decreases to zero within about 1 mm of the goal.
 
         Args:
             state: Belt travel (radius * angle) of the n coordinates of B machines and its velocity, m and m/s, shape
@@ -134,9 +136,9 @@ def _exponential(matrices: Array) -> Array:
 
 
 def state_scale(states: int) -> Array:
-    """Return units of positions and velocities in which the reachability Gramian is well conditioned.
+    """Return the units of positions and velocities in which the reachability Gramian is well conditioned.
 
-    In these units an error of 1 mm is as large as one of 0.1 m/s. A state is scaled by dividing it by them.
+    A state divided by these units is scaled: an error of 1 mm is then as large as one of 0.1 m/s.
 
     Args:
         states: Number of states, 2 n: belt travel of n coordinates and its velocity.
@@ -170,7 +172,7 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
     Args:
         A: System matrices of any number of machines or operating points, shape (points, 2 n, 2 n).
         B: Input matrices of the voltages, shape (points, 2 n, drives).
-        longest: Largest N.
+        longest: Largest number of periods N.
 
     Yields:
         For each N, with states in units of `state_scale`: the response A^(N-1) B to the voltages of the first period,
@@ -225,7 +227,7 @@ class SimulatedTransfers:
             self._time_s = np.insert(self._time_s, 1, SWITCHING_S)
 
     def plan(self, state: Array, goal: Array, parameters: Array, last_volts: Array) -> PlannedTransfers:
-        """Plan motions from the present states to rest at the goals, one for each of the K durations.
+        """Plan motions from the present states to rest at the goals, one for each of the planner's K durations.
 
         Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their effects.
 
@@ -234,7 +236,8 @@ class SimulatedTransfers:
                 velocity, m and m/s, shape (B, 2 n).
             goal: Tool positions of the goals, m, shape (B, axes).
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
-            last_volts: Voltages of the period before, V, shape (B, drives); they act during a dead time only.
+            last_volts: Voltages of the period before, V, shape (B, drives); they matter only if the drives have a dead
+                time, in which they still act.
 
         Returns:
             Voltages of the first period of each motion, V, not limited, shape (B, K, drives), and their derivatives

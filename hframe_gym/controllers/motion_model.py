@@ -64,8 +64,7 @@ class OperatingPointGrid:
 class MotionModel:
     """Model for the design of controllers: a machine with n coordinates and one drive per axis, in belt travel.
 
-    Belt travel is radius * angle of a rotary coordinate and the position of a linear one. Methods take batches of B
-    states.
+    Belt travel is radius * angle of a rotary coordinate and the position of a linear one. B is a number of machines.
 
     Args:
         machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives.
@@ -161,8 +160,7 @@ class MotionModel:
             goal: B tool positions, m, shape (B, axes).
 
         Returns:
-            States: belt travel (radius * angle of a rotary coordinate) of the n coordinates, m, and zero velocity, m/s,
-            shape (B, 2 n).
+            Belt travel (radius * angle) of n coordinates, m, then its velocity, zero, m/s, shape (B, 2 n).
         """
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
@@ -216,7 +214,7 @@ class MotionModel:
     def effect_force(self, state: Array, elapsed_s: Array) -> Array:
         """Compute the forces of the machine's effects (deviations from the nominal model) other than friction.
 
-        Effects with a memory or a lookup table, or that depend on voltage or current, are left out.
+        Effects with a memory or a lookup table are left out, and those on belts, drives and sensors.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -230,7 +228,10 @@ class MotionModel:
         return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute Coulomb friction and the changes of friction by the machine's effects, without viscous friction.
+        """Compute Coulomb friction F tanh(v / (20 mm/s)) and what the machine's effects add to friction.
+
+        Viscous friction of the machine without effects is not included. Effects (deviations from the nominal model)
+        with a memory or a lookup table are left out; friction that grows with the drive force is evaluated at 0 V.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -245,7 +246,7 @@ class MotionModel:
         return self._effect_viscous_force(state) - level * self._direction(state)
 
     def effect_friction(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute how much the machine's effects (deviations from its nominal model) change the friction forces.
+        """Compute what the machine's effects (deviations from its nominal model) add to friction: see `friction_force`.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -274,10 +275,10 @@ class MotionModel:
         return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
     def static_stretch(self, force: Array, goal: Array) -> Array:
-        """Compute the displacement of the motors at which the stretched belts balance a force on the tool, at rest.
+        """Compute how far the motors are displaced at rest when stretched belts balance a force on the tool.
 
         Args:
-            force: Force on each of the n coordinates of B machines, N, shape (B, n); only the tool's are used.
+            force: Force on each of the n coordinates of B machines, N, shape (B, n); only those on the tool are used.
             goal: Tool positions, m, shape (B, axes).
 
         Returns:
@@ -313,9 +314,8 @@ class MotionModel:
         It is the rate of momentum plus viscous friction minus drive force; belt forces are internal and cancel.
 
         Args:
-            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
-                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
-            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            before: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, at the start, shape (B, 2 n).
+            after: The same at the end of the period, m and m/s, shape (B, 2 n).
             volts: Voltages at the motors in the period, V, shape (B, drives).
             period: Control period, s.
 

@@ -100,9 +100,10 @@ class ParameterEstimator(ABC):
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
-            actions: Voltages applied in the period, divided by the rated voltages, shape (B, drives); if they change
-                within the period (`switch_s` > 0), those before and after the change, shape (B, 2, drives).
-            starts: True for machines whose episode starts with `after`, shape (B,); their estimates are set to zero.
+            actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives); with a dead
+                time (`switch_s` > 0) those before and after the time `switch_s`, shape (B, 2, drives).
+            starts: True for machines whose episode starts with `after`, shape (B,); their estimates become zero, that
+                is, the declared values.
         """
         if len(self.estimates) != len(starts):
             self._resize(len(starts))
@@ -114,8 +115,8 @@ class ParameterEstimator(ABC):
         """Convert estimates to the values of all parameters of the machines, with which they can be simulated.
 
         Args:
-            estimates: Natural logarithms of the ratios of estimated to declared values, as in the attribute
-                `estimates`, shape (B, size). Missing voltages in the last columns are ignored.
+            estimates: Values as in the attribute `estimates`, shape (B, size): natural logarithms of the ratios of
+                estimated to declared values, then voltages that the simulation lacks. These voltages are ignored.
 
         Returns:
             All P parameters in the order of `Machine.parameters`, SI, shape (B, P). Parameters that are not estimated
@@ -332,5 +333,5 @@ class ParameterWindow(ParameterEstimator):
 
     @property
     def offset(self) -> Array:
-        """Estimated missing voltages, V, shape (B, drives): undeclared forces as voltages beside the commanded ones."""
+        """Estimated voltages, V, shape (B, drives), that the simulation needs in addition to explain the states."""
         return self.estimates[:, self._offsets] * self._model.rated

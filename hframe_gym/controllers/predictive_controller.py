@@ -144,10 +144,10 @@ class PredictiveController(FullStateController):
         return self.estimator.estimates
 
     def gain(self) -> Array:
-        """Compute the derivative of the voltages that `act` returned last with respect to the state.
+        """Compute the derivative of the voltages of the last call of `act` with respect to the state.
 
         It is that of the linear plan; corrections of the plan by simulations are ignored. Training by the analytic
-        policy gradient uses it if a policy corrects this controller.
+        policy gradient uses it if a policy corrects this controller. Call `act` before.
 
         Returns:
             Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).

@@ -98,8 +98,9 @@ class ArrivalPlanner:
             arrival: Number K of periods until the arrival, 1 or more, shape (B,).
 
         Returns:
-            Motor voltages within the rated ones, V, shape (B, periods, drives), and the largest predicted distance of
-            the tool from its goal after period K, m, shape (B,), which is large if the tool cannot arrive so early.
+            Motor voltages within the rated ones, V, shape (B, periods, drives), zero after the end of the plan; and the
+            largest predicted distance of the tool from its goal from the end of period K on, m, shape (B,). A large
+            distance means that the tool cannot arrive so early.
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].
@@ -234,9 +235,10 @@ class PlanSimulation:
     def improve(
         self, state: Array, parameters: Array, goal: Array, plans: list[Array], arrival: Indices, count: int
     ) -> Array:
-        """Choose the plan whose tool stays closest to its goal after period K, and improve it by simulations.
+        """Choose the best of several plans by simulation, and improve it.
 
-        Gauss-Newton iterations with finite differences reduce the tool's distances from the goal after period K.
+        The cost of a plan is the sum of the tool's distances from its goal from the end of period K on; large distances
+        weigh less. Gauss-Newton iterations with finite differences reduce it.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates of B machines and its velocity, m and m/s, shape
@@ -245,7 +247,8 @@ class PlanSimulation:
             goal: Tool goals, m, shape (B, axes).
             plans: Commanded voltages of each period, V, each of shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
-            count: Number of periods since the start of the episode; the steps of the finite differences vary with it.
+            count: Number of periods since the start of the episode. It selects the finite-difference steps, whose size
+                and sign change from period to period so that some of them overcome static friction.
 
         Returns:
             Commanded voltages of the improved plan, V, shape (B, periods, drives).

@@ -108,7 +108,7 @@ class StateEstimator:
         Their new estimates start from a machine at rest with the declared parameters.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. Default: all; B may then change.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
         """
         self._starts.reset(mask)
 
@@ -121,7 +121,7 @@ class StateEstimator:
         self._dead_time.send(volts)
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that were passed to `send` last by those that were applied instead.
+        """Replace the voltages of the last call of `send` by those that were applied instead.
 
         Args:
             volts: Applied voltages of the drives, V, shape (B, drives) for B simulated machines.

@@ -50,7 +50,8 @@ class BeltEquations(ParameterizedMachine):
         Returns:
             One `BeltState` per belt, in the machine's order: extension s (m), its rate (m/s), stiffness k (N/m),
             tension T beyond the pretension (N), the force e = -(1/2) s^2 dk/dl (N) due to the change of k with the
-            length l, and T - e (N), each of shape (...).
+            length l (0 for constant k), and T - e (N), the force on a coordinate that changes extension and length by
+            equal amounts. Each has the shape (...), or is a constant.
         """
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
@@ -133,11 +134,10 @@ class BeltEquations(ParameterizedMachine):
         return arms
 
     def belt_forces(self, point: MotionPoint, belts: Sequence[BeltState]) -> list[Value]:
-        """Return the force of the belts on each coordinate, the negative derivative of the belts' energy.
+        """Return the force of the belts on each coordinate: -G' T - (1/2) s^2 dk/dp.
 
-        For belt travel p (position, or radius * angle of a pulley) it is -G' T - (1/2) s^2 dk/dp, with extension s,
-        stiffness k, tension T, and the matrix G = ds/dp. Values are floats, arrays of one common shape (...) or
-        symbolic expressions.
+        Here p is the belt travel (position, or radius * angle of a pulley), s the extension, k the stiffness, T the
+        tension, and G = ds/dp. Values are floats, arrays of one common shape (...) or symbolic expressions.
 
         Args:
             point: Belt travel, m, and its rate, m/s, of every coordinate, one value each.

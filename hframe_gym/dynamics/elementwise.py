@@ -36,7 +36,7 @@ def exp(x: Any) -> Any:
 
 
 def sin(x: Any) -> Any:
-    """Return the sine of an angle; in a compiled simulation kernel (generated code) accurate for |x| up to 1e6 rad.
+    """Return the sine of an angle; in a compiled simulation kernel (generated code) only for |x| up to 1e6 rad.
 
     Args:
         x: Angle, rad: number, array of any shape, or symbolic expression.
@@ -48,7 +48,7 @@ def sin(x: Any) -> Any:
 
 
 def cos(x: Any) -> Any:
-    """Return the cosine of an angle; in a compiled simulation kernel (generated code) accurate for |x| up to 1e6 rad.
+    """Return the cosine of an angle; in a compiled simulation kernel (generated code) only for |x| up to 1e6 rad.
 
     Args:
         x: Angle, rad: number, array of any shape, or symbolic expression.

@@ -129,9 +129,9 @@ class Equations(BeltEquations, SignalEquations):
 
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
-            coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
-            arguments: Inputs of the formula `next_state`, which advances the state of an effect, by the effect's index
-                in `instances`: the Coulomb friction force `level`, N or Nm, or the current `i` of the drive, A.
+            coulomb: Coulomb friction force (>= 0) on each coordinate, N, shape (...); 0 where an effect replaces it.
+            arguments: By the effect's index in `instances`, inputs of its formula `next_state`: "level", the Coulomb
+                friction force, N or Nm, for an effect that replaces it; "i", the current, A, for one that changes it.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -247,9 +247,9 @@ class Equations(BeltEquations, SignalEquations):
 
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
-            coulomb: Coulomb friction force (magnitude) on each coordinate, N, shape (...) each.
-            arguments: Inputs of the formula `next_state`, which advances the state of an effect, by the effect's index
-                in `instances`: the Coulomb friction force `level`, N or Nm, or the current `i` of the drive, A.
+            coulomb: Coulomb friction force (>= 0) on each coordinate, N, shape (...); 0 where an effect replaces it.
+            arguments: By the effect's index in `instances`, inputs of its formula `next_state`: "level", the Coulomb
+                friction force, N or Nm, for an effect that replaces it; "i", the current, A, for one that changes it.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))

@@ -160,7 +160,7 @@ class Statement:
 
 
 def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
-    """Simplify an arithmetic operation if the result is the same to the bit: 2 + 3, x + 0, x * 1, -(-x), x + (-y), ...
+    """Simplify an arithmetic operation if the result is the same but for the sign of a zero: 2 + 3, x + 0, x * 1, ...
 
     Args:
         operation: "+", "-", "*", "/" or "neg"; other operations are not simplified.
@@ -168,6 +168,9 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
     Returns:
         The simplified expression, or None if the operation cannot be simplified.
+
+    Raises:
+        ValueError: If an operation on two numbers gives no finite number.
     """
     # The value of each operand that is a number, else None.
     numbers = [float(v.operands[0]) if v.operation == "number" else None for v in values]

@@ -110,7 +110,8 @@ def cache_folder() -> Path:
     """Return the folder in which generated simulation code and its compiled form are cached; create it if missing.
 
     It is the first of these folders that can be written and has 32 MB of room: `$HFRAME_CACHE` (if set), `hframe_gym`
-    in the user's cache folder, a temporary folder. A warning says if it is not the first one.
+    in the user's cache folder, a private folder in the system's temporary folder. If none is usable, it is a new
+    temporary folder. A warning is issued if it is not the first one.
 
     Returns:
         Existing folder that can be written.

@@ -97,8 +97,8 @@ class KernelSource:
             i: Index of the coordinate, from 0.
 
         Returns:
-            ("_forward", "_backward") if an effect makes viscous friction depend on the direction of motion; else
-            ("",), one value for both.
+            ("_forward", "_backward") if an effect (deviation from the nominal model) changes the viscous friction of
+            the coordinate; else ("",), one value for both directions.
         """
         return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 

@@ -33,7 +33,7 @@ def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
     Returns:
         One `BeltState` per belt, in the machine's order: extension s (m), its rate (m/s), stiffness k (N/m), tension T
         beyond the pretension (N), the force e = -(1/2) s^2 dk/dl (N) due to the change of k with the length l, and
-        T - e (N); arrays of shape (...).
+        T - e (N); arrays of shape (...), but floats k and e = 0 for a belt of constant stiffness.
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
@@ -150,7 +150,8 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
 
     Returns:
         Mean voltages, V: for each drive an array of shape (n,), or (variants, n) if its delay is an array of shape
-        (variants, 1) with one value for each of several variants of the machine.
+        (variants, 1) with one value for each of several variants of the machine. The last mean is over an interval as
+        long as the one before. Until the delay has passed, the voltage of the first sample acts.
     """
     # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
@@ -172,7 +173,7 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
 def effect_states(
     equations: Equations, time_s: Array, positions: Array, velocities: Array, voltages: Sequence[Array]
 ) -> dict[int, Array]:
-    """Integrate the states of effects (bristle deflection, motor current, ...) along a motion.
+    """Integrate the states of effects (bristle deflection, motor current, ...) along a motion, from zero at its start.
 
     Args:
         equations: Equations of the machine with its effects (deviations from the nominal model).

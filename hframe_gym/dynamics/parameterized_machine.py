@@ -197,7 +197,9 @@ class ParameterizedMachine:
                 yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield those effects (deviations from the nominal model) on a coordinate that define a certain formula.
+        """Yield the effects (deviations from the nominal model) that act on a coordinate and define a formula, `hook`.
+
+        Effects at a drive of the coordinate are included; `effects_at` yields those at one component only.
 
         Args:
             hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists these formulas ("hooks").
@@ -258,8 +260,8 @@ class ParameterizedMachine:
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
         """Return the state of an effect, such as a bristle deflection or a motor current, at a point of a motion.
 
-        An effect is a deviation from the nominal model. If `point.elapsed` is a time, s, the states in the point are
-        those of this time earlier, and the effect's formula `next_state` advances them; None: they are up to date.
+        An effect is a deviation from the nominal model. `point` may hold states that are older than the point by
+        `point.elapsed` seconds; the effect's formula `next_state` then advances them by this time.
 
         Args:
             k: Index of the effect in `instances` (all effects, once per component on which they act).

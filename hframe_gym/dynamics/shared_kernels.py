@@ -94,8 +94,9 @@ def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
     """Prepare one kernel, the compiled simulation code, for a machine with any selection of some further effects.
 
     A search that tries many effects one at a time then compiles once, and not once per effect; `rollout_kernel` finds
-    the shared kernel. Effects that are not selected get the amplitude zero, which leaves simulations the same to the
-    bit. This does not hold for delays and for effects that change belts or structure; they are left out.
+    the shared kernel. Effects that are not selected get the amplitude zero and change no bit of a simulation. Effects
+    that a zero amplitude does not remove in this way (delays, changes of current, bristle friction, effects on belts or
+    structure) are left out of the kernel. If no other effect is given, nothing is prepared.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that it has already.

@@ -247,9 +247,9 @@ def simulate(
         machine: Machine to simulate.
         time_s: Times of n samples, s, strictly increasing, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,);
-            further values are the internal states of effects that have one (a hysteresis, for example), in the order of
-            `machine.effects`; those not given are zero. Default: at rest at the origin with unstretched belts.
+        initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,). The
+            internal states of all effects that have one (a hysteresis, for example) may follow, in the order of
+            `machine.effects`; without them they are zero. Default: at rest at the origin with unstretched belts.
         offset: Constant that is added to the readings of each sensor, in its unit, shape (sensors,) or one number.
         longest_step: Largest step of the integrator, s.
 

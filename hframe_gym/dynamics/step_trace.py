@@ -244,7 +244,7 @@ class StepTrace:
                 "per_mass": [self.equations.derived("coordinate", i, "per_mass") for i in self.coordinates],
             }
             arguments = [
-                trace.let(f"stopping_{key}", None, trace.expression(first_of(stops[:-1], values, values[-1])))
+                trace.let(f"stopping_{key}", None, trace.expression(first_of(stops[:-1], values[:-1], values[-1])))
                 for key, values in operands.items()
             ]
             results = (("speed_after_stop", None), ("traveled", None))

@@ -23,9 +23,9 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
 
     Args:
         time: Sample times, s, ascending, shape (n,).
-        values: Input at the samples, any unit, shape (n,); before the first sample its value acts.
+        values: Input at the samples, any unit, shape (n,); the first value also acts before the first sample.
         start: Start of the interval, s.
-        end: End of the interval, s.
+        end: End of the interval, s, later than `start`; it may be later than the last sample.
         hint: Index of the sample at which the search for the start of the interval begins; any index is allowed.
 
     Returns:
@@ -46,7 +46,7 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
 
 
 def parabola(time, i: int, delay: float) -> tuple:
-    """Return the weights of the three nearest samples on whose parabola an earlier value of a signal lies.
+    """Return weights that interpolate a delayed value of a signal by a parabola through three of its samples.
 
     Args:
         time: Sample times, s, ascending, shape (n,).
@@ -54,7 +54,7 @@ def parabola(time, i: int, delay: float) -> tuple:
         delay: Time before the present sample, s; times before the first sample count as that sample.
 
     Returns:
-        Index of the middle sample, and the dimensionless weights of its two neighbors; it has the rest of 1 itself.
+        Index k of the middle sample, and the dimensionless weights a of k - 1 and b of k + 1; that of k is 1 - a - b.
     """
     if i == 0:
         return 0, 0.0, 0.0
@@ -91,7 +91,7 @@ def start_block(block: int, start_time: float, parameters, start, state, block_p
     """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
 
     A block is LANES machines that the processor simulates side by side. Columns without a machine repeat the first
-    machine of the block. COORDINATES, PARAMETERS and STATES are the numbers of these per machine.
+    machine of the block. COORDINATES, PARAMETERS and STATES are numbers of entries per machine.
 
     Args:
         block: Index of the block; it simulates the machines block * LANES to block * LANES + LANES - 1.
@@ -156,7 +156,7 @@ def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, 
     """Correct the states of a block (LANES machines, simulated side by side) by measurements, as an observer does.
 
     The correction gains @ (measured - reading) is added to the state (output injection). COORDINATES, SENSORS and
-    STATES are the numbers of these per machine.
+    STATES are numbers of entries per machine.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
@@ -225,9 +225,9 @@ def rollout(
         time: Sample times, s, shape (n,).
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
         parameters: Machine parameters, SI, shape (B, PARAMETERS).
-        start: Belt travel (radius * angle), m, its rate, m/s, and effect states at first, shape (B, STATES - 1).
+        start: Belt travel (radius * angle), m, its rate, m/s, effect states at the first sample, shape (B, STATES - 1).
         measured: Measurements to correct the state, m or rad, shape (1 or B, n, SENSORS), NaN where missing; or empty.
-        gains: Corrections per difference to a measurement (m and m/s per m or rad), shape (2 * COORDINATES, SENSORS).
+        gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * COORDINATES, SENSORS).
         extra: External forces, N, held, shape (1 or B, n, COORDINATES); ignored by a kernel that is generated without.
         longest_step: Largest step of the integrator, s.
         first: Index of the first block.

@@ -43,7 +43,7 @@ class Trace:
     def node(self, operation: str, *operands: Any) -> Expression:
         """Return the expression of an operation, such as a + b or sin(a), in the generated function.
 
-        The operation is simplified if the result is exactly the same, for example x * 1 to x.
+        The operation is simplified if the result is the same but for the sign of a zero, for example x + 0 to x.
 
         Args:
             operation: Operator such as "+" or "neg", or name of a function such as "sin".
@@ -53,7 +53,7 @@ class Trace:
             The expression; equal operations on the same operands give the same object.
 
         Raises:
-            ValueError: If a number is not finite.
+            ValueError: If a number, or the result of an operation on two numbers, is not finite.
         """
         values = tuple(map(self.expression, operands))
         simple = simplified(operation, values)
@@ -276,13 +276,13 @@ def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -
 
     Args:
         conditions: Expressions of conditions, one truth value per machine.
-        values: Expression or number for each condition; surplus ones are ignored.
+        values: Expression or number for each condition.
         otherwise: Expression or number for machines where no condition is true.
 
     Returns:
         Expression of the selected values; `otherwise` itself without conditions.
     """
     selected = otherwise
-    for condition, value in reversed(list(zip(conditions, values, strict=False))):
+    for condition, value in reversed(list(zip(conditions, values, strict=True))):
         selected = where(condition, value, selected)
     return selected

@@ -92,7 +92,7 @@ class Coordinate:
         Args:
             quantity: A parameter of the coordinate ("mass", "viscous", "coulomb" or "radius"), or a key of `UNITS`,
                 such as "position", "speed", "force", "stiffness", "drag" (force per squared speed) or "rad/position"
-                (of a gear ratio).
+                (of a gear ratio). Keys of `FIXED_UNITS`, such as "voltage", have the same unit at every coordinate.
 
         Returns:
             The unit, for example "kg m^2" for the mass of a rotary coordinate.

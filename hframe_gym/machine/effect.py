@@ -187,16 +187,16 @@ class Effect:
         raise KeyError(f"effect {self.name!r} has no parameter {name!r}")
 
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
-        """Return the sites, components of a machine, at which an effect of this kind could act.
+        """List the sites of a machine that have the kind which the effect requires (attribute `site`).
 
-        The kind of component (attribute `site`) decides alone; the conditions `fits` and `fits_site` are not checked.
+        The further conditions `fits` and `fits_site` are not checked.
 
         Args:
             machine: Machine whose components are listed.
 
         Returns:
             Names of coordinates, drives, belts or sensor channels. "drives" and "belts" stand for all drives or belts
-            at once, "machine" for the whole machine.
+            at once, "machine" for the whole machine. Empty if the machine has no such component.
         """
         drives = tuple(d.name for d in machine.drives)
         return {
@@ -218,10 +218,8 @@ class Effect:
         """Return the effect (deviation from the nominal model) at a site, with parameter values.
 
         Args:
-            site: Component on which the effect acts. Effects of the kind (attribute `site` of this class) "coordinate"
-                take the name of a coordinate, "motor" and "drive" that of a drive, "sensor" that of a channel; "drives"
-                and "belts" the name of one component or, for all of them, this word; "machine" this word.
-                `Machine.with_effects` checks the name.
+            site: Name of the coordinate, drive, belt or sensor channel on which the effect acts; or "drives" or "belts"
+                for all of them, or "machine". `possible_sites` lists the choices, `Machine.with_effects` checks them.
             **parameters: Value of every parameter of the effect, SI, within its bounds.
 
         Returns:
@@ -273,8 +271,8 @@ class AppliedEffect:
             machine: Machine that has the site.
 
         Returns:
-            Names of all drives for the site "drives", of all belts for "belts", of all coordinates for "machine" (but
-            ("machine",) for an effect that adds components). Any other site is one component: its name.
+            The site itself if it is one component. All drives for the site "drives", all belts for "belts", all
+            coordinates for "machine"; but ("machine",) for an effect that adds components (`Effect.structure`).
         """
         kind = self.definition.site
         if kind == "machine":
@@ -299,7 +297,7 @@ class AppliedEffect:
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Raise an error if the effect cannot be added to a machine at its site.
+        """Raise an error if a machine lacks the effect's site, or has the effect there already.
 
         Args:
             machine: Machine without the effect.

@@ -64,7 +64,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """Structure without parameter values, hashable; machines of equal shape share the compiled simulation code."""
+        """Hashable structure (components, coefficients, effects); simulations of equal shapes share compiled code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -123,7 +123,8 @@ class Machine:
             row: Coefficients of a belt or sensor by coordinate name. Keys that are products ("y*yaw") are ignored.
 
         Returns:
-            Coefficients in the unit of the row, shape (coordinates,); zero for coordinates that the row does not name.
+            The same values, shape (coordinates,): extension per belt travel, m/m, or reading per unit of a coordinate,
+            SI. They are zero for coordinates that the row does not name.
         """
         return np.array([row.get(name, 0.0) for name in self.coordinate_names])
 
@@ -140,8 +141,7 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Reading of each sensor per unit of each coordinate (its linear part), SI, shape (sensors, coordinates)."""
-        # Without the products of coordinates that a reading may contain.
+        """Readings per unit of each coordinate, without products of coordinates, SI, shape (sensors, coordinates)."""
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
@@ -153,7 +153,7 @@ class Machine:
 
         Returns:
             Its name: the site itself, the coordinate that the drive moves, or the one that the sensor mainly measures.
-            None for belts, and for the sites "drives" and "machine", which have several.
+            None for belts, for the sites "drives" and "machine", which have several, and for unknown sites.
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
@@ -180,7 +180,7 @@ class Machine:
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
-        """Return the linear coordinate other than the given one, if there is exactly one: y for x, x for y.
+        """Return the linear coordinate other than the given one, such as y for x, if there is exactly one.
 
         Args:
             coordinate: Name of a coordinate, linear or rotary.

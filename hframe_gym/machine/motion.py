@@ -57,7 +57,9 @@ class Simulator(Protocol):
 
 
 def observed_coordinates(machine: Machine) -> tuple[str, ...]:
-    """List the coordinates of which an observation of the full state has positions and velocities, in its order.
+    """List the coordinates that a full-state observation contains, in the order of its positions.
+
+    A full-state observation holds the positions of these coordinates, then their velocities.
 
     Args:
         machine: Machine with its tool axes and drives.
@@ -162,8 +164,8 @@ def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
 
     Returns:
         By name of the coordinate that leads the motion, which the others follow: moving inertia, kg or kg m^2; force of
-        the drives at standstill minus Coulomb friction, N or Nm; steady speed, m/s or rad/s. All refer to this
-        coordinate.
+        the drives at standstill minus Coulomb friction, at least 0, N or Nm; steady speed, m/s or rad/s, infinite
+        without viscous friction and back-EMF. All refer to this coordinate.
     """
     limits = {}
     for name, motion in rigid_motions(machine).items():

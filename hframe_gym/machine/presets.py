@@ -139,9 +139,9 @@ def hframe_literal() -> Machine:
 def hframe_order20() -> Machine:
     """Return the linear 20th-order model of Sollmann et al. (2010) with all eight pulleys (eq. 25-34, corrected).
 
-    The inertia and friction of the idlers, which Table 1 includes in the values of the carriages and motors, are given
-    to the idlers (eq. 4-8). The stiffness of each section is constant: that at the position for which Table 1 holds
-    (eq. 39-43). docs/errata.md lists the corrections.
+    Table 1 adds the inertia and friction of the six idlers to the values of the cart (y) and of the motor pulleys (eq.
+    4-8); here every pulley is a coordinate with the same inertia and friction. Each section has the constant stiffness
+    of x = -0.2227 m, y = -0.1163 m, for which Table 1 holds (eq. 39-43). docs/errata.md lists the corrections.
 
     Returns:
         The preset `hframe-order20`: 10 coordinates x, y (m) and phi1..phi8 (rad), 9 belt sections, 2 drives, 4 sensors.
