@@ -231,7 +231,7 @@ class MotionModel:
         """Compute Coulomb friction F tanh(v / (20 mm/s)) and what the machine's effects add to friction.
 
         Viscous friction of the machine without effects is not included. Effects (deviations from the nominal model)
-        with a memory or a lookup table are left out; friction that grows with the drive force is evaluated at 0 V.
+        with a memory or a lookup table are left out, and friction that grows with the drive force.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -342,7 +342,7 @@ def _memoryless(effect: AppliedEffect) -> bool:
     """Return whether an effect's forces and friction depend on its coordinate's position, velocity and time only."""
     hooks = [getattr(effect.definition, name) for name in ("force", "coulomb", "viscous")]
     arguments = {name for hook in hooks if hook for name in argument_names(hook)}
-    return any(hooks) and not {"z", "u", "i"} & arguments
+    return any(hooks) and not {"z", "u", "i", "drive"} & arguments
 
 
 def _stack(values: Sequence[Any], state: Array) -> Array:
