@@ -129,7 +129,7 @@ def test_one_axis_has_one_row_of_operating_points() -> None:
     np.testing.assert_array_equal(grid.nearest(np.array([[-1.0], [0.01], [0.24]])), [0, 4, 8])
 
 
-def test_friction_that_depends_on_the_drive_force_is_not_compensated_with_that_of_0_V(hframe):
+def test_friction_that_grows_with_the_drive_force_is_not_compensated(hframe):
     """The model knows position, velocity and time only; at 0 V the back-EMF alone would determine the friction."""
     model = MotionModel(hframe.with_effects(EFFECTS["load_friction"].at("motor1", mu=0.3)))
     state = np.array([[0.0, 0.0, 0.0, 0.0, 0.2, 0.1, -0.3, 0.1]])
