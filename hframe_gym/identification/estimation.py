@@ -87,23 +87,21 @@ def fit(
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
-    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors.
-    The penalty is multiplied by chi-squared per sample (cost / number of measured values) where that exceeds 1.
-    The optimizer changes a dimensionless theta per parameter: value = center * exp(theta) or center + scale * theta.
+    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors,
+    which is multiplied by chi-squared per sample (cost / number of measured values) where that exceeds 1.
 
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
         free: The k free parameters with their priors.
         data: Runs to fit (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        theta: Initial guess of theta, shape (k,). Default: zero, the central values of the priors.
+        theta: Initial theta of each parameter (`FreeParameter`), dimensionless, shape (k,). Default: 0, its center.
         iterations: Maximum number of iterations.
         tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search ends.
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit where the search ended: machine, theta, shape (k,), and cost without the penalty, infinite if the machine
-        diverges.
+        Fit where the search ended: theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)

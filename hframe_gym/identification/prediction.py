@@ -144,9 +144,8 @@ def predict(
         states: Whether to return positions and velocities too.
 
     Returns:
-        Motion with the predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), and if
-        `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates); not finite
-        where the motion diverges.
+        Predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), not finite if it diverges,
+        and if `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates).
     """
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     measured = gains = None
