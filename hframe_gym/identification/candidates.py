@@ -51,26 +51,25 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name of the effect (deviation from the nominal model) and of its component, such as "stribeck_friction@x"."""
+        """Name of the effect (deviation from the nominal model) and of its site, such as "stribeck_friction@x"."""
         return f"{self.effect.name}@{self.site}"
 
     @property
     def has_no_amplitude(self) -> bool:
-        """Whether the effect (deviation from the model) lacks an amplitude, a parameter proportional to its size."""
+        """Whether no parameter of the effect is an amplitude, so that its basis function has no weight to fit."""
         return not self.effect.amplitudes
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Return the effect (deviation from the model) that is a weighted sum of the basis functions in `columns`.
-
-        There is one basis function per amplitude. An effect with a phase has two, sine and cosine, whose weights are
-        converted to amplitude and phase. An effect without amplitudes ignores the weights.
+        """Return the effect (deviation from the model) with given weights of its basis functions (`columns`).
 
         Args:
-            amounts: Weight of each basis function in multiples of its typical size, dimensionless, shape
-                (basis functions,).
+            amounts: Weight of each basis function, dimensionless, shape (basis functions,). There is one basis function
+                per amplitude, and a weight of 1 gives the amplitude its typical size. An effect with a phase has two,
+                sine and cosine, from whose weights amplitude and phase follow. Without an amplitude, the weight is
+                ignored.
 
         Returns:
-            Effect at the candidate's component, with its parameters, SI, clipped to their bounds.
+            Effect at the candidate's site, with its parameters, SI, clipped to their bounds.
         """
         values = dict(self.columns[0])
         phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
@@ -100,17 +99,18 @@ def candidates(
     Args:
         machine: Machine with the effects that have been selected so far.
         data: Prepared recordings (times, voltages, measurements).
-        scales: Typical sizes of force, speed and so on, by which relative starting values are multiplied.
-        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs: position, velocity and
-            the force that the model lacks, in the coordinate's units. Its strongest periods over the position are the
-            starting values for effects that are periodic in position.
-        slow_friction: Whether friction that is periodic in position is also tried with long periods, of which the range
-            of the positions holds 0.5 to 6.
+        scales: Typical sizes of force, speed and so on. The library states starting values as multiples of them.
+        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
+            velocity and missing force (the force that the model lacks), in the coordinate's units. Effects that are
+            periodic in position start from the strongest spatial periods of the missing force.
+        slow_friction: Whether friction that is periodic in position also starts from long periods: 0.5 to 6 periods
+            over the range of the positions.
 
     Returns:
-        One candidate per effect, site and set of starting values, at most 64 per effect and site. Not included are
-        effects that the machine has already, those that a refit of its parameters can represent, and those that
-        replace a part of the model (added coordinates, dry friction); `screening.screen_structures` tries the latter.
+        One candidate per effect, site and set of starting values, at most 64 per effect and site. Left out are effects
+        that the machine has already, effects that require another one which the machine lacks (`Effect.requires`),
+        effects that a refit of the machine's parameters can represent, and effects that replace a part of the model
+        (they add coordinates or replace dry friction), which `screening.screen_structures` tries.
     """
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
@@ -127,14 +127,14 @@ def candidates(
 
 
 def is_required(machine: Machine, label: str) -> bool:
-    """Check whether another effect of the machine is identified only beside an effect (`Effect.requires`).
+    """Check whether an effect must stay in a machine because another effect of the machine requires it.
 
     Args:
         machine: Machine with effects (deviations from the nominal model).
         label: Label (name@site) of the effect that may be required.
 
     Returns:
-        True if another effect at the same site requires it.
+        True if an effect at the same site names it in `Effect.requires`.
     """
     return any(f"{e.definition.requires}@{e.site}" == label for e in machine.effects)
 
@@ -209,15 +209,15 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
     """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
-    The optimizer changes one dimensionless variable theta per parameter. A parameter that must be positive is
-    start * exp(theta), with its starting value; an amplitude, a phase, or a parameter that may be zero or negative is
-    start + size * theta, with its typical size. The ordinates of a table (a curve given by its values at knots) are
-    size * theta.
+    The optimizer changes one dimensionless variable theta per parameter. With the starting value and the typical size
+    of a parameter, its value is start * exp(theta) if it must be positive, and start + size * theta for an amplitude, a
+    phase, or a parameter that may be zero or negative. The ordinates of a table (a curve given by its values at knots)
+    are size * theta.
 
     Args:
         effect: Effect (deviation from the nominal model) with its starting values.
         machine: Machine that it acts on.
-        scales: Typical sizes of force, speed and so on, which are the units of theta.
+        scales: Typical sizes of force, speed and so on, by the unit of the parameter.
 
     Returns:
         One free parameter for every parameter of the effect, except those that its definition declares as fixed.

@@ -68,8 +68,8 @@ class PreparedRecording:
             machine: Machine with its effects (deviations from the nominal model), which may add coordinates.
 
         Returns:
-            Positions, velocities (zero at rest) and states of the effects, in their units, shape (2 * coordinates +
-            effect states,).
+            Positions, velocities (zero at rest) and states of the effects (zero unless estimated), in their units,
+            shape (2 * coordinates + effect states,).
         """
         return dataclasses.replace(self.initial, state=model_initial_state(machine, self.initial)).start(machine)
 
@@ -176,8 +176,8 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
         data: Data set of prepared runs (times, voltages, measurements, SI).
 
     Returns:
-        data: Copy without these runs (measurements of shape (n, sensors) each); the given one if no run would remain.
-        warnings: A sentence that names the runs that were left out; none if there are none.
+        data: Copy without these runs (measurements of shape (n, sensors) each). If no run would remain, all are kept.
+        warnings: One sentence that names the runs that were left out; empty if none was.
     """
     located = [run.name for run in data.runs if run.initial.position_known]
     if not located or len(located) == len(data.runs):
@@ -242,8 +242,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run; `data` itself if
-        no encoder kept its zero in all runs or the machine has no effects.
+        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run. `data` itself if
+        the machine has no effects, or no encoder with a known zero resolves the stretch of the belts.
     """
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.offset_known) for run in data.runs):
@@ -269,7 +269,7 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
         data: Data set with the runs (times, voltages, measurements, SI).
 
     Returns:
-        Copy with the zeros; the machine itself if none are known.
+        Copy with the known zeros, and without a zero for all other sensors; the machine itself if `data.zeros` is None.
     """
     zeros = refine_encoder_zeros(data, machine).zeros
     return machine if zeros is None else zeros.in_machine(machine)
@@ -306,9 +306,9 @@ class TypicalScales:
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
     """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
-    Starting values and scales of parameters are given as multiples of these sizes. A speed is the 99th
-    percentile, a position the range, a voltage or current the maximum over the motion. A force is a tenth of that of
-    all drives together at rated voltage.
+    Starting values and scales of effect parameters are multiples of these sizes. Speed and belt extension are 99th
+    percentiles of the magnitude, a position is its range, a voltage or current its largest magnitude. A force is a
+    tenth of the force of all drives together at rated voltage.
 
     Args:
         machine: Machine that moved.
@@ -317,7 +317,7 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes, all positive, by the keys that `TypicalScales` documents.
+        Typical sizes, all positive for a machine that moved, by the keys that `TypicalScales` documents.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

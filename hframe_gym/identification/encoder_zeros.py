@@ -54,7 +54,7 @@ class EncoderZeros(NamedTuple):
 
     @property
     def resolves_stretch(self) -> NDArray[np.bool_]:
-        """Mask of the encoders that resolve the stretch in which friction holds the belts at rest, shape (sensors,)."""
+        """Mask of encoders with a known zero and a positive `spread`: they measure belt stretch, shape (sensors,)."""
         # The stretch at rest differs from run to run, and with it the measured zero.
         return self.known & (self.spread > 0.0)
 
@@ -80,7 +80,8 @@ class EncoderZeros(NamedTuple):
             machine: Machine with these sensors.
 
         Returns:
-            Copy whose sensors have these zeros; sensors whose zero is unknown have none.
+            Copy whose sensors have these zeros and, where `spread` is positive, their standard deviations. Sensors
+            whose zero is unknown have neither.
         """
         return machine.replace(
             sensors=tuple(
@@ -108,8 +109,9 @@ class EncoderZeros(NamedTuple):
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
     """Find the encoders that kept their zero (measurement at position 0) in all runs of a session.
 
-    If an encoder's zero differs from run to run by no more than the belt stretch that static friction can maintain, the
-    encoder kept its zero. The zeros of an encoder that was switched on anew for every run differ by far more.
+    An encoder on a pulley kept its zero if the standard deviation of the zero from run to run is below the belt stretch
+    that static friction can maintain, or below two quantization steps. The zeros of an encoder that was switched on
+    anew for every run differ by far more.
 
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.
@@ -178,15 +180,18 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
 
 
 def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
-    """Return the typical deviation of each pulley from the angle at which the belts are unstretched.
+    """Return the angle by which the stretch of the belts typically turns each pulley at the start of a run.
+
+    The angle is measured from that with unstretched belts and serves as the standard deviation of the unknown initial
+    angle. It is a typical torque divided by the rotational stiffness of the belts at the pulley.
 
     Args:
         machine: Machine; without belts the result is empty.
-        moving: True if the run begins in motion: the torque of the drives is added to that which friction holds at
-            rest.
+        moving: False for a run that begins at rest: the torque is 20 % of the pulley's Coulomb friction. True for one
+            that begins in motion: 25 % of the drive's torque at rated voltage is added.
 
     Returns:
-        Angle, rad, by name of each rotary coordinate with belts and a sensor, and without a spring.
+        Angle, rad, at least 1e-6, by name of each pulley with a sensor; pulleys that a spring holds are left out.
     """
     torques = {c.name: _HELD_FRICTION * c.coulomb for c in machine.coordinates}
     for drive in machine.drives if moving else ():
@@ -197,15 +202,16 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
 
 
 def vibration_speeds(machine: Machine) -> dict[str, float]:
-    """Return the speeds with which the pulleys typically vibrate against the belts while the machine moves.
+    """Return the speed amplitude of each pulley's typical vibration against the belts while the machine moves.
 
-    The amplitude of the vibration is `stretch_angles(machine, moving=True)`.
+    It is the standard deviation of the pulley's unknown velocity at the start of a run that begins in motion.
 
     Args:
         machine: Machine; without belts the result is empty.
 
     Returns:
-        Amplitude times natural frequency of the pulley on its belts, rad/s, by name of each pulley with a sensor.
+        Speed, rad/s, by name of each pulley with a sensor: the angle `stretch_angles(machine, moving=True)`, rad, times
+        the natural angular frequency of the pulley on its belts, 1/s.
     """
     angles = stretch_angles(machine, moving=True)
     return {

@@ -87,21 +87,21 @@ def fit(
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
-    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors.
-    The optimizer changes a dimensionless theta per parameter: value = center * exp(theta) or center + scale * theta.
+    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors,
+    which is multiplied by chi-squared per sample (cost / number of measured values) where that exceeds 1.
 
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
         free: The k free parameters with their priors.
         data: Runs to fit (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        theta: Initial guess of theta, shape (k,). Default: zero, the central values of the priors.
+        theta: Initial theta of each parameter (`FreeParameter`), dimensionless, shape (k,). Default: 0, its center.
         iterations: Maximum number of iterations.
-        tolerance: Relative decrease of the cost per iteration below which the search ends.
+        tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search ends.
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit at the minimum: machine, theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
+        Fit where the search ended: theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
     """
     model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
@@ -139,7 +139,8 @@ def fit(
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
     """Return the cost of a machine: the sum of the squared residuals of its predictions over all runs.
 
-    The residuals are measured minus predicted values divided by the standard deviation of the sensors' noise.
+    The residuals are measured minus predicted values divided by the standard deviation of the sensors' noise, without
+    the part that the uncertain initial state can explain (`prediction_residuals`).
 
     Args:
         machine: Machine that predicts.
@@ -192,18 +193,18 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     The covariance is the sum of three parts:
 
-    - Residual: the sandwich estimator over blocks of 0.5 s, which permits a residual that is correlated in time inside
-      a block. The correction CR2 compensates for the part of each block's residual that the fit removed. Few blocks
-      estimate a variance inaccurately; standard deviations are therefore multiplied by the ratio of the 95 % quantiles
-      of Student's t and the normal distribution, so that the value +- 1.96 standard deviations is a 95 % interval.
+    - Residual: the sandwich estimator over blocks of 0.5 s, inside which the residual may be correlated in time. The
+      correction CR2 compensates for the part of each block's residual that the fit removed. For a small number of
+      blocks, standard deviations are multiplied by the ratio of the 95 % quantiles of Student's t and the normal
+      distribution, so that the value +- 1.96 standard deviations is a 95 % interval.
     - Prior: combinations of parameters that the data do not determine keep the standard deviation of the prior.
-    - Delay: the machine may lack a delay between inputs and measurements. Assumed are the delay that the residual
-      indicates, and in addition 0.5 % of a sampling period.
+    - Delay: the change of the parameters if the inputs act later than recorded. The variance of this delay is 0.5 % of
+      a sampling period, squared, plus the square of the delay that the residual indicates.
 
-    The first two parts together are at least the variance that white noise of the assumed size causes.
+    The sum of the first two parts is at least the variance that white noise of the assumed size causes.
 
-    Derivatives are central differences along the principal axes of the Fisher information, not along single parameters.
-    Otherwise rounding would seem to separate parameters of equal influence, such as viscous friction and back-EMF.
+    Derivatives are central differences along the principal axes of the Fisher information. Along single parameters,
+    rounding errors would make parameters of equal influence, such as viscous friction and back-EMF, seem separable.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
@@ -211,7 +212,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     Returns:
         The fitted machine; its `uncertainty` holds the covariance of the free parameters' values, SI. It is None if a
-        prediction diverges at parameters within one standard deviation of the fit.
+        prediction with the fitted parameters diverges.
 
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".

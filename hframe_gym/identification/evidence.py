@@ -45,10 +45,10 @@ _CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 
 
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
-    """Check whether two effects act on the same component and depend on the same variable of it.
+    """Check whether two effects are functions of the same variable of the same component, such as its speed.
 
-    If so, a small effect may be an error in the formula of a large one: what an inaccurate formula of friction leaves
-    is a function of the speed as well. An effect that adds a coordinate depends on that coordinate.
+    If so, a small effect may be an error in the formula of a large one: an inaccurate formula of friction leaves a
+    force that depends on the speed as well.
 
     Args:
         first: One effect (deviation from the nominal model) at its component.
@@ -56,7 +56,8 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
         machine: Machine on which both act.
 
     Returns:
-        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed.
+        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed. False
+        if only one of them is periodic in the variable, or if one adds coordinates.
     """
     sites = [machine.coordinate_of_site(e.site, e.definition.site) or e.site for e in (first, second)]
     structural = first.definition.structure or second.definition.structure
@@ -72,12 +73,13 @@ def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
 
 
 def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
-    """Return by which factor correlation in time increases the cost reduction that an effect reaches by chance.
+    """Return by which factor a residual that is correlated in time raises the gain that an effect reaches by chance.
 
-    The cost is the sum of squared residuals in units of the noise. If the residual is not white, this reduction is
-    larger by the ratio of its long-run variance to that of white noise, in the direction in which the effect changes
-    the predictions. The variance follows from sums over blocks that count as independent: 50 ms, 0.5 s, or runs. If
-    there are few, it is multiplied by the ratio of the quantiles of the F and the chi-squared distribution.
+    The gain is the reduction of the cost (sum of squared residuals in units of the noise). The factor is the ratio of
+    the residual's long-run variance to the variance of white noise, in the direction in which the effect changes the
+    predictions. The long-run variance follows from sums of the residual over blocks that count as independent. Blocks
+    of 50 ms, of 0.5 s and complete runs are tried. For a small number of blocks, the ratio is multiplied by that of the
+    quantiles of the F and the chi-squared distribution.
 
     Args:
         fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
@@ -85,8 +87,8 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Largest ratio over the kinds of blocks and over combinations of the effect's parameters, dimensionless, at least
-        1; infinite if the machine diverges at slightly different parameters.
+        Factor, dimensionless, at least 1: the largest for the three kinds of blocks and all combinations of the
+        effect's parameters. It is infinite if the machine diverges at the fitted or slightly different parameters.
 
     References:
         Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
@@ -123,12 +125,13 @@ def _block_sums(rows: Array, size: int) -> Array:
 def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
     """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
 
-    Confirmation by other runs and chance are tested only if chi-squared per sample without it is below 1.5.
+    Whether other runs confirm it, and whether chance explains its gain, is tested only if chi-squared per sample
+    without it is below `criteria.explained_chi2` (1.5 by default).
 
     Args:
         current: Fit (machine, parameters theta, shape (k,), cost) without the effect.
-        trial: Fit with the effect (deviation from the nominal model), the last one of its machine, with the same
-            observer to correct predictions by the measurements.
+        trial: Fit with the effect (deviation from the nominal model), which is the last in its machine's list, with the
+            same observer to correct predictions by the measurements.
         data: Runs that were fitted (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 

@@ -85,7 +85,7 @@ class ExperimentDesign:
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
     def write(self, path: Path, machine: Machine) -> None:
-        """Write the voltages as a CSV file with the columns time_s and one per input channel.
+        """Write the sample times, s, and voltages, V, as a CSV file with the columns time_s and one per input channel.
 
         Args:
             path: File to write; it appears only when it is complete.
@@ -106,7 +106,7 @@ def design_discriminating_experiment(
     """Design the run that decides between an identified effect (deviation from the nominal model) and its best rival.
 
     A rival is another effect that explains the same data equally well. Steps, sines and other voltages are simulated
-    with both machines; the run is the one on which their predictions differ most.
+    with both machines. The run is the one on which their predictions differ most (`separate_machines`).
 
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
@@ -118,8 +118,7 @@ def design_discriminating_experiment(
 
     Returns:
         Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural, if no
-        rival remains, if the machine with the rival diverges, or if the predictions of the two machines differ by less
-        than 10 standard deviations of the noise on every simulated run.
+        rival remains, if the machine with the rival diverges, or if `separate_machines` finds no run.
     """
     present = {e.label: e for e in current.machine.effects}
     alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
@@ -149,8 +148,8 @@ def separate_machines(
             the sampling period and, for a coordinate without a declared range, the permitted travel.
 
     Returns:
-        Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if the predictions
-        differ by less than 10 standard deviations of the noise in total on every simulated run.
+        Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if there is no run
+        within the travel on which the predictions differ by at least 10 standard deviations of the noise in total.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

@@ -15,7 +15,7 @@ from scipy import signal
 
 from ..dynamics import Equations, net_forces
 from ..machine import AppliedEffect, Machine
-from .dataset import Dataset, PreparedRecording
+from .dataset import MIN_ROWS, Dataset, PreparedRecording
 from .estimation import Fit
 from .model_error import BANDWIDTHS, search_step
 from .prediction import SEARCH_BANDWIDTH, map_runs, observer_gains, predict, prediction_error
@@ -140,12 +140,12 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Args:
         machine: Machine to evaluate.
-        data: Measured runs (times, voltages, measurements, SI); those with measurements missing after their rest are
-            left out.
+        data: Measured runs (times, voltages, measurements, SI). A run is left out if a measurement is missing after the
+            first complete row, or if fewer than 20 rows follow from there.
 
     Returns:
-        Error over all runs, dimensionless. None if the machine has belts, if a coordinate lacks a drive or a sensor
-        that measures only this coordinate, or if no run has complete measurements from its rest on.
+        Error over all runs that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
+        or a sensor that measures only this coordinate, or if no run is used or has a voltage.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
@@ -160,7 +160,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
         complete = np.asarray(np.isfinite(measured).all(axis=1))
         first = int(np.argmax(complete))  # a run that began in motion lacks the measurements before its rest
-        if not complete[first:].all():
+        if not complete[first:].all() or len(measured) - first < MIN_ROWS:
             continue
         measured = measured[first:]
         run = dataclasses.replace(run, time_s=run.time_s[first:], inputs=run.inputs[first:])
@@ -173,7 +173,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         velocity = np.where(np.abs(velocity) < _RESOLVED_SPEED * velocity_noise, 0.0, velocity)
         trim = int(_FILTER_TRANSIENT_S / period)
         drive, model = (
-            signal.decimate(force[trim:-trim], _FORCE_DECIMATION, ftype="fir", axis=0)
+            signal.decimate(force[trim : len(force) - trim], _FORCE_DECIMATION, ftype="fir", axis=0)
             for force in _inverse_dynamics(machine, run, position, velocity)
         )
         squared_error += float(np.sum((drive - model) ** 2))

@@ -105,7 +105,7 @@ class ProposedFormula:
             The formula with its parameters and errors.
 
         Raises:
-            InputError: If a term is unknown or a parameter is missing.
+            InputError: If a term is unknown or the number of parameters does not fit the terms.
         """
         known = {term.name: term for term in _terms(table)}
         terms = tuple(known[name] for name in entry["terms"] if name in known)

@@ -128,10 +128,11 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        Other runs must confirm an effect, chance must not explain its gain, the machine must stay stable, and its force
-        must exceed the one that remains unexplained (`evidence`). Effects that fail a test are added to `considered`.
-        After each effect, the bandwidth of the observer that corrects predictions by the measurements is chosen anew,
-        so that it maximizes the likelihood, and earlier effects may be replaced by ones that now explain more.
+        The tests of `evidence` are: other runs confirm the effect, chance does not explain its gain, the machine stays
+        stable, and the force of the effect exceeds the force that remains unexplained. Effects that fail a test are
+        added to `considered`. After each selected effect, the bandwidth of the observer that corrects predictions by
+        the measurements is chosen anew (maximum likelihood), and earlier effects may be replaced by others that now
+        explain more. The search also ends at `max_effects` effects or when only noise is left (`noise_level`).
 
         Args:
             current: Fit of the machine with the effects selected so far.
@@ -276,8 +277,8 @@ class EffectSearch:
         kept if it reduces the error by enough and passes all tests of `evidence`: for example, other runs must confirm
         it, and chance must not explain the reduction. After a removal, the remaining effects are tested again.
 
-        A structural effect, which adds coordinates, is kept if another effect acts on one of them. Removed effects are
-        added to `considered`.
+        An effect is kept without a test if another effect requires it or acts on a coordinate that it adds. Removed
+        effects are added to `considered`.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.

@@ -89,13 +89,13 @@ class FreeParameter:
         """Convert a value of the parameter to theta, the dimensionless variable of the optimizer.
 
         Args:
-            value: Value of the parameter, SI; positive if the parameter is fitted as a logarithm.
+            value: Value of the parameter, SI; of the sign of `center` if the parameter is fitted as a logarithm.
 
         Returns:
             Theta, dimensionless.
 
         Raises:
-            ValueError: If the parameter is fitted as a logarithm and the value does not have the sign of `center`.
+            ValueError: If the parameter is fitted as a logarithm and the value is zero or of the other sign.
         """
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
@@ -227,11 +227,11 @@ def typical_force(machine: Machine) -> float:
 def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
     """Return the parameters that identification refits by default.
 
-    These are masses, viscous and dry friction, stiffnesses and lengths of belts, torque and back-EMF constants, and the
-    declared effects, except:
+    These are masses, viscous and dry friction, stiffnesses of belts, lengths of belt sections that change with the
+    position, torque constants, nonzero back-EMF constants, and the parameters of declared effects. Left out are:
 
-    - The torque constant of the first drive stays fixed, because voltages determine forces only relative to it.
-    - Parameters that the machine ties to others are left out.
+    - The torque constant of the first drive, because voltages determine forces only relative to it.
+    - Parameters that the machine ties to others.
 
     Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
     only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
@@ -239,7 +239,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     Args:
         machine: Declared machine.
         effects: Whether the nonzero parameters of the declared effects (deviations from the nominal model) are
-            included.
+            included, unless an effect declares a parameter as fixed.
 
     Returns:
         Free parameters with their priors, centered on the declared values.

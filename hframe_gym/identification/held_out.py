@@ -60,7 +60,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction, dimensionless, at most 1; negative if the effect increases the error.
+        Fraction (`error_reduction`), dimensionless, at most 1; negative if the effect increases the error.
     """
     return error_reduction(_machine_without(selected, machine), machine, validation, bandwidth)
 
@@ -86,7 +86,7 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction, dimensionless, at most 1; negative if the error is larger.
+        Fraction, dimensionless, at most 1; negative if the error is larger, not finite if a machine diverges.
     """
     forces = [force_error(m, validation) if bandwidth == SEARCH_BANDWIDTH else None for m in (without, machine)]
     if forces[0] is not None and forces[1] is not None:
@@ -108,7 +108,8 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        True if the root mean square change of the predictions is at least 1/20 of the root mean square error.
+        True if the root mean square change of the predictions is at least 1/20 of the root mean square error, or if a
+        prediction diverges.
     """
     without = _machine_without(selected, machine)
 

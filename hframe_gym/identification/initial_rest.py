@@ -36,9 +36,8 @@ _SLOW_NOISE_SPAN = 1e-3
 # Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
 # noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
-_COMPARED_S = (
-    0.05  # Duration, s, from the first row over which the simulations from rest and with each velocity are compared.
-)
+# Duration, s, from the first row over which the simulations from rest and with each velocity are compared.
+_COMPARED_S = 0.05
 _SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
 # Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
 # sum contains model errors, which do not average out, so no test for independent errors applies.
@@ -104,8 +103,8 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
         machine: Machine with the sensors.
 
     Returns:
-        First row at rest and number of rows to the end of the rest, the sensors that move before the first input (mask
-        of shape (sensors,)), and the time by which a motion precedes the input, s.
+        First row at rest, number of rows from the beginning of the run to the end of the rest, the sensors that move
+        before the first input (mask of shape (sensors,)), and the time by which a motion precedes the input, s.
     """
     rows = _rows_without_input(recording)
     rest = InitialRest(0, rows, np.zeros(recording.outputs.shape[1], np.bool_))
@@ -146,7 +145,7 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
         machine: Machine with the sensors.
 
     Returns:
-        Number of rows, at least 1; 1 if an input is not zero in the first row or a measurement there shows motion.
+        Number of rows, at least 1; 1 if an input is not zero in the first row or the machine moves when the run begins.
     """
     rest = initial_rest(recording, machine)
     return 1 if rest.first else rest.rows
@@ -193,7 +192,7 @@ def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Arra
 
 
 def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float:
-    """Estimate the noise of some measurements: the measured, the declared or that of quantization, the largest.
+    """Estimate the noise of some measurements: the largest of measured scatter, declared noise and rounding error.
 
     Args:
         values: The measurements, in the sensor's unit, NaN where there is none, shape (rows,).
@@ -250,10 +249,10 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
     Parabolas are fitted to the measurements of the first 5, 10, 20 and 40 ms (at least eight rows, half of them
-    measured). Weighted least squares convert their slopes at the first row to velocities of the rigid motions (those
-    that stretch no belt). A run that begins at rest and is driven from its first row on has such slopes as well.
-    Therefore the machine is simulated from rest and with each velocity, and the one is chosen whose simulation is
-    closest to the first 50 ms of measurements.
+    measured). For each duration, weighted least squares convert their slopes at the first row to velocities of the
+    rigid motions (those that stretch no belt). A run that begins at rest and is driven from its first row on has such
+    slopes as well. The machine is therefore simulated over the first 50 ms from rest and with each velocity. The start
+    with the smallest sum of squared errors is chosen; one with at most twice this sum remains possible.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -261,11 +260,10 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
         rigid: Basis of the rigid motions, in the coordinates' units, shape (coordinates, motions).
 
     Returns:
-        Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, shape (errors,
-        coordinates). The variance is that of the slopes (noise and vibration of the belts) plus the squared distance to
-        the farthest velocity whose sum of squared errors is at most twice the smallest, or plus (20 % of the speed)
-        squared if that is larger. Zeros and no errors if rest is certainly the best, or if the first rows do not
-        measure a velocity.
+        Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, each of the
+        size of one standard deviation, shape (errors, coordinates). The variance is that of the slopes (noise and
+        vibration of the belts) plus the square of 20 % of the speed or of the distance to the farthest possible start,
+        whichever is larger. Zeros and no errors if only rest is possible, or no velocity is significantly measured.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:

@@ -33,7 +33,7 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
 
     A zero is the measurement at position 0; a session is all runs of a rig together. An encoder may have been switched
     on anew for this run. Therefore a zero of the session is not used if the pulley angle that results from it is
-    further away from static equilibrium than friction can hold the pulley.
+    further away from static equilibrium than `zero_tolerance` permits (mainly by how far friction can hold the pulley).
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
@@ -101,8 +101,8 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
-        position: Positions of all coordinates, or of the first ones, m or rad, shape (at most coordinates,); only
-            those of the linear coordinates (carriages) are used.
+        position: Positions, m or rad, shape (coordinates,); only those of the linear coordinates (carriages) are used.
+            Coordinates that structural effects added, the last ones, may be missing.
 
     Returns:
         Positions of all coordinates, m or rad, shape (coordinates,): those of the carriages as given.
@@ -215,9 +215,9 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
 def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
     """Compute the true positions at rest from measurements at rest that the machine's effects falsify.
 
-    Effects on the measurements of lasers (skew, scale) are inverted iteratively. If a laser measured nothing at rest
-    (end of its range), the other sensors give the position. Where encoders replace a laser, their angles are corrected
-    for eccentric pulleys and for the belt stretch that forces cause at rest.
+    Effects on the measurements of lasers (skew, scale) are inverted iteratively. For a laser that measured nothing at
+    rest (end of its range), the encoders give the position, after correction of their angles for eccentric pulleys and
+    for the belt stretch that forces cause at rest.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).

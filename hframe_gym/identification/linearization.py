@@ -75,7 +75,7 @@ class NormalEquations:
     def from_rows(
         cls, jacobian: Array, residual: Array, responses: Array | None = None, *, count: float | None = None
     ) -> NormalEquations:
-        """Form the normal equations of one run's linearized residual r + J dtheta + E amounts.
+        """Form the normal equations of one run's linearized residual r + J dtheta + E a.
 
         Args:
             jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
@@ -85,7 +85,7 @@ class NormalEquations:
             count: Number of independent measured values, dimensionless. Default: the number of rows.
 
         Returns:
-            All inner products of J, E and r, dimensionless: J^T J, shape (k, k), J^T E, shape (k, m), and so on.
+            Inner products of J, E and r, dimensionless, as the class lists them: J^T J, shape (k, k), J^T r, and so on.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -222,11 +222,11 @@ class ResidualModel:
 
         Args:
             run: Measured run of n samples.
-            predicted: Values of a batch of predictions, in the sensors' units, shape (batch, n, sensors).
+            predicted: Predicted measurements of a batch, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
-            (measured - predicted) / noise, dimensionless, shape (batch, rows), all sensors of one sample before the
-            next. `rows_per_block` samples become one: their sum divided by the root of this number.
+            (measured - predicted) / noise, dimensionless, as `prediction.residuals` computes it with blocks of
+            `rows_per_block` samples, shape (batch, rows).
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
 
@@ -238,11 +238,11 @@ class ResidualModel:
         Args:
             run: Run to predict.
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function from the run and its predicted motion to the residual's changes by m perturbations, such
-                as candidate forces, shape (m, rows). Default: none.
+            responses: Function that returns the residual's changes by m perturbations, shape (m, rows). Default: none.
 
         Returns:
-            Jacobian, shape (k, rows), residual, (rows,), responses, without what the initial state may explain.
+            Residual, shape (rows,), its derivatives, shape (k, rows), and the responses, shape (m, rows), all without
+            the part that an error of the initial state can explain.
         """
         machine = self.machine_at(theta)
         thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
@@ -274,7 +274,7 @@ class ResidualModel:
                 as candidate forces, shape (m, rows). Default: none.
 
         Returns:
-            Products of the linearized residual (J^T J, shape (k, k), J^T r, ...) and initial state of each run.
+            By run: products of the linearized residual (J^T J, shape (k, k), J^T r, ...) and the initial state.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:

@@ -51,12 +51,12 @@ def table_candidates(
 
     The missing force is the force that would have to be added to the model for it to follow the measurements. A force
     on one coordinate also appears in the missing force of the others, so the table that explains most may act on the
-    wrong coordinate. For each coordinate, the function proposes several:
+    wrong coordinate. For each coordinate, the function therefore proposes several:
 
     - the three best tables (`max_tables_per_coordinate`);
-    - the best of the others over time;
-    - the best of the others over the position of the coordinate. The fitted friction parameters can absorb a part of a
-      force that depends on the position, which the missing force then understates.
+    - of the remaining tables, the best one over time;
+    - of the remaining tables, the best one over the position of the coordinate, because fitted friction parameters can
+      hide a part of a force that depends on the position.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
@@ -177,22 +177,23 @@ def add_tables(
 ) -> Selection:
     """Add tables (forces or Coulomb friction forces over one variable) that reduce the residual of a fitted machine.
 
-    A table is fitted to each half of the data and evaluated on the other (cross-validation). It is added only if the
-    cost over both halves falls below `max_table_cross_validation` times the cost without it, and if its gain on all
-    data suffices.
+    Each step adds the first of the tables with the largest linearized gain that passes cross-validation: it is fitted
+    to each half of the data and evaluated on the other half, and the sum of both costs must be below
+    `max_table_cross_validation` times the cost without the table. Its gain on all data must suffice as well.
 
     Args:
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
         selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        criteria: Decision thresholds. A table must reduce chi-squared per sample by `min_table_gain`, and by the
-            fraction `min_table_gain_fraction` of its excess over `one_step_floor`.
+        criteria: Decision thresholds. A table must reduce chi-squared per sample by at least `min_table_gain`, and by
+            at least `min_table_gain_fraction` times (chi-squared per sample of `current` - `one_step_floor`).
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that passes cross-validation.
 
     Returns:
         fit: Fit of the machine with the tables.
-        selected: All selected effects, the tables last, with their fitted parameters.
+        selected: All selected effects, the tables last, with their fitted parameters. Without a suitable table, the
+            fit and the effects are the given ones.
     """
     for _ in range(max_tables):
         scales = typical_scales(current, data)

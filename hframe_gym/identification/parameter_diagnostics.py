@@ -47,7 +47,7 @@ class InseparableParameters:
         """Describe in words which weighted sums of these parameters the data determine.
 
         Returns:
-            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined".
+            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined", or that no combination is.
         """
         if not self.combinations:
             return f"no combination of {', '.join(self.names)} is determined"
@@ -232,8 +232,9 @@ def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
 def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     """Describe the masses, belt stiffnesses and torque constants that the fit moved to the limit of their range.
 
-    A value so far from the declared one means that the machine file, or a unit or gear ratio of the recordings, is
-    wrong by a factor, or that the machine lacks an effect. The other parameters are then unreliable as well.
+    The limit is 4 prior standard deviations of the value's logarithm from the declared value. A value so far away means
+    that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or that the machine lacks an
+    effect. The other parameters are then unreliable as well.
 
     Args:
         machine: Refitted machine.
@@ -258,9 +259,13 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:
     """List for each identified parameter why its value may be unreliable.
 
-    The reasons are: a value at a bound or at the limit of the fit; a parameter of which the data determine only a sum
-    with others; a standard deviation above 20 % of the value (of a phase: 0.3 rad), or above 60 % of the prior's, so
-    that the declared value determines it; and a correlation above 0.95.
+    The reasons are:
+
+    - The value is at a bound or at the limit of the fit.
+    - The data determine only weighted sums with other parameters. The following reasons are then not given.
+    - The standard deviation is above 20 % of the value (of a phase: 0.3 rad), or above 60 % of that of the prior, so
+      that the declared value determines the parameter more than the data do.
+    - The magnitude of the correlation with another parameter is above 0.95.
 
     Args:
         machine: Identified machine with its uncertainty.

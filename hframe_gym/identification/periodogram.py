@@ -51,8 +51,9 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
     Returns:
         At most seven spatial rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
         (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
-        Strength is the square sum of the force that sine and cosine explain in the rows used, so that a rate with few
-        rows counts little. Empty if the position does not change, or never slowly enough.
+        Rates within 0.75 periods over the range of one that precedes them are left out. Strength is the square sum of
+        the force that sine and cosine explain in the rows used, so that a rate with few rows counts little. Empty if
+        the position does not change, or never slowly enough.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.

@@ -73,7 +73,8 @@ def identify(
         machines with their errors on the held-out runs, and the selected effects.
 
     Raises:
-        InputError: If the runs cannot be divided into fitted and held-out ones, or `recordings` is a path.
+        InputError: If the runs cannot be divided into fitted and held-out ones, a held-out name is unknown, a run has
+            fewer than 20 rows, no sensor moves in the fitted runs, or `recordings` is a path.
     """
     began = time.perf_counter()
     if isinstance(recordings, str | Path):

@@ -34,13 +34,13 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, such as "force/after", SI, shape (m,); `result.plot_data` lists all.
+        curves: Curves by name, such as "force/after", SI, shape (m,) or (n, sensors); `result.plot_data` lists all.
         machine: Identified machine with the selected effects (deviations from the nominal model).
 
     Returns:
-        Panels by name of the plot: error_by_channel, error_over_time (for each run one panel per channel),
-        residual_force, tables, coverage. The list of a plot without data, such as tables of a machine without tables,
-        is empty.
+        Panels by name of the plot: error_by_channel, error_over_time (one panel per channel for each of the first two
+        held-out runs), residual_force, tables, coverage. The list of a plot without data, such as tables of a machine
+        without tables, is empty.
     """
     channels = list(machine.output_channels)
     return {
@@ -97,7 +97,7 @@ def readable_unit(channel: str, largest: float) -> tuple[float, str]:
 
     Returns:
         factor: Number by which values in the channel's unit are multiplied, for example 1e6.
-        unit: Name of the readable unit, for example "µm".
+        unit: Name of the readable unit, for example "µm"; the channel's unit if it is neither m nor rad.
     """
     base = channel.rpartition("_")[2]
     return next((s for s in _SCALES.get(base, ()) if s[0] * largest < 1000.0), (1.0, base))
@@ -249,7 +249,8 @@ def _coverage(label: str, values: Array) -> Panel:
 def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
     """Compute the fraction of the moving time that each coordinate spent below a twentieth of its top speed.
 
-    There, friction shows how it depends on a low speed. The top speed is the 99th percentile.
+    There, friction shows how it depends on a low speed. The top speed is the 99th percentile of the speed. A coordinate
+    moves while its speed is above 0.1 % of the top speed.
 
     Args:
         curves: Curves by name. Those named "coverage/velocity of C" are velocities of the coordinate C, m/s or rad/s,

@@ -98,7 +98,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
 
     Returns:
         Corrections of positions (first half of the rows) and velocities (second half) at each sample, in the
-        coordinates' units, per unit of the sensor's error, shape (2 * coordinates, sensors).
+        coordinates' units, per unit of measured minus predicted value, shape (2 * coordinates, sensors).
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
@@ -144,8 +144,8 @@ def predict(
         states: Whether to return positions and velocities too.
 
     Returns:
-        Motion with the predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), and if
-        `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates).
+        Predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), not finite if it diverges,
+        and if `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates).
     """
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     measured = gains = None
@@ -182,7 +182,8 @@ def noise_floor(bandwidth: float, criteria: SelectionCriteria) -> float:
         criteria: Decision thresholds.
 
     Returns:
-        Chi-squared per sample, dimensionless: 1, or 1.1 with the widest observer, which feeds back the sensors' noise.
+        Chi-squared per sample, dimensionless: 1, or `one_step_floor` (1.1 by default) with the widest observer
+        (60 rad/s), which feeds back the sensors' noise.
     """
     return criteria.one_step_floor if bandwidth >= SEARCH_BANDWIDTH else 1.0
 
@@ -221,15 +222,16 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
 def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
     """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
-    A zero is the measurement at position 0. The constant error is the mean error over the complete run for encoders
-    behind belts; for other sensors it differs from that over the rows at rest by at most half a quantization step.
+    A zero is the measurement at position 0. For encoders behind belts, the constant error is the mean error over the
+    complete run. For all other sensors, it is the mean error over the rows at rest, changed by at most half a
+    quantization step towards the mean over the complete run.
 
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
-        fitted: True for the residual of a fit: the mean over the complete run also for sensors without quantization
-            that measured at rest, and measurements with the same rounding error count as one in the means
+        fitted: True for the residual of a fit: sensors without quantization that measured at rest are treated like
+            encoders behind belts, and measurements with the same rounding error count as one in the means
             (`run.weights`). False for an evaluation: equal weights.
 
     Returns:
@@ -266,8 +268,8 @@ def residuals(
             of sensors that measured at rest without quantization are corrected without limit. False: evaluation.
 
     Returns:
-        Residuals, dimensionless, shape (batch, n // rows_per_block * sensors); zero where a value was not measured or
-        `run.rows` excludes it.
+        Residuals, dimensionless, shape (batch, n // rows_per_block * sensors), all sensors of one row before the next;
+        zero where a value was not measured or `run.rows` excludes it.
     """
     scales = np.sqrt(run.counted if fitted else run.counted > 0.0) / run.noise
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much

@@ -43,8 +43,8 @@ class SimulatedRecording(NamedTuple):
     Attributes:
         trajectory: Positions, velocities and sensor readings. The readings include the zeros of the sensors (their
             measurements at position 0), so that they can be compared with the recording.
-        error: Measured minus simulated values, in the sensors' units, NaN where nothing or an outlier was measured,
-            shape (n, sensors).
+        error: Measured minus simulated values, in the sensors' units, shape (n, sensors); NaN where nothing or an
+            outlier was measured, in repetitions of slow sensors, and before the machine came to rest.
         initial: Initial state and zeros of the sensors; its `warnings` list what could not be determined.
     """
 
@@ -62,9 +62,11 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     """Simulate a machine over a recording and compare it with the measurements.
 
     The simulation starts from the most probable state, which is estimated from the measurements at rest and the motion,
-    and uses no feedback of the measurements. Samples that the logger dropped are filled in before the simulation. It
-    ignores outliers (up to five consecutive samples of a sensor that leave its motion and return to it) and motion that
-    precedes the rest at the beginning of the run.
+    and uses no feedback of the measurements. Rows that the logger dropped are filled in before the simulation.
+
+    Three kinds of measurements count as not measured: outliers (up to five consecutive samples of a sensor that leave
+    its motion and return to it), repetitions of a sensor that is slower than the log, and measurements before the
+    machine comes to rest, if it still moves when the run begins.
 
     Args:
         machine: Machine, declared or identified.
@@ -72,7 +74,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
 
     Returns:
         Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
-        where nothing or an outlier was measured, and initial state.
+        where not measured, and initial state.
 
     Raises:
         NotFiniteError: If the motion diverges.

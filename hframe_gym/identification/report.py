@@ -86,8 +86,8 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
 def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
-    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
-    simulation drifts (more than 50 times the noise), it is the relative error of the drives' force.
+    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If that is
+    above 50 (the simulation drifts) and the report has one, it is the relative error of the drives' force.
 
     Args:
         report: Content of report.json.

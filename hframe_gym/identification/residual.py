@@ -85,7 +85,7 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
 
     Returns:
         By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
-        same divided by the sensor's noise.
+        same divided by the standard deviation of the sensor's noise. Both are None for a channel without measurements.
     """
     return errors_by_channel(
         list(map_runs(lambda run: simulation_error(machine, run, data), data)), machine, data.noise
@@ -102,7 +102,7 @@ def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -
 
     Returns:
         By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
-        same divided by the sensor's noise.
+        same divided by the standard deviation of the sensor's noise. Both are None for a channel without measurements.
     """
     error = np.concatenate(by_run)
     errors = {}
@@ -157,7 +157,7 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     An observer corrects the predicted velocities by the measurements. The corrections times the mass are the missing
     force after a low-pass filter with two equal poles at the observer's bandwidth. This function inverts the filter for
-    frequencies up to 40 Hz.
+    frequencies up to 40 Hz, far above the observer's bandwidth (60 rad/s).
 
     Args:
         machine: Machine that predicts.
@@ -254,8 +254,9 @@ def _correlation_ratio(values: Array, variable: Array) -> float:
 def is_white(machine: Machine, data: Dataset) -> bool:
     """Test whether the simulation error is white noise with the standard deviation of the sensors' noise.
 
-    The test evaluates means over blocks of 20 ms. For n samples per block, the standard deviation of such a mean is
-    1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller if it is correlated in time.
+    The test evaluates means over blocks of 20 ms, minus the mean over the run. For n samples per block, the standard
+    deviation of such a mean is 1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller if it is
+    correlated in time.
 
     Args:
         machine: Machine to simulate.
@@ -263,6 +264,7 @@ def is_white(machine: Machine, data: Dataset) -> bool:
 
     Returns:
         True if the standard deviation of the block means of every channel is at most 0.6 times that of its noise.
+        Blocks with missing measurements do not count.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
     errors = [simulation_error(machine, run, data) for run in data.runs]

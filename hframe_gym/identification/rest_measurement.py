@@ -271,17 +271,17 @@ def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDA
 def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
-    The estimate is the mean error over the later half of the rows at rest, plus the difference from there to the mean
-    error over the complete run, limited to +- `max_mean`. The limit is needed because a constant force may also cause a
-    mean error. A single row at rest has the noise of one measurement; for a sensor without quantization, the first rows
-    of the run replace it.
+    The estimate is the mean error over the complete run, if it differs from the mean error over the later half of the
+    rows at rest by at most `max_mean`; otherwise it differs from the latter by `max_mean`. The limit is needed because
+    a constant force may also cause a mean error. For a sensor without quantization, the first five rows of the run
+    replace a single row at rest, which has the noise of one measurement.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
             not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Limit of the difference, in the sensors' units, shape (sensors,); infinite for none.
+        max_mean: Limit of this difference, in the sensors' units, shape (sensors,); infinite for none.
         quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
 
     Returns:

@@ -51,7 +51,7 @@ class PredictionErrors:
 
     @property
     def noise_ratio(self) -> float:
-        """Root mean square over the channels of simulation error / sensor noise, dimensionless."""
+        """Ratio of simulation error to sensor noise, rms over the measured channels; NaN if there is none."""
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
 
@@ -172,7 +172,7 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction (at most 1) of the squared error beyond noise, on held-out runs, that all the effects remove."""
+        """Fraction of the squared error beyond noise, on held-out runs, that all effects remove; 0 without effects."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
 
@@ -319,8 +319,8 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         curves[f"{run.name}/time_s"] = run.time_s
         curves[f"{run.name}/measured"] = run.outputs
         for name, evaluation in evaluations.items():
-            known = evaluation.errors.get(run.name)
-            error = simulation_error(evaluation.machine, run, result.held_out) if known is None else known
+            evaluated = evaluation.errors.get(run.name)
+            error = simulation_error(evaluation.machine, run, result.held_out) if evaluated is None else evaluated
             curves[f"{run.name}/{name}"] = error
     if result.dependence:
         strongest = result.dependence[0]

@@ -108,7 +108,8 @@ def compare_rivals(
         criteria: Decision thresholds.
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) with a more likely rival, and the rivals that remain.
+        Fit (machine, parameters theta, shape (k,), cost) with the most likely rival, None if no rival is more likely
+        than the effect; and the rivals that remain, those that were not tried among them.
     """
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]

@@ -60,12 +60,12 @@ def search_effects(
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
     One run may contradict the others because of a mistake, or because it excites a missing effect more. If the others
-    need no effect, or if no known effects explain all runs, effects are searched for without this run. It is left out,
-    and named in the outcome, if no effect explains it:
+    need no effect, or if no known effects explain all runs, effects are first searched for without this run. The run is
+    then left out and named in the outcome (`contradiction`), unless one of these conditions holds:
 
-    - If effects explain the other runs to within the noise, these and at most one more effect must explain all runs.
-    - Otherwise the effects and tables that are found in all runs together must explain them, or leave less than ten
-      times the chi-squared per sample of the search without this run.
+    - The effects found without it explain the other runs, and with at most one more effect they explain all runs.
+    - The effects found without it do not explain the other runs, and a search in all runs explains all runs, or leaves
+      less than ten times the chi-squared per sample of the search without this run.
 
     Args:
         machine: Machine as declared.

@@ -1,8 +1,7 @@
 """Estimate properties of the sensors from the recordings alone: quantum, noise and the ends of their range.
 
-A quantum is the quantization step of a sensor. A sensor saturates where many measurements lie together at the outermost
-value while the encoders show that the machine moves. Saturated measurements contain no position: they are left out of
-the fit, and the effect ``sensor_range`` is added to the machine.
+A quantum is a quantization step. A sensor saturates where many measurements lie together at the outermost value while
+the encoders show motion. A fit leaves these measurements out, and the machine gets the effect ``sensor_range``.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
         resting_rows: Number of rows at rest at the beginning of each run.
 
     Returns:
-        Standard deviation in the sensor's unit. None if too few rows are at rest; fewer than 10 in a run do not count.
+        Standard deviation in the sensor's unit; None if less than about 30 rows are at rest, in runs with at least 10.
     """
     squares, rows = 0.0, 0
     for values, count in zip(channel, resting_rows, strict=True):
@@ -235,9 +234,10 @@ def smooth_speed(time_s: Array, values: Array) -> Array:
 def saturation_ranges(
     recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> dict[str, Range]:
-    """Find the sensors that saturate: many measurements are at the outermost value while the machine moves.
+    """Find the lasers that saturate: many measurements are at the outermost value while the machine moves.
 
-    By default: 1 % of the rows, while encoders move by at least 300 standard deviations of the sensor's noise.
+    By default, at least 1 % of the rows must be there, and the encoders must show that the laser's coordinate moves in
+    these rows by 300 standard deviations of the laser's noise. Without belts or encoders, nothing is found.
 
     Args:
         recordings: All runs of the rig (times, s; voltages, V; measurements, m or rad).
@@ -247,7 +247,7 @@ def saturation_ranges(
 
     Returns:
         Lower and upper end of the range by channel name, in the sensor's unit, for the sensors that saturate. An end
-        that was never reached is set to ten times the largest measurement.
+        that was never reached is set to ten times the largest magnitude of a measurement.
     """
     ranges: dict[str, Range] = {}
     positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]

@@ -33,25 +33,26 @@ _SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which `most_probab
 
 @dataclass(frozen=True)
 class InitialStateProjection:
-    """Projection that removes the unknown initial stretch of the belts from residuals.
+    """Projection that removes from residuals what an uncertain initial state, such as a belt stretch, explains.
 
     Attributes:
-        directions: Orthonormal responses of the residual to s independent initial belt stretches, shape (rows, s).
-        weights: Fraction of the residual along each direction that is removed, 0 (the prior determines the stretch) to
-            1 (the data determine it), shape (s,).
+        directions: Orthonormal responses of the residual to s independent displacements of the initial state, shape
+            (rows, s).
+        weights: Fraction of the residual along each direction that is removed, 0 (the prior determines the
+            displacement) to 1 (the data determine it), shape (s,).
     """
 
     directions: Array
     weights: Array
 
     def __call__(self, residual: Array) -> Array:
-        """Remove the part of residuals that an optimal initial stretch explains, weighted by its prior.
+        """Remove the part of residuals that the optimal displacement of the initial state explains, given its prior.
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
 
         Returns:
-            Projected residuals, same shape; their sum of squares is the cost at the optimal initial stretch.
+            Projected residuals, same shape; their sum of squares is the cost at the optimal displacement.
         """
         return residual - (residual @ self.directions) * self.weights @ self.directions.T
 
@@ -156,8 +157,8 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
     They have four causes:
 
     - Static friction holds an unknown stretch of the belts: one displacement per pulley with an encoder.
-    - No laser (sensor with a fixed zero) measures before the motion begins, so that the position is uncertain: one per
-      motion that stretches no belt and that no laser measures there.
+    - In a machine with belts, lasers (sensors with a fixed zero) do not measure the complete position before the motion
+      begins: one displacement per motion that stretches no belt and that no laser measures at rest.
     - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that stretches
       no belt, and one per pulley with an encoder, because the belts vibrate.
     - An effect such as hysteresis remembers motion before the recording: one per state of an effect that defines an

@@ -41,7 +41,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
         data: Prepared recordings to fit (times, voltages, measurements).
-        enough: Smallest useful reduction of chi-squared per sample, dimensionless.
+        enough: Reduction of chi-squared per sample that the search requires, dimensionless. Candidates with a
+            linearized reduction below 60 % of it (`criteria.linear_gain_ratio`) are not fitted.
         criteria: Decision thresholds.
 
     Returns:
@@ -99,10 +100,11 @@ def structural_trial_fits(
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
-        trials: Trials with other effects. Candidates with a linearized gain below 10 % of the best gain of these
-            (`criteria.min_structural_promise`) are not fitted.
+        trials: Trials with other effects. If the best one reduces chi-squared by `enough`, only candidates with a
+            linearized reduction of at least `enough`, and of at least 10 % of the best one's
+            (`criteria.min_structural_promise`), are fitted.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        enough: Smallest useful reduction of chi-squared per sample, dimensionless.
+        enough: Reduction of chi-squared per sample that the search requires, dimensionless.
         criteria: Decision thresholds.
 
     Returns:
@@ -121,8 +123,7 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
     """Return which fraction of the present fit's error beyond the noise the best trial fit leaves.
 
     The error beyond the noise is chi-squared per sample (mean squared error / noise variance) minus its value for a
-    correct model: 1, or `criteria.one_step_floor` (1.1) at the bandwidth of 60 rad/s (one-step prediction), where
-    quantization keeps it above 1.
+    correct model: 1, or `criteria.one_step_floor` (1.1) at the observer bandwidth of 60 rad/s.
 
     Args:
         current: Fit without candidates.
@@ -130,7 +131,7 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
         criteria: Decision thresholds.
 
     Returns:
-        Fraction, dimensionless, at most 1; 1 without trials.
+        Fraction, dimensionless, at most 1; 1 without trials, negative if a trial leaves less than a correct model.
     """
     floor = noise_floor(current.bandwidth, criteria)
     smallest = min((t.chi2 for t in trials), default=current.chi2)
@@ -165,8 +166,8 @@ def replacement_fit(
         criteria: Decision thresholds.
 
     Returns:
-        Converged fit (machine, parameters theta, shape (k,), cost) with the other effect. None if linearization
-        predicts a reduction of the cost below 60 % of that by the replaced effect.
+        Converged fit (machine, parameters theta, shape (k,), cost) with the other effect. None if no other effect
+        promises (linearized) at least 60 % of the cost reduction by the replaced effect.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
@@ -339,7 +340,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
-        Typical sizes by coordinate ("force", "speed", ... in its units) and in general ("A", ... in SI).
+        Typical sizes by coordinate ("force", "speed", ... in its units) and, for belts, in general ("m", "N", ..., SI).
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)

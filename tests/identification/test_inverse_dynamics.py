@@ -66,3 +66,22 @@ def test_a_run_that_lacks_the_measurements_before_its_rest_has_a_force_error() -
     assert error is not None
     position[1000] = np.nan
     assert force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine)) is None
+
+
+def test_a_run_with_too_few_measured_rows_for_the_filter_has_no_force_error() -> None:
+    time = np.arange(2000) * 1e-3
+    position = 0.1 * np.sin(2.0 * time)[:, None]
+    position[:1990] = np.nan
+    machine = axis(3.0, 5.0)
+    assert force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine)) is None
+
+
+def test_force_error_of_a_slow_log() -> None:
+    """With a period of more than 50 ms, no sample lies in the transient of the filter."""
+    time = np.arange(400) * 0.1
+    mass, viscous, rate = 3.0, 5.0, 0.2
+    middle = time + 0.05
+    force = -mass * rate**2 * np.sin(rate * middle) + viscous * rate * np.cos(rate * middle)
+    run = Recording("r", time, force[:, None] / 2.0, np.sin(rate * time)[:, None])
+    error = force_error(axis(mass, viscous), prepare([run], axis(mass, viscous)))
+    assert error == pytest.approx(0.0, abs=0.02)
