@@ -162,7 +162,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return np.flatnonzero(mask)
 
     def step(self, actions: Any) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
-        """Advance all environments by one control period.
+        """Advance all environments by one control period; begin new episodes where they are due.
+
+        With `autoreset_mode` "NextStep" a new episode begins in the step after its predecessor's end, which ignores the
+        action and has reward 0; with "SameStep" in the last step; with "Disabled" only by `reset`.
 
         Args:
             actions: Voltages as fractions of the rated voltages, limited to [-1, 1], shape (num_envs, drives).
@@ -170,7 +173,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         Returns:
             observation: Arrays by key, shape (num_envs, entries of the key), in the units of the observation space.
             reward: Rewards, dimensionless, shape (num_envs,).
-            terminated: Whether the tool left the workspace, with `ends="terminate"`, shape (num_envs,).
+            terminated: Whether the tool is outside the workspace, shape (num_envs,); always False unless `ends` is
+                "terminate".
             truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
             info: Arrays by key, `distance_m` to the goal, m, `is_success` and others (Episode End of `HFrameEnv`
                 describes them), shape (num_envs,). As usual in Gymnasium, for each key the mask "_" + key tells which
