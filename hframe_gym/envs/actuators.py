@@ -117,9 +117,8 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
             the machine declares), or `Actuators(...)`.
 
     Returns:
-        Copy of the machine with these D/A converters in place of those it declares, and with the current limit and dead time of
-        `drives` as effects. The machine's dead time, and its current limit if smaller, remain. For "machine": the
-        machine itself.
+        Copy of the machine with converters, current limit and dead time of `drives`. A dead time of the machine, and a
+        current limit of the machine that is smaller, remain. For "machine": the machine itself.
 
     Raises:
         InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.

@@ -214,8 +214,8 @@ class RuleSampler:
             uniforms: Uniform random numbers in (0, 1), `draws` (attribute) of them per environment, shape (k, draws).
 
         Returns:
-            All parameters after sampling, SI, shape (k, N). Parameters that `RandomizeIdentified` samples, and those in
-            `ParameterSpace.clipped`, are clipped to their limits. Where an unbounded distribution yields a negative
+            All parameters after sampling, SI, shape (k, N). Parameters that `RandomizeIdentified` samples, and the belt
+            lengths in `ParameterSpace.clipped`, are clipped to their limits. Where an unbounded distribution yields a negative
             value for a parameter with the lower limit 0, such as friction or noise, the parameter is 0.
 
         Raises:
@@ -307,7 +307,7 @@ class MachineSampler:
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Compute between which values `normalized` yields the randomized parameters.
+        """Compute the smallest and the largest values that `normalized` can return.
 
         Returns:
             By full name of the parameter: smallest and largest value / nominal value, dimensionless (SI if the nominal

@@ -53,8 +53,8 @@ class StateView(NamedTuple):
             signals: Specifications of the entries, positions and velocities; those of the tool's axes come first.
 
         Returns:
-            `rows`: indices into the state array, four per entry, shape (n, 4). `box`: lower and upper bounds of the
-            entries, in their units, rounded to float32, shape (2, n).
+            `rows`, shape (n, 4): for each entry the row of the state array, the coordinate, and two coordinates whose
+            product is added (-1: none). `box`, shape (2, n): lower and upper bounds in the entries' units, as float32.
         """
         names = simulator.machine.coordinate_names
         rows = np.full((len(signals), 4), -1)
@@ -200,8 +200,8 @@ class ObservationBuilder:
             last: Index after the last block.
             observation: Output, arrays by key, shape (count, entries of the key); rows of other blocks are not changed.
             tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
-            evaluation: Built-in reward (0 dense, 1 sparse), its band, m, and two output arrays: distances, m, and
-                rewards, dimensionless, shape (count,) each. Default: neither is computed.
+            evaluation: Built-in reward (0 dense, 1 sparse), distance of success, m, and two output arrays: distances,
+                m, and rewards, dimensionless, shape (count,) each. Default: neither is computed.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.

@@ -41,7 +41,7 @@ def row_distance(first: Any, second: Any, b: int) -> float:
     """Compute the Euclidean distance between row b of two arrays of positions.
 
     Args:
-        first: Positions, m, shape (n, axes).
+        first: Positions, m, shape (n, axes), with one or two axes.
         second: Positions, m, shape (n, axes).
         b: Index of the row, from 0.
 

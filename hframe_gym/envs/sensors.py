@@ -315,8 +315,8 @@ class PositionFromSensors:
             sensors: The n observed sensors.
 
         Returns:
-            Map from n measurements (m or rad) to the tool position, m. `belts`, shape (axes, n), times the measurements
-            gives it from the drives' angles; `scale[axis]` times measurement `direct[axis]` from a sensor of the axis.
+            Map from n measurements (m or rad) to the tool position, m: the matrix `belts`, shape (axes, n), for sensors
+            of other coordinates; index `direct` (-1: none) and factor `scale`, shape (axes,), of each axis' sensor.
 
         Raises:
             InputError: If the sensors do not determine every axis.

@@ -98,7 +98,7 @@ class PlayedStage:
 
         Args:
             seed: Seed of start, goal and machine parameters.
-            target: Target (x, y), m, to approach from the tool's present position. Default: those of the task.
+            target: Target (x, y), m, approached from the present position. Default: start and goal of the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.
