@@ -37,8 +37,10 @@ _S11, _S27, _S30, _S31 = (np.uint64(n) for n in (11, 27, 30, 31))
 _ONE = np.uint64(1)
 # Step of the random numbers that a reset uses; no episode reaches it.
 RESET_STEP = 2**62
-# Smallest number of `uniform`; the largest one is as close to 1.
+# Smallest number of `uniform`. The largest, as close to 1, rounds to 1, whose quantile can be infinite: resets use the
+# number below it.
 SMALLEST_UNIFORM = 0.5 * 2.0**-53
+_LARGEST_BELOW_ONE = 1.0 - 2.0**-53
 _LARGEST_NORMAL = -float(ndtri(SMALLEST_UNIFORM))
 _ROUNDING = 1e-12  # fraction of a variance below which a difference of variances is rounding
 
@@ -85,7 +87,7 @@ def uniform(key: Any, step: Any, channel: Any) -> float:
         channel: Index of the random number within the step, from 0; integer.
 
     Returns:
-        Number in the open interval (0, 1), dimensionless, never exactly 0 or 1.
+        Number in (0, 1], dimensionless; it is exactly 1 with probability 2^-53 only.
     """
     z = _mix(np.uint64(key) + _GOLDEN)
     z = _mix(z + _GOLDEN * (np.uint64(step) + _ONE))
@@ -185,7 +187,7 @@ def _fill(keys: Any, out: Any) -> None:
     """Write the uniform numbers of the resets with keys (k,) to out (k, n)."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = uniform(keys[i], RESET_STEP, j)
+            out[i, j] = min(uniform(keys[i], RESET_STEP, j), _LARGEST_BELOW_ONE)
 
 
 def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
@@ -196,7 +198,7 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
         count: Random numbers per episode.
 
     Returns:
-        Random numbers in (0, 1), shape (k, count).
+        Random numbers in (0, 1), dimensionless, never exactly 0 or 1, shape (k, count).
     """
     out = np.empty((len(keys), count))
     _fill(keys, out)
