@@ -269,6 +269,9 @@ class EnvironmentBatch:
             index: Indices of the environments, ascending, shape (k,).
             result: Result of the last `step`. Rows `index` of its observation, distance and contour are overwritten
                 with those of the new episodes; rewards and terminations remain those of the step.
+
+        Raises:
+            InputError: If an unbounded distribution yields a value outside the limits of a parameter.
         """
         self.reset(index)
         observation = result.observation

@@ -183,8 +183,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
-                without one, such as "track".
+            InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
+                without one, such as "track", or an unbounded distribution yields an impossible parameter.
         """
         super().reset(seed=seed)
         if self._seeded_by is not self.np_random or seed is not None:

@@ -215,8 +215,8 @@ class RuleSampler:
 
         Returns:
             All parameters after sampling, SI, shape (k, N). Parameters that `RandomizeIdentified` samples, and the belt
-            lengths in `ParameterSpace.clipped`, are clipped to their limits. Where an unbounded distribution yields a negative
-            value for a parameter with the lower limit 0, such as friction or noise, the parameter is 0.
+            lengths in `ParameterSpace.clipped`, are clipped to their limits. Where an unbounded distribution yields a
+            negative value for a parameter with the lower limit 0, such as friction or noise, the parameter is 0.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits that is not clipped.
@@ -311,7 +311,7 @@ class MachineSampler:
 
         Returns:
             By full name of the parameter: smallest and largest value / nominal value, dimensionless (SI if the nominal
-            value is 0). Those of a normal distribution are 8 standard deviations from its mean, within the limits.
+            value is 0). The largest is infinite for an unbounded distribution and a parameter without upper limit.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

@@ -130,8 +130,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
                 each key the mask "_" + key tells which environments have a value.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
-                without one, such as "track".
+            InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
+                without one, such as "track", or an unbounded distribution yields an impossible parameter.
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing.
         """
@@ -183,6 +183,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
             RuntimeError: In mode "Disabled", if an episode is over and was not reset.
+            InputError: If an episode begins and an unbounded distribution yields an impossible parameter.
             gymnasium.error.ResetNeeded: If `reset` was not called.
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
