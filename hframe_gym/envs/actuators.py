@@ -65,8 +65,9 @@ class Actuators:
             machine: Machine to copy; it is not changed.
 
         Returns:
-            Copy in which every drive has a converter with `bits` and `range_V`. If `current_limit` is given, every
-            drive also has the effect `current_limit`. If `delay` is not 0, the machine has the effect `input_delay`.
+            Copy in which `bits` and `range_V` replace the converter of every drive (`bits` None: not quantized). If
+            `current_limit` is given, every drive has the effect `current_limit` with this value, or with the smaller
+            one that it had already. If `delay` is not 0, the machine has the effect `input_delay`.
 
         Raises:
             InputError: If the machine has an input delay already and `delay` is not 0.
@@ -116,8 +117,8 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
             the machine declares), or `Actuators(...)`.
 
     Returns:
-        Copy of the machine with these actuators; the machine itself for "machine". Current limits and dead times that
-        the machine already has remain.
+        Copy of the machine with converters, current limit and dead time of `drives`. A dead time of the machine, and a
+        current limit of the machine that is smaller, remain. For "machine": the machine itself.
 
     Raises:
         InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.
@@ -170,7 +171,10 @@ class ActuatorModel:
         self._commanded = np.zeros((blocks, drives, LANES)) if delayed else None
 
     def begin(self, index: Index, values: Array) -> None:
-        """Prepare new episodes of k environments: set their converters and fill their delayed voltages with 0 V.
+        """Prepare new episodes of k environments: read their D/A converters from `values`, clear delayed voltages.
+
+        The converters have the parameters `converter_bits` and `voltage_range` of each drive. Until its dead time has
+        passed, a drive applies 0 V.
 
         Args:
             index: Indices of the environments, shape (k,).
@@ -182,25 +186,25 @@ class ActuatorModel:
             self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
-        """Advance the histories of commanded voltages, from which dead times are simulated, by one control period.
+        """Shift the stored voltages of the last control periods by one period; dead times are simulated from them.
 
-        Call it once per control period, before `command`.
+        Call it once per control period, before `command`. Without dead times nothing is stored.
         """
         if self._commanded is not None:  # without dead time nothing reads the history
             self._history[:, 1:] = self._history[:, :-1]
 
     def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
-        """Convert the actions for one control period to the motor voltages of blocks first to last - 1.
+        """Convert actions to the motor voltages of one control period, for blocks first to last - 1.
 
-        The voltages, V, are written to the attribute `inputs`, after quantization by the converters and the dead time
-        of each drive. A block is LANES environments that are simulated at once.
+        The voltages, V, after quantization and dead time, are written to the attribute `inputs`: shape (blocks, drives,
+        LANES), or (blocks, steps * drives, LANES) with dead times, because they then differ between the integration
+        steps of a period. A block is LANES environments that are simulated at once.
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
-            clipped: Number of action entries outside [-1, 1] in each running episode, shape (environments,); updated in
-                place.
+            clipped: Number of action entries outside [-1, 1] since the reset, shape (environments,); increased here.
         """
         commanded = self.inputs if self._commanded is None else self._commanded
         _convert(actions, self._rated, self._converters, self._quantized, first, last, commanded, clipped)

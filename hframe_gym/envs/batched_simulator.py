@@ -44,7 +44,8 @@ def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
 def units_per_travel(machine: Machine, values: Array) -> Array:
     """Compute the factors from belt travel (m) to the units of the coordinates (m or rad).
 
-    Belt travel is the coordinate itself if it is linear, and radius * angle if it is the angle of a pulley.
+    The simulator stores positions as belt travel: the coordinate itself if it is linear, radius * angle if it is the
+    angle of a pulley. Times these factors, they are positions as sensors and observations have them.
 
     Args:
         machine: Machine with its coordinates.
@@ -62,10 +63,9 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 
 
 def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
-    """Find the blocks that contain given machines, and join consecutive blocks to ranges.
+    """Find the blocks that contain given machines, as ranges of consecutive blocks.
 
-    A block holds LANES machines, which the compiled simulation functions process together. Machine b is in block
-    b // LANES.
+    Compiled simulation functions process ranges of blocks. A block is LANES machines; machine b is in block b // LANES.
 
     Args:
         index: Indices of the machines, ascending, not empty, shape (k,).
@@ -206,9 +206,10 @@ class BatchedSimulator:
         Args:
             actions: Voltages as fractions of the rated voltages, finite, shape (count, drives) for all `count`
                 machines; limited to [-1, 1] here.
-            clipped: Number of action entries outside [-1, 1] in each episode, shape (count,); updated in place.
-            finish: Function called with (first, last), in any thread, after blocks first to last - 1 (LANES machines
-                each) are advanced. It returns the index of a machine whose state is not finite, or -1.
+            clipped: Number of action entries outside [-1, 1] since the reset, shape (count,); increased here.
+            finish: Function of (first, last) that evaluates blocks first to last - 1 (LANES machines each), for example
+                writes their observations. It is called once these blocks are advanced, for different blocks possibly
+                in several threads at once. It returns the index of a machine whose state is not finite, or -1.
 
         Raises:
             NotFiniteError: If a state is not finite; the message names the environment, which is the machine's index.
@@ -264,16 +265,17 @@ class BatchedSimulator:
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def tool_product(self, name: str) -> tuple[int, int]:
-        """Find the two coordinates whose product a machine adds to the position of the tool along an axis, if any.
+        """Find the two coordinates whose product is a part of the tool position along an axis, if there is one.
 
-        For example, the tool position is x + yaw * y if the bridge can yaw; the coordinates are then yaw and y.
+        The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y; the result for
+        "x" is then the indices of yaw and y.
 
         Args:
             name: Axis of the tool position, "x" or "y".
 
         Returns:
-            first: Index of one coordinate in `machine.coordinate_names`; -1 if there is no product.
-            second: Index of the other coordinate; -1 if there is no product.
+            first: Index of one coordinate in `machine.coordinate_names`; -1 if the position has no product.
+            second: Index of the other coordinate; -1 if the position has no product.
         """
         for sensor in self.machine.sensors:
             for key, factor in sensor.row.items():

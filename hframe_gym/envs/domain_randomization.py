@@ -40,7 +40,7 @@ class Distribution(Protocol):
 
     @property
     def bounded(self) -> bool:
-        """Whether the distribution has a finite smallest and largest value.
+        """Whether all samples lie between two finite numbers.
 
         If so, an environment checks once, when it is made, that samples stay within the limits of the parameters.
         Otherwise it checks every sample.
@@ -172,7 +172,7 @@ class RandomizeParameter:
     """Randomize the parameters whose name matches a pattern.
 
     Args:
-        parameter: Full name, or a pattern with * and ?. Names are those of `Machine.parameters` (`x.mass`,
+        parameter: Full name, or a pattern with *, ? and [...]. Names are those of `Machine.parameters` (`x.mass`,
             `sensor_delay@x_m.d`), `Machine.device_parameters` (`x_m.noise`, `motor1.converter_bits`) and of the task
             (`task.speed`).
         distribution: A `Distribution`, or the registered name of one with its arguments, e.g. ("uniform", 0.9, 1.1).
@@ -219,7 +219,7 @@ class RandomizeParameter:
 
     @property
     def bounded(self) -> bool:
-        """Whether the rule's distribution has a finite smallest and largest value."""
+        """Whether all samples of the rule's distribution lie between two finite numbers."""
         assert isinstance(self.distribution, Distribution)
         return self.distribution.bounded
 
@@ -292,10 +292,10 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
         names: Full names of all parameters that can be randomized, for example "x.mass".
 
     Returns:
-        Rules in the given order. Those rules of a preset that match no parameter of `names` are left out.
+        Rules in the given order. Rules of a preset that match none of `names` are left out, those of a list are kept.
 
     Raises:
-        InputError: If the preset is unknown, or an entry is not a rule or has an invalid `how` or `when`.
+        InputError: If the preset or a distribution is unknown, or an entry is not a rule or has an invalid argument.
     """
     if isinstance(randomize, str) or not isinstance(randomize, Iterable):
         if randomize not in RANDOMIZATION_PRESETS:
@@ -324,11 +324,11 @@ def _as_rule(entry: object) -> Rule:
 
 
 def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
-    """Find the parameters whose names match the pattern of a rule.
+    """Find the parameters that a rule changes: those whose names match its pattern.
 
     Args:
         names: Full names of parameters, for example "x.mass".
-        rule: Rule whose `parameter` is a name or a pattern with * and ?, case-sensitive.
+        rule: Rule whose `parameter` is a name or a pattern with *, ? and [...], as in file names; case-sensitive.
 
     Returns:
         Indices into `names`, ascending; empty if no name matches.

@@ -147,17 +147,18 @@ class EnvironmentBatch:
             target: Goal positions, m, shape (axes,) or (k, axes). Default: the task chooses them.
 
         Raises:
-            InputError: If a position is outside the workspace, a sampled parameter is outside its limits, or `target`
-                is given for a task without one, such as "track".
+            InputError: If a position is outside the workspace or has another shape, a sampled parameter is outside its
+                limits, or `target` is given for a task without one, such as "track".
         """
         starts, targets = self._points("start", start, len(index)), self._points("target", target, len(index))
+        aimed = None if targets is None else self.task.aim(targets)  # raises an error before anything is changed
         keys, uniforms, values = self.sampler.sample(index, self.task.draws)
         names = self.sampler.space.names
         parameters = {name: values[:, names.index(f"task.{name}")] for name in self.task.parameters}
         position, plan = self.task.begin(self.workspace, uniforms, parameters)
         self.clipped[index] = 0
         self.values[index] = values
-        self.references.begin(index, plan if targets is None else self.task.aim(targets))
+        self.references.begin(index, plan if aimed is None else aimed)
         self.simulator.reset(index, position if starts is None else starts, values)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
         if self.rewards.compares_steps:
@@ -168,9 +169,11 @@ class EnvironmentBatch:
         """Return positions of an option of reset, m, shape (k, axes), or None without the option."""
         if points is None:
             return None
-        values = np.asarray(points, np.float64)
+        values, axes = np.asarray(points, np.float64), len(self.workspace)
         check_point(f"options[{name!r}]", values, self.workspace)
-        return np.array(np.broadcast_to(values, (k, len(self.workspace))))
+        if values.ndim > 1 and values.shape not in ((1, axes), (k, axes)):
+            raise InputError(f"options[{name!r}] has shape {values.shape}, it must be ({axes},) or ({k}, {axes})")
+        return np.array(np.broadcast_to(values, (k, axes)))
 
     def randomized(self, index: Index) -> dict[str, Array]:
         """Return the values of the randomized parameters in the running episodes.
@@ -197,7 +200,7 @@ class EnvironmentBatch:
             Actions, float32 if they were float32, else float64, shape (count, drives).
 
         Raises:
-            ValueError: If the shape differs or an entry is not finite; the message names environment and drive.
+            ValueError: If actions are not numbers, have another shape, or an entry is not finite.
             gymnasium.error.ResetNeeded: If `reset` was not called before.
         """
         if not self._was_reset:
@@ -219,12 +222,11 @@ class EnvironmentBatch:
         """Advance all environments by one control period.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives) for
-                `count` environments; limited to [-1, 1].
+            actions: Voltages as fractions of the rated voltages, shape (count, drives); limited to [-1, 1].
 
         Returns:
-            Observations, rewards, terminations and distances to goal and path, m, of all environments, in new arrays
-            whose first axis has the length `count`; `StepResult` documents the shape of each.
+            Observations by key, float32, shape (count, entries of the key); rewards, dimensionless, terminations, and
+            distances to goal and path, m, shape (count,) each, for `count` environments. All arrays are new.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
@@ -261,12 +263,15 @@ class EnvironmentBatch:
         return broken
 
     def restart(self, index: Index, result: StepResult) -> None:
-        """Begin new episodes in k environments whose episodes ended, and put their first observations into `result`.
+        """Begin new episodes in k environments whose episodes ended, and write their first observations to `result`.
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
             result: Result of the last `step`. Rows `index` of its observation, distance and contour are overwritten
                 with those of the new episodes; rewards and terminations remain those of the step.
+
+        Raises:
+            InputError: If an unbounded distribution yields a value outside the limits of a parameter.
         """
         self.reset(index)
         observation = result.observation
@@ -281,7 +286,7 @@ class EnvironmentBatch:
     def observe(self) -> Observation:
         """Compute the present observations of all environments.
 
-        They contain the true states or, with the option `sensors`, the last measurements.
+        They contain the true states or, with the option `sensors`, the measurements of the last step or reset.
 
         Returns:
             New float32 arrays by key of the observation, SI (the options `normalize` and `flat` are not applied), shape

@@ -31,17 +31,19 @@ class BatchProperties:
 
     @property
     def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit, bounds, center and scale of every entry of `observation`, in order.
+        """Name, unit and bounds of every entry of the observation array `observation`, in order.
 
-        With `flat=True` these are the entries of the one observation array.
+        Also `center` and `scale`: with `normalize=True` an entry is (value - center) / scale. With `flat=True` the
+        entries are those of the one observation array.
         """
         return self.batch.format.entries or self.batch.observations.entries
 
     @property
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit, bounds, center and scale of every entry of `privileged`, the observation array for a critic.
+        """Name, unit and bounds of every entry of `privileged`, the observation array for a critic, in order.
 
-        The entries are the true state and then the randomized parameters. Empty unless `privileged=True`.
+        The entries are the true state and then the randomized parameters. Also `center` and `scale`: with
+        `normalize=True` an entry is (value - center) / scale. Empty unless `privileged=True`.
         """
         return self.batch.observations.privileged
 
@@ -172,8 +174,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
         Args:
             seed: Seed of the environment's random generator; None continues the present sequence.
-            options: Optional keys `start` and `target`: tool and goal positions, m, shape (axes,), in place of random
-                ones.
+            options: Optional keys `start` and `target`: tool and goal positions, m, shape (axes,), in place of those
+                that the task chooses.
 
         Returns:
             observation: Arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), shape (entries of the
@@ -181,8 +183,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
-                without one, such as "track".
+            InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
+                without one, such as "track", or an unbounded distribution yields an impossible parameter.
         """
         super().reset(seed=seed)
         if self._seeded_by is not self.np_random or seed is not None:
@@ -205,8 +207,9 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         Returns:
             observation: Arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), shape (entries of the
                 key,), as Observation Space of the class describes them.
-            reward: Reward, dimensionless, by the option `reward`; by default it rises towards 0 at the goal.
-            terminated: Whether the tool left the workspace; always False unless `ends` is "terminate".
+            reward: Reward, dimensionless, by the option `reward`; "dense", the default without `normalize`, is -1 to 0,
+                and 0 at the goal.
+            terminated: Whether the tool is outside the workspace; always False unless `ends` is "terminate".
             truncated: Always False; `gym.make` adds the limit of 150 steps.
             info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
 
@@ -309,13 +312,13 @@ class HFrameTrackEnv(HFrameEnv):
 
 
 def require_path(batch: EnvironmentBatch) -> None:
-    """Check that the goal of a task moves along a path (its `metrics` is "track"), as `HFrameTrack-v0` requires.
+    """Check that the goal of the environments moves along a path, as `HFrameTrack-v0` requires.
 
     Args:
         batch: Environments with their task.
 
     Raises:
-        InputError: If the task has no path, such as "reach".
+        InputError: If the task's attribute `metrics` is not "track"; "reach", for example, has a fixed goal.
     """
     if batch.task.metrics != "track":
         raise InputError(f"HFrameTrack-v0 needs a task with a path, not {batch.task.name!r}; use HFrame-v0 for it")
@@ -328,7 +331,7 @@ def check_reset_options(options: dict[str, Any] | None) -> dict[str, Any]:
         options: Values of the keys `start` and `target`, both optional; None for no options.
 
     Returns:
-        The same dict, which holds keywords of `EnvironmentBatch.reset`; an empty dict for None.
+        The same dict, whose keys are keywords of `EnvironmentBatch.reset`; an empty dict for None.
 
     Raises:
         InputError: If a name is neither "start" nor "target".

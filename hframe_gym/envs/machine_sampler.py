@@ -53,14 +53,13 @@ class ParameterSpace:
     def of(cls, machine: Machine, task_parameters: ParameterValues | None = None) -> ParameterSpace:
         """Collect the parameters of a machine and a task that can be randomized, with the limits of their values.
 
-        The limits, where v is the nominal value, are (without an upper one unless it is stated):
+        The limits follow from the nominal value v. There is no upper limit unless one is stated:
 
         - parameters of an effect: the bounds in its definition; `converter_bits`: 0 (not quantized) to 32;
         - friction (`viscous`, `coulomb`), sensor `noise` and `resolution`: at least 0;
-        - `rest_length` of a belt, its unstretched length at position 0: such that the unstretched length stays above
-          0.05 v wherever the carriage is in the workspace;
-        - all others, those of the task included: at least 0.05 v if v is positive, at least 0 if v is 0, without
-          limits if v is negative.
+        - `rest_length`, the unstretched length of a belt at position 0: so large that the unstretched length is at
+          least 0.05 v at every position in the workspace;
+        - all others, also those of the task: at least 0.05 v; no limits if v is negative.
 
         Args:
             machine: Machine without randomization.
@@ -212,15 +211,15 @@ class RuleSampler:
         Args:
             base: All N parameters of the parameter space before sampling, SI, shape (k, N), or (1, N) if they are the
                 same in all environments.
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws) with the attribute `draws`.
+            uniforms: Uniform random numbers in (0, 1), `draws` (attribute) of them per environment, shape (k, draws).
 
         Returns:
-            All parameters after sampling, SI, shape (k, N). Identified parameters, and those in the attribute `clipped`
-            of the space, are clipped to their limits. A parameter with the lower limit 0, such as friction or noise, is
-            set to 0 where an unbounded distribution yields a negative value.
+            All parameters after sampling, SI, shape (k, N). Parameters that `RandomizeIdentified` samples, and the belt
+            lengths in `ParameterSpace.clipped`, are clipped to their limits. Where an unbounded distribution yields a
+            negative value for a parameter with the lower limit 0, such as friction or noise, the parameter is 0.
 
         Raises:
-            InputError: If an unbounded distribution yields another value outside the limits of a parameter.
+            InputError: If an unbounded distribution yields a value outside the limits that is not clipped.
         """
         values = np.empty((len(uniforms), base.shape[1]))
         values[:] = base
@@ -308,10 +307,11 @@ class MachineSampler:
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Compute the bounds of the randomized parameters divided by their nominal values.
+        """Compute the smallest and the largest values that `normalized` can return.
 
         Returns:
-            Smallest and largest ratio by full name of the parameter, dimensionless; the value, SI, if its nominal is 0.
+            By full name of the parameter: smallest and largest value / nominal value, dimensionless (SI if the nominal
+            value is 0). The largest is infinite for an unbounded distribution and a parameter without upper limit.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
@@ -320,7 +320,7 @@ class MachineSampler:
         """Sample the parameters of k new episodes, and the random numbers that their task needs.
 
         Args:
-            index: Indices of the environments, shape (k,).
+            index: Indices of the environments, shape (k,). One that was never seeded is now seeded at random.
             task_draws: Number n of uniform random numbers per episode that the task needs for start and goal.
 
         Returns:

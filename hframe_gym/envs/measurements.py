@@ -61,7 +61,7 @@ class SensorArray:
         self.measurements = np.zeros((2, *size))
 
     def begin(self, index: Index, keys: NDArray[np.uint64], values: Array) -> None:
-        """Set noise, resolution and range of the sensors for new episodes of k environments.
+        """Read noise, resolution and range of the sensors from the parameters of k environments' new episodes.
 
         Args:
             index: Indices of the environments, shape (k,).
@@ -84,7 +84,8 @@ class SensorArray:
             readings: Ideal (noise-free) readings of all sensors of the machine, delays included, m or rad, shape
                 (blocks, sensors, LANES): environment b is lane b % LANES of block b // LANES.
             index: Indices of the environments, shape (k,).
-            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
+            elapsed: Control periods since the reset of each of the `count` environments, shape (count,); they select
+                the random numbers.
             fresh: Whether this is the first measurement of an episode; it is then stored in both rows.
         """
         # Sensor kinds with a formula of their class replace what the compiled default wrote.
@@ -237,11 +238,11 @@ class DelayLine:
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
 
     def record(self, readings: Array, step: int, first: int, last: int) -> None:
-        """Store the readings of blocks first to last - 1 after one integration step, in place of the oldest ones.
+        """Store the readings of blocks first to last - 1 after an integration step, in place of the oldest ones.
 
         Args:
             readings: Ideal (noise-free) readings without delay, m or rad, shape (blocks, sensors, LANES).
-            step: Number of integration steps since the environments were created, the same for all environments.
+            step: Number of the integration step, counted over all episodes and the same for all environments.
             first: Index of the first block of LANES environments.
             last: Index after the last block.
         """
@@ -250,10 +251,11 @@ class DelayLine:
     def read(self, step: int, first: int, last: int, out: Array) -> None:
         """Write the delayed readings of blocks first to last - 1 to `out`.
 
-        They are interpolated in the history at the present time minus the delay of each sensor.
+        They are interpolated in the history at the present time minus the delay of each sensor. Before the start of
+        the episode, readings are those at its start.
 
         Args:
-            step: Number of the integration step that was recorded last.
+            step: Number of the integration step that `record` stored last.
             first: Index of the first block of LANES environments.
             last: Index after the last block.
             out: Output, delayed noise-free readings, m or rad, shape (blocks, sensors, LANES).

@@ -46,15 +46,15 @@ class StateView(NamedTuple):
 
     @classmethod
     def of(cls, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> StateView:
-        """Locate n observation entries in the simulator's state array and collect their bounds.
+        """Find the rows of the simulator's state array from which n observation entries are read.
 
         Args:
             simulator: Simulator of the machines.
             signals: Specifications of the entries, positions and velocities; those of the tool's axes come first.
 
         Returns:
-            View of the entries with `rows`, shape (n, 4), and `box`, shape (2, n), as the class documents them; the
-            bounds are rounded to float32, in which observations are written.
+            `rows`, shape (n, 4): for each entry the row of the state array, the coordinate, and two coordinates whose
+            product is added (-1: none). `box`, shape (2, n): lower and upper bounds in the entries' units, as float32.
         """
         names = simulator.machine.coordinate_names
         rows = np.full((len(signals), 4), -1)
@@ -126,9 +126,7 @@ class ObservationBuilder:
         sampler: MachineSampler,
         elapsed: NDArray[np.int64],
     ) -> None:
-        """Prepare new episodes of k environments and take their first measurements.
-
-        Call it after the reset of the simulator.
+        """Prepare new episodes of k environments and, if sensors are observed, take the first measurements.
 
         Args:
             index: Indices of the environments, shape (k,).
@@ -144,7 +142,7 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the measurements at the end of a control period and store them; do nothing if the state is observed.
+        """Take the measurements at the end of a control period, for `write`; do nothing if the state is observed.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
@@ -164,7 +162,8 @@ class ObservationBuilder:
         Returns:
             observation: Arrays `observation`, `achieved_goal` and, with the constructor's `privileged`, `privileged`;
                 float32, shape (count, entries of the key) for `count` environments.
-            tool: Array for true tool positions, m, shape (count, axes); `achieved_goal` itself without sensors.
+            tool: Array for true tool positions, m, float32, shape (count, axes); `achieved_goal` itself if the state
+                is observed.
         """
         observation = {key: np.empty(shape, _FLOAT32) for key, shape in self._shapes.items()}
         return observation, self.tool_array(observation) if self.measured else observation["achieved_goal"]
@@ -194,15 +193,15 @@ class ObservationBuilder:
     ) -> int:
         """Write observations and true tool positions of the environments in blocks first to last - 1.
 
-        With `evaluation`, also write their distances to the goal and their rewards.
+        All are limited to the bounds of the observation space. `evaluation` adds distances to the goal and rewards.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
             last: Index after the last block.
             observation: Output, arrays by key, shape (count, entries of the key); rows of other blocks are not changed.
             tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
-            evaluation: Number of the built-in reward (0 dense, 1 sparse), its band, m, and the arrays that receive
-                distances, m, and rewards, dimensionless, shape (count,) each. Default: neither is computed.
+            evaluation: Built-in reward (0 dense, 1 sparse), distance of success, m, and two output arrays: distances,
+                m, and rewards, dimensionless, shape (count,) each. Default: neither is computed.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.
@@ -240,7 +239,7 @@ class ObservationBuilder:
         _write_measurements(sensors.measurements, self._simulator.period, limits, position, boxes, rows, *out)
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write the true tool positions of the environments in blocks first to last - 1.
+        """Write the true tool positions, limited to their bounds, of the environments in blocks first to last - 1.
 
         Args:
             first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.

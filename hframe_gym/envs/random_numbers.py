@@ -37,8 +37,10 @@ _S11, _S27, _S30, _S31 = (np.uint64(n) for n in (11, 27, 30, 31))
 _ONE = np.uint64(1)
 # Step of the random numbers that a reset uses; no episode reaches it.
 RESET_STEP = 2**62
-# Smallest number of `uniform`; the largest one is as close to 1.
+# Smallest number of `uniform`. The largest, as close to 1, rounds to 1, whose quantile can be infinite: resets use the
+# number below it.
 SMALLEST_UNIFORM = 0.5 * 2.0**-53
+_LARGEST_BELOW_ONE = 1.0 - 2.0**-53
 _LARGEST_NORMAL = -float(ndtri(SMALLEST_UNIFORM))
 _ROUNDING = 1e-12  # fraction of a variance below which a difference of variances is rounding
 
@@ -80,12 +82,12 @@ def uniform(key: Any, step: Any, channel: Any) -> float:
 
     Args:
         key: Key of the episode, which `episode_keys` derives from a seed, uint64.
-        step: Index of the control period since the reset, from 0; 2^62 (`RESET_STEP`) for numbers that the reset
-            itself uses; integer.
+        step: Number of the control period since the reset, from 0, integer; 2^62 (`RESET_STEP`) for the numbers that
+            the reset itself uses.
         channel: Index of the random number within the step, from 0; integer.
 
     Returns:
-        Number in the open interval (0, 1), dimensionless, never exactly 0 or 1.
+        Number in (0, 1], dimensionless; it is exactly 1 with probability 2^-53 only.
     """
     z = _mix(np.uint64(key) + _GOLDEN)
     z = _mix(z + _GOLDEN * (np.uint64(step) + _ONE))
@@ -185,7 +187,7 @@ def _fill(keys: Any, out: Any) -> None:
     """Write the uniform numbers of the resets with keys (k,) to out (k, n)."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = uniform(keys[i], RESET_STEP, j)
+            out[i, j] = min(uniform(keys[i], RESET_STEP, j), _LARGEST_BELOW_ONE)
 
 
 def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
@@ -196,7 +198,7 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
         count: Random numbers per episode.
 
     Returns:
-        Random numbers in (0, 1), shape (k, count).
+        Random numbers in (0, 1), dimensionless, never exactly 0 or 1, shape (k, count).
     """
     out = np.empty((len(keys), count))
     _fill(keys, out)
@@ -222,9 +224,10 @@ def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArr
 def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
     """Factorize a covariance matrix, which may be singular, into L L^T by the Cholesky method with pivoting.
 
-    Each step takes the parameter with the largest remaining variance (in units of `scale`) as the pivot. Its column of
-    L is the joint change of all parameters with the pivot. If the sum of two parameters is known much better than
-    either of them, they therefore change in opposite directions in one column.
+    If z holds independent standard normal numbers, L z has this covariance. Each column of L says how all parameters
+    change together with one of these numbers. The pivot of a column is the parameter with the largest variance that
+    earlier columns leave (in units of `scale`). If the sum of two parameters is known well and their difference is not,
+    a single column therefore contains nearly all of their variance, with opposite signs.
 
     Args:
         covariance: Symmetric positive semidefinite matrix of k parameters, SI, shape (k, k).
@@ -283,15 +286,16 @@ class CorrelatedSampler:
     def deviations(self, uniforms: Array) -> Array:
         """Convert uniform random numbers to correlated deviations of k parameters from their nominal values.
 
-        Each uniform number becomes a truncated normal number by the inverse of its distribution function. The Cholesky
-        factor times these numbers gives the deviations.
+        Each uniform number becomes a normal number by the inverse of its distribution function. The Cholesky factor of
+        the covariance times the normal numbers gives the deviations. A normal number is truncated where a parameter
+        that gets more than half of its variance from it would leave its limits.
 
         Args:
             uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.
 
         Returns:
             Deviations from the nominal values, SI, shape (n, k). A parameter that is correlated with others is the sum
-            of several truncated numbers and can therefore exceed its limits slightly.
+            of several truncated numbers and can therefore exceed its limits.
         """
         probabilities = self._lowest + uniforms * (self._highest - self._lowest)
         normals = np.clip(ndtri(probabilities), -_LARGEST_NORMAL, _LARGEST_NORMAL)

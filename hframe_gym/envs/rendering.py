@@ -55,8 +55,9 @@ class Scene:
             trail: Past tool positions (x, y), m, oldest first.
 
         Returns:
-            Scene with tool position and goal, m, angles of the first two motor pulleys, rad, belt tensions, N, and the
-            trail; for a moving goal also its path during the first 3 s of the episode.
+            Scene with tool position and goal, m, angles of the pulleys of the first two drives, rad (0 for a drive
+            without one), belt tensions minus pretension, N, the trail, the time since the reset, s, and the distance to
+            the goal, m; for a moving goal also its path during the first 3 s of the episode, m.
         """
         index = np.array([b])
         position = batch.simulator.positions(b)
@@ -85,7 +86,7 @@ def tool_point(batch: EnvironmentBatch, b: int) -> Point:
         b: Index of the environment, from 0.
 
     Returns:
-        Tool position (x, y), m; y is 0 for a machine with one axis.
+        Coordinates (x, y) of the tool's axes, without a yaw of the bridge, m; y is 0 for a machine with one axis.
     """
     position = batch.simulator.positions(b)
     return _in_plane([position[name] for name in batch.machine.tool_axes])
@@ -100,7 +101,8 @@ def tension_color(tension: float | None) -> Color:
     """Return the color in which a picture shows a belt: gray at its pretension, blue below, red above.
 
     Args:
-        tension: Tension minus pretension, N; None if unknown. Beyond +-40 N the color does not change.
+        tension: Tension minus pretension, N. Beyond +-40 N the color does not change. None (unknown) or a value that is
+            not finite gives a darker gray.
 
     Returns:
         Red, green and blue, 0 to 255.
@@ -182,6 +184,9 @@ class Renderer:
 
         Returns:
             Picture, uint8, shape (660, 880, 3), in mode "rgb_array"; None in mode "human" (updates the window).
+
+        Raises:
+            InputError: In mode "human", if there is no display.
         """
         surface, draw = self._surface, self._pygame.draw
         surface.blit(self._background, (0, 0))

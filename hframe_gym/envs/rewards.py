@@ -41,7 +41,7 @@ def row_distance(first: Any, second: Any, b: int) -> float:
     """Compute the Euclidean distance between row b of two arrays of positions.
 
     Args:
-        first: Positions, m, shape (n, axes).
+        first: Positions, m, shape (n, axes), with one or two axes.
         second: Positions, m, shape (n, axes).
         b: Index of the row, from 0.
 
@@ -77,8 +77,8 @@ def evaluate_rows(
         desired: Goal positions, m, shape (n, axes).
         first: Index of the first row.
         last: Index after the last row.
-        kind: Built-in reward: 0 dense, 1 sparse (`BuiltinReward.kind`).
-        band: Distance to the goal within which the sparse reward is 0, m.
+        kind: Built-in reward: 0 dense, -1 (far) to 0 (at the goal); 1 sparse, 0 within `band` and -1 outside.
+        band: Distance to the goal within which the sparse reward is 0, m; not used by the dense one.
         distance: Output, distances from `tool` to `desired`, m, shape (n,); other rows are not changed.
         reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,); likewise.
     """
@@ -212,7 +212,8 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
 
     Returns:
         Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards, dimensionless, shape
-        (n,).
+        (n,). The function for "progress" returns a potential instead, from whose increase in a step `StepRewards`
+        computes the reward.
 
     Raises:
         InputError: If the name is unknown, or the reward does not return one finite number per row.

@@ -87,7 +87,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
         Returns:
             Observation arrays by key, float32, shape (num_envs, entries of the key), in the units of the observation
-            space; one array of shape (num_envs, entries) for a flat environment id.
+            space; with `flat=True` or an id such as "HFrameFlat-v0" one array of shape (num_envs, entries).
 
         Raises:
             ValueError: If `set_options` gave an option to some environments only.
@@ -121,15 +121,17 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Advance by one control period with the actions that `step_async` has received.
 
         Returns:
-            observation: Arrays by key, shape (num_envs, entries of the key). Where an episode ended, this is the first
-                observation of the next one.
+            observation: Arrays by key, shape (num_envs, entries of the key), or one array as in `reset`. Where an
+                episode ended, this is the first observation of the next one.
             reward: Rewards, dimensionless, shape (num_envs,).
             done: Whether the episode ended, by termination or truncation, shape (num_envs,).
-            infos: One dict per environment, empty unless its episode ended; then with `terminal_observation`,
-                `TimeLimit.truncated`, `is_success` and `distance_m`, which the class documents.
+            infos: One dict per environment, empty unless its episode ended. Then it describes the end of the episode:
+                `terminal_observation`, `TimeLimit.truncated` (whether the limit of steps ended it), `is_success` (tool
+                within the task's band around the goal) and `distance_m` to the goal, m.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
+            gymnasium.error.ResetNeeded: If `reset` was not called.
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)

@@ -132,7 +132,7 @@ class Sensors(SensorSuite):
     def apply(self, machine: Machine) -> Machine:
         """Return a copy of a machine in which x and y have the lasers and the driven coordinates have the encoders.
 
-        Noise, resolution and range of sensors that the machine declares there are changed; missing sensors are added.
+        Sensors that the machine declares there get kind, noise, resolution and range of these; missing ones are added.
 
         Args:
             machine: Machine to copy; it is not changed.
@@ -141,7 +141,7 @@ class Sensors(SensorSuite):
             Copy of the machine that declares these sensors, with the effect `sensor_range` for the lasers' ranges.
 
         Raises:
-            InputError: If a drive acts on an axis of the tool itself, which a laser measures already.
+            InputError: If a drive acts on x or y itself, which would then have both a laser and an encoder.
         """
         both = [d.coordinate for d in machine.drives if d.coordinate in machine.tool_axes]
         if both and self.encoders is not None and self.lasers is not None:
@@ -167,7 +167,7 @@ class Sensors(SensorSuite):
             machine: Machine that declares these sensors, as `apply` returns it.
 
         Returns:
-            Sensors in the order of the observation. Lasers or encoders are missing if the attribute is None.
+            Sensors in the order of the observation; no lasers if `lasers` is None, no encoders if `encoders` is None.
         """
         lasers = machine.tool_axes if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
@@ -229,15 +229,15 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
 
 
 def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
-    """Return a copy of the machine with only the sensors in the observation; effects on other sensors are removed.
+    """Return a copy of the machine whose sensors are those in the observation, as a state estimator needs it.
 
     Args:
         machine: Machine model.
         sensors: Environment option: "state", "rig", "machine", or a `SensorSuite`.
 
     Returns:
-        Copy with these sensors in the order of the observation and the effects on them, such as ranges and delays.
-        None for "state", where the true state is observed.
+        Copy with these sensors in the order of the observation, without the other sensors and the effects on those
+        (such as ranges and delays). None for "state", where the true state is observed.
 
     Raises:
         InputError: If the name is unknown or the argument has another type.
@@ -315,8 +315,8 @@ class PositionFromSensors:
             sensors: The n observed sensors.
 
         Returns:
-            Map from the n measurements, in the sensors' units (m or rad), to the tool position, m: its matrix `belts`
-            has shape (axes, n); `direct` and `scale` name the sensor of each axis itself, if there is one.
+            Map from n measurements (m or rad) to the tool position, m: the matrix `belts`, shape (axes, n), for sensors
+            of other coordinates; index `direct` (-1: none) and factor `scale`, shape (axes,), of each axis' sensor.
 
         Raises:
             InputError: If the sensors do not determine every axis.

@@ -136,7 +136,7 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
     Args:
         machine: Machine with its coordinates.
         bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it can have,
-            divided by its nominal value, dimensionless.
+            divided by its nominal value, dimensionless (SI if that is 0).
 
     Returns:
         Specifications (name, unit, bounds) of the positions of all coordinates, their velocities, then the parameters.
@@ -149,7 +149,7 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
     parameters = []
     for name, (low, high) in bounds.items():
         half = 0.5 * (high - low)
-        # An unbounded rule yields an infinite range, and equal bounds none: then a parameter is not scaled.
+        # A parameter with an infinite range, or with equal bounds, is not scaled.
         center, scale = (0.5 * (low + high), half) if 0.0 < half < np.inf else (1.0, 1.0)
         parameters.append(SignalSpec(name, "1", "", False, low, high, center, scale))
     return (*state_signals(machine, [*observed, *others]), *parameters)
@@ -235,7 +235,7 @@ def box(low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]]) -> spac
 
 
 def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
-    """Collect the bounds of n observation entries into two arrays.
+    """Collect the lower and the upper bounds of n observation entries in two arrays.
 
     Args:
         signals: Specifications of the n entries.
@@ -310,7 +310,7 @@ class ObservationFormat:
 
         Returns:
             Arrays by key of the same shapes, or with `flat` one array of shape (n, all entries), float32; dimensionless
-            with `normalize`, (value - center) / scale, else SI.
+            with `normalize`, (value - center) / scale, else SI. Without both options `observation` itself.
         """
         if not self.active:
             return observation

@@ -63,7 +63,7 @@ class ProgressReward:
 
     @staticmethod
     def bonus(achieved: Positions, desired: Positions) -> Array:
-        """Compute the second term of the reward, a bonus for being close to the goal.
+        """Compute the second term of the reward "progress", a bonus for being close to the goal.
 
         Args:
             achieved: Achieved tool positions, m, float32, shape (n, axes).
@@ -141,11 +141,13 @@ class StepRewards:
         return rewards
 
     def info(self) -> dict[str, Positions]:
-        """Return the goals before the last step, for the environment's info. Only the reward "progress" has any.
+        """Return the goals before the last step, for the environment's info.
+
+        `compute` needs them to compute the reward "progress" again, for example for relabeled goals.
 
         Returns:
             `previous_achieved_goal` and, if goals move, `previous_desired_goal`, as observed (m, or normalized), shape
-            (count, axes) for `count` environments. Empty for other rewards.
+            (count, axes) for `count` environments. Right after a reset: the present goals. Empty for other rewards.
         """
         return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
 

@@ -130,8 +130,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
                 each key the mask "_" + key tells which environments have a value.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, or `target` is given for a task
-                without one, such as "track".
+            InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
+                without one, such as "track", or an unbounded distribution yields an impossible parameter.
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing.
         """
@@ -162,7 +162,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return np.flatnonzero(mask)
 
     def step(self, actions: Any) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
-        """Advance all environments by one control period.
+        """Advance all environments by one control period; begin new episodes where they are due.
+
+        With `autoreset_mode` "NextStep" a new episode begins in the step after its predecessor's end, which ignores the
+        action and has reward 0; with "SameStep" in the last step; with "Disabled" only by `reset`.
 
         Args:
             actions: Voltages as fractions of the rated voltages, limited to [-1, 1], shape (num_envs, drives).
@@ -170,7 +173,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         Returns:
             observation: Arrays by key, shape (num_envs, entries of the key), in the units of the observation space.
             reward: Rewards, dimensionless, shape (num_envs,).
-            terminated: Whether the tool left the workspace, with `ends="terminate"`, shape (num_envs,).
+            terminated: Whether the tool is outside the workspace, shape (num_envs,); always False unless `ends` is
+                "terminate".
             truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
             info: Arrays by key, `distance_m` to the goal, m, `is_success` and others (Episode End of `HFrameEnv`
                 describes them), shape (num_envs,). As usual in Gymnasium, for each key the mask "_" + key tells which
@@ -179,6 +183,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
             RuntimeError: In mode "Disabled", if an episode is over and was not reset.
+            InputError: If an episode begins and an unbounded distribution yields an impossible parameter.
             gymnasium.error.ResetNeeded: If `reset` was not called.
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """

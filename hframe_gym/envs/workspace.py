@@ -101,9 +101,10 @@ END_STOP = Effect(
 def with_end_stops(machine: Machine) -> Machine:
     """Return a copy of a machine with rubber buffers at both ends of every tool axis.
 
-    A buffer touches the tool at the end of the axis' declared range. Compressed by d, m, at the rate v, m/s, it pushes
-    back with k d (1 + c v), N, and never pulls; its stiffness k is 2e5 N/m, its damping c 1.5 s/m. It is stiffer in
-    compression than in release, so that an impact loses energy (Hunt and Crossley 1975 with exponent 1).
+    A buffer touches the tool at the end of the axis' declared range. Beyond it by d, m, at the speed v, m/s (positive
+    outward), the tool is pushed back with k d (1 + c v), N, never pulled; stiffness k = 2e5 N/m, damping c = 1.5 s/m.
+    The force is larger in compression than in release, so that an impact loses energy (Hunt and Crossley 1975 with
+    exponent 1).
 
     Args:
         machine: Machine with a range for each tool axis.

@@ -57,8 +57,8 @@ def score_episodes(
         metrics: "reach" (fixed goal), "track" (path) or another registered set. Default: "track" if there is a path.
 
     Returns:
-        The metrics of this set, and four further scores, each with `mean` and `ci95`, the 95 % confidence interval of
-        the mean over the episodes:
+        The metrics of this set, and four further scores per episode, each with `mean` over the episodes and `ci95`, the
+        95 % confidence interval of the mean:
         `energy_J`: electrical energy drawn minus energy fed back, J.
         `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
         `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
@@ -92,9 +92,9 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
 
     Returns:
         `success`: fraction of episodes that settle, 0 to 1, by distance ("1mm", "0.2mm", "0.05mm").
-        `settling_s`: likewise, `mean`, `median`, `p95` (quantile) and `ci95` (confidence interval of the mean) of the
-        settling times, s; an episode that does not settle counts with its complete length.
-        `over_bound`: mean ratio of settling time to bound, with `ci95`, under the key "0.2mm"; None without bounds.
+        `settling_s`: settling times by distance, s: `mean`, `median`, `p95` (95 % quantile) and `ci95`, the 95 %
+        confidence interval of the mean. An episode that does not settle counts with its length.
+        `over_bound`: what `ratio_to_bound` returns for the settling times within 0.2 mm; None without bounds.
         `overshoot_mm`: distance by which the tool passes the goal on the line from start to goal, mm, and
         `final_error_mm`: distance to the goal at the end, mm; `mean` and `ci95` over the episodes each.
 
@@ -263,12 +263,12 @@ def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
     """Compute the ratio of the mean settling time to the mean time-optimal bound.
 
     Args:
-        times: Settling times, s, shape (B,), or (S, B) of S agents, which the bootstrap then resamples as well.
+        times: Settling times in B episodes, s, shape (B,), or of S agents, (S, B); the bootstrap resamples both.
         bound: Shortest possible settling times of the same B episodes, s, shape (B,), all known.
         seed: Seed of the bootstrap resampling.
 
     Returns:
-        `mean`: the ratio, dimensionless; `ci95`: [lower, upper limit] of its 95 % interval (bootstrap over episodes).
+        `mean`: the ratio, dimensionless; `ci95`: [lower, upper limit] of its 95 % confidence interval (bootstrap).
     """
     rng = np.random.default_rng(seed)
     index = rng.integers(len(bound), size=(BOOTSTRAP_RESAMPLES, len(bound)))
@@ -294,7 +294,7 @@ class StoredBounds(NamedTuple):
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
     """Compute a hash of the machine, start and goal of each episode, by which stored settling times are looked up.
 
-    Numbers enter with nine significant digits. The seed, the control period and the sensors do not affect it.
+    Numbers enter it with nine significant digits; seed, control period and sensors do not.
 
     Args:
         conditions: Machine, sampled parameters, start and goal of B episodes.
@@ -327,7 +327,7 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
 
     Returns:
         times_s: Shortest possible settling time of each of B episodes to 0.2 mm, s, shape (B,), NaN where no bound is
-            stored; None instead of the array if none is stored for any episode.
+            stored; None if all are missing.
         reason: Why bounds are missing, one sentence; None if none is missing.
 
     Raises:

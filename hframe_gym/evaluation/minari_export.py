@@ -84,7 +84,8 @@ def export_dataset(
 
     Raises:
         InputError: If the controller is unknown or cannot run in this scenario, an option of the scenario is not the
-            name of a preset, the simulated motion diverges, or the data set exists already.
+            name of a preset, the control period is not 0.01 s in a task with a path, the simulated motion diverges, or
+            the data set exists already.
         ImportError: If the extra `minari` is not installed; the message names the pip command.
     """
     storage_class, buffer_class = _import_minari()

@@ -98,8 +98,7 @@ class PlayedStage:
 
         Args:
             seed: Seed of start, goal and machine parameters.
-            target: Target (x, y), m, to approach from the present position of the tool. Default: start and goal of the
-                task.
+            target: Target (x, y), m, approached from the present position. Default: start and goal of the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.
@@ -258,7 +257,8 @@ class Game:
     def action(self) -> Array:
         """Voltages that the user applies with keys and mouse, as fractions of the rated voltages, shape (drives,).
 
-        They push the tool in the direction of the arrow keys or, while the left button is held, toward the pointer.
+        They push the tool in the direction of the arrow keys or, while the left button is held, toward the pointer;
+        zeros without either.
         """
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:
@@ -275,7 +275,7 @@ class Game:
         return np.asarray(min(size, 1.0) * fractions / np.abs(fractions).max())
 
     def advance(self) -> None:
-        """Simulate all stages for the duration of one frame of the window; do nothing while the game is paused."""
+        """Simulate all stages for one frame of the window, 20 ms * `speed`; do nothing while the game is paused."""
         if self.paused:
             return
         self._due += self._periods_per_frame
@@ -316,7 +316,7 @@ class Game:
             self.window.blit(self._small.render(text, True, INK), (center + half + 10, row + 1))
 
     def run(self, frames: int | None = None) -> None:
-        """Run the game until the user closes the window.
+        """Handle events, simulate and draw, 50 times per second, until the user ends the game.
 
         Args:
             frames: Number of frames of the window after which to stop. Default: no limit.

@@ -21,6 +21,8 @@ BAND_TEXTS = {name: f"{1e3 * band:g} mm" for name, band in BANDS.items()}  # set
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
     """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and voltages.
 
+    The first panel shows the position over time if the machine has one axis.
+
     Args:
         episodes: Recorded episodes of one controller: positions and goals, m, voltages, V, and times, s.
         episode: Index of the episode, from 0 to the number of episodes - 1.
@@ -63,6 +65,7 @@ def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
         IndexError: If `episode` is out of range.
+        ValueError: If matplotlib does not know the format of the suffix.
         OSError: If the file cannot be written.
     """
     figure = plot_episode(episodes, episode, title=title)

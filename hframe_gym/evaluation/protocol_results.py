@@ -152,7 +152,9 @@ def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
 
 
 def settling_or_none(success: float, settling: Any) -> Any:
-    """Return scores of settling times, or None if no episode settles: they are then the length of the episodes.
+    """Return scores of settling times, or None if no episode settles.
+
+    An episode that does not settle counts with its length. If none settles, the scores say nothing but this length.
 
     Args:
         success: Fraction of the episodes that settle, 0 to 1.
@@ -171,7 +173,8 @@ def result_file_name(content: Mapping[str, Any]) -> str:
         content: Content of the file, of which names of protocol and entry are used.
 
     Returns:
-        For example "reach-v1_adaptive-pid.json".
+        For example "reach-v1_adaptive-pid.json". Characters of the entry's name other than letters, digits, "-" and "."
+        become "-".
     """
     safe = "".join(c if c.isalnum() or c in "-." else "-" for c in content["entry"]["name"])
     return f"{content['protocol']}_{safe}.json"
@@ -284,6 +287,10 @@ def protocol_bounds(name: str) -> dict[str, Array]:
     Returns:
         Times of two kinds, s, shape (draws,), NaN where unknown: `free`, for voltages that may change at any time, and
         `held`, for voltages that are constant over each control period. Empty for a protocol without such moves.
+
+    Raises:
+        InputError: If there is no such protocol.
+        ValueError: If the stored times belong to other draws (episodes) than those of the protocol.
     """
     protocol = get_protocol(name)
     if "reach" not in protocol.parts:
@@ -306,7 +313,7 @@ def protocol_bounds(name: str) -> dict[str, Array]:
 
 
 def paired_ratio(values: Array, others: Array) -> dict[str, Any] | None:
-    """Compute the ratio of the means of two quantities over the same draws (episodes), with a 95 % interval.
+    """Compute the ratio of the means of two quantities over the same draws (episodes), for example time / bound.
 
     Args:
         values: Values of the numerator in B draws, all known, shape (B,); for S agents that differ in the seed of their
@@ -316,8 +323,8 @@ def paired_ratio(values: Array, others: Array) -> dict[str, Any] | None:
 
     Returns:
         `mean`: mean of `values` divided by mean of `others`, over the draws in which `others` is known; `ci95`: [lower,
-        upper limit] of its 95 % interval, by a bootstrap over draws and agents; `draws`: number of these draws. None
-        if there are none.
+        upper limit] of its 95 % confidence interval, by a bootstrap over draws and agents; `draws`: number of draws in
+        which `others` is known. None if it is known in none.
     """
     both = np.isfinite(others)
     if not both.any():

@@ -73,8 +73,8 @@ def evaluate(
         episodes: Recorded episodes by name of the controller.
 
     Raises:
-        InputError: If an option or a controller's name is wrong, a controller cannot run in this scenario, or the
-            simulated motion diverges.
+        InputError: If an option or a controller's name is wrong, a controller cannot run in this scenario, the
+            simulated motion diverges, or the episodes would have more than 2e8 samples (10 per control period).
 
     References:
         Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
@@ -131,7 +131,8 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
 
     Returns:
         B recorded episodes with m control periods and n = 10 m + 1 samples: tool positions and goals, m, shape (B, n,
-        axes), voltages, V, shape (B, m, drives), energy, J, and largest belt force, N, shape (B,).
+        axes), voltages, V, shape (B, m, drives), energy, J, and largest belt force, N, shape (B,). Energy and force
+        follow from motion and voltages by the laws of Ohm and Hooke, without effects of the machine on them.
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.

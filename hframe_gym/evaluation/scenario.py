@@ -105,9 +105,9 @@ class Scenario:
 
     @property
     def controller_task(self) -> Task:
-        """Copy of the task whose previewed goals lie at the ends of the next control periods, as controllers expect.
+        """Copy of the task that previews the goal at the end of each of the next control periods, for controllers.
 
-        The length of the preview, s, is that of the task; a task without a preview is returned unchanged.
+        The length of the preview, s, is that of the task. A task without a preview is returned unchanged.
         """
         task = as_task(self.task)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
@@ -166,8 +166,8 @@ def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrame
     """Build the environments of a scenario, one per episode, without a limit on the number of steps.
 
     Args:
-        scenario: Machine, task, randomization, drives and number of the environments; not their sensors and period.
-        **options: Further options of the environments, such as `sensors` and `period`, or others in place of these.
+        scenario: Machine, task, randomization and drives of the environments, and their number.
+        **options: Other options of the environments. By default they observe the state, with a period of 10 ms.
 
     Returns:
         Vector environment, not reset yet.
@@ -275,7 +275,7 @@ def make_controller(
 
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
-            or what a registered `ControllerSource` accepts, such as an agent's folder or a shipped agent.
+            or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent.
         machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
         task: Task (name or object) for which the controller is needed; selects among the agents in the package.
         sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
@@ -325,7 +325,7 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
 
 
 def period_concern(machine: Machine, period: float) -> str | None:
-    """Return a warning if even the slowest vibration of a machine on its belts is above half the control rate.
+    """Return a warning if all vibrations of a machine on its belts have frequencies above half the control rate.
 
     A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
 
@@ -334,7 +334,7 @@ def period_concern(machine: Machine, period: float) -> str | None:
         period: Control period, s.
 
     Returns:
-        One sentence that suggests a shorter period; None if the period is short enough.
+        One sentence that suggests a shorter period; None if the period is short enough or nothing vibrates.
     """
     modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
     if not modes or min(modes) <= 0.5 / period:

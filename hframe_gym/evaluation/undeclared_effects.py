@@ -120,7 +120,8 @@ class EffectFamily:
             site: Place where the effect acts, a key of `ranges`, for example "motor1".
 
         Returns:
-            Distributions by name of the parameter, in SI units: for pulleys ("phi1") `rotary`, if given; else `others`.
+            Distributions by name of the parameter, in SI units: the attribute `rotary`, if it is not empty, for a site
+            whose name begins with "phi" (angle of a pulley), else the attribute `others`.
         """
         return self.rotary if self.rotary and site.startswith("phi") else self.others
 
@@ -173,15 +174,15 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
 def with_absent_effects(machine: Machine) -> Machine:
     """Return a copy of a machine with 21 kinds of effects (of friction, drives, belts, ...), switched off.
 
-    Switched off means that the parameters of an effect are such that it has no influence. Only `current_limit` acts
-    even so, with the 12 A limit of the drives "rig".
+    An effect that is switched off has parameters with which it has no influence, for example an amplitude of 0. The
+    only exception is `current_limit`, which limits currents to 12 A as the drives "rig" do.
 
     Args:
         machine: The H-frame without these effects.
 
     Returns:
-        Copy with the effects. It moves like `machine` with limited currents until the rules of `effect_rules` switch
-        effects on.
+        Copy with the effects. It moves like `machine` with limited currents. The randomization rules of `effect_rules`
+        switch effects on.
     """
     effects = []
     for family in EFFECT_FAMILIES:
@@ -195,9 +196,9 @@ def with_absent_effects(machine: Machine) -> Machine:
 
 
 def effect_rules() -> tuple[RandomizeParameter, ...]:
-    """Return the randomization rules that switch on some of the added effects in every episode.
+    """Return the randomization rules that switch on effects at random in every episode, two on average.
 
-    `with_absent_effects` has added these effects to the machine in such a way that they have no influence.
+    The machine is one that `with_absent_effects` returned: it has these effects, switched off.
 
     Returns:
         For each effect at each of its sites, one rule for its size with the distribution `Sometimes`, which leaves most
@@ -223,8 +224,8 @@ def acting_effects(machine: Machine, parameters: Array) -> Machine:
         parameters: Values of the P `Machine.parameters` in the episode, SI, shape (P,).
 
     Returns:
-        Machine that moves exactly as the one in the episode. It keeps `current_limit`, which acts in every episode,
-        with the sampled limit or that of the drives.
+        Machine that moves exactly as the one in the episode. It keeps `current_limit`, which acts in every episode:
+        with the sampled limit, or 12 A.
     """
     values = dict(zip(machine.parameters, np.asarray(parameters, np.float64).tolist(), strict=True))
     sampled = machine.replace(values)

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import kstest, norm
 
 from hframe_gym.envs.random_numbers import (
+    RESET_STEP,
     CorrelatedSampler,
     _log,
     cos_sin_of_turns,
@@ -26,6 +27,25 @@ def test_uniform_numbers_along_key_step_and_channel():
         assert 0.0 < min(numbers) < max(numbers) < 1.0
         assert kstest(numbers, "uniform").pvalue > 1e-3
         assert abs(np.corrcoef(numbers[1:], numbers[:-1])[0, 1]) < 0.05
+
+
+def unmix(z):
+    """Return the number whose `_mix` is z: the inverse of the finalizer of SplitMix64."""
+    for shift, factor in ((31, 0x94D049BB133111EB), (27, 0xBF58476D1CE4E5B9), (30, None)):
+        # The upper bits of an xorshift are unchanged; each pass restores `shift` more of the lower ones.
+        restored = z
+        for _ in range(64 // shift + 1):
+            restored = z ^ (restored >> shift)
+        z = restored if factor is None else restored * pow(factor, -1, 2**64) % 2**64
+    return z
+
+
+def test_the_numbers_of_a_reset_are_below_one():
+    golden, key = 0x9E3779B97F4A7C15, 2**64 - 1  # the hash whose number rounds to 1, then its inputs
+    for factor in (1, RESET_STEP + 1, 1):  # of channel 0, of the step, of the key
+        key = (unmix(key) - golden * factor) % 2**64
+    assert uniform(np.uint64(key), RESET_STEP, 0) == 1.0
+    assert reset_uniforms(np.array([key], np.uint64), 1)[0, 0] == 1.0 - 2.0**-53
 
 
 def test_normal_pairs_are_normal_and_independent():

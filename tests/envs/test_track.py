@@ -205,6 +205,16 @@ def test_a_target_is_refused():
         env.reset(seed=0, options={"target": (0.0, 0.0)})
 
 
+def test_a_refused_target_uses_no_random_numbers():
+    refusing, other = HFrameEnv(task="track"), HFrameEnv(task="track")
+    for env in (refusing, other):
+        env.reset(seed=0)
+    with pytest.raises(ValueError, match="no target"):
+        refusing.reset(options={"target": (0.0, 0.0)})
+    goals = [env.reset()[0]["desired_goal"] for env in (refusing, other)]
+    np.testing.assert_array_equal(*goals)
+
+
 def test_a_path_needs_two_different_points():
     with pytest.raises(ValueError, match="two different"):
         Polyline(np.zeros((3, 2)))

@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import hframe_gym  # noqa: F401  (registers the environments)
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.envs import batched_simulator as simulator_module
+from hframe_gym.errors import InputError
 
 
 def same(a, b, path=""):
@@ -163,6 +164,12 @@ def test_invalid_masks_are_refused():
         envs.reset(options={"reset_mask": [True, False, False]})
     with pytest.raises(ValueError, match="reset_mask"):
         envs.reset(options={"reset_mask": np.zeros(3, bool)})
+
+
+def test_start_positions_have_one_row_per_environment():
+    envs = HFrameVectorEnv(5)
+    with pytest.raises(InputError, match=r"start.*\(3, 2\).*\(5, 2\)"):
+        envs.reset(seed=0, options={"start": np.zeros((3, 2))})
 
 
 def test_parameters_and_travel_are_those_of_the_episodes(hframe):

@@ -44,7 +44,7 @@ class Task(ABC):
 
     @property
     def ahead_s(self) -> tuple[float, ...]:
-        """Times from now of the future goals in the observation `preview`, s, ascending; empty for a fixed goal."""
+        """Time from now to each future goal in the observation `preview`, s, ascending; empty for a fixed goal."""
         return ()
 
     @property
@@ -54,7 +54,7 @@ class Task(ABC):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Nominal values, SI, of the task's parameters that can be randomized, by name without "task."."""
+        """Nominal values, SI, of the parameters that rules can randomize, by name without "task."; empty by default."""
         return {}
 
     def check(self, workspace: Array) -> None:  # noqa: B027  (optional)
@@ -78,8 +78,8 @@ class Task(ABC):
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
             uniforms: Uniform random numbers in (0, 1), shape (k, draws), `draws` being the attribute of the task.
-            parameters: Values of the task's randomized parameters, SI, one array of shape (k,) for each of the names
-                that the task declares (in randomization rules these have the prefix "task."). Default: nominal values.
+            parameters: Values in the k episodes of all parameters that the attribute `parameters` declares, SI, by
+                name, shape (k,) each. Default: nominal values.
 
         Returns:
             start: Start positions of the tool, m, shape (k, axes).
@@ -123,7 +123,7 @@ class Task(ABC):
             Plans in the task's format, shape (k, plan_size).
 
         Raises:
-            InputError: If the task has no target that can be set; this is the default.
+            InputError: If the goal of this task cannot be set. The default implementation always raises it.
         """
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
@@ -171,7 +171,7 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
     """Check that points lie in the workspace; its edge counts as inside.
 
     Args:
-        label: Name of the option that gave the points, for the error message.
+        label: Name of the option whose value the points are, for the error message.
         points: Points, m, shape (axes,) or (k, axes).
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 

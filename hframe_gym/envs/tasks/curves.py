@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from ..random_numbers import compiled, cos_sin_of_turns
 
 Array = NDArray[np.float64]
-# Segments of a quarter of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.
+# Segments of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.
 SEGMENTS = 8192
 COARSE_VERTICES = 128  # vertices that a wide search for the nearest point tries first
 
@@ -52,7 +52,11 @@ class Curve(Protocol):
 
     @property
     def data(self) -> CurveData:
-        """Radius (m), vertices (m, shape (n, 2)) and arc lengths (m, shape (n,)) for compiled functions."""
+        """The curve as numbers, for compiled functions.
+
+        These are the radius of a circle, m; of any other curve the vertices x, y, m, shape (n, 2), and the arc length
+        at each, m, shape (n,).
+        """
 
     @property
     def extent(self) -> Array:
@@ -62,7 +66,8 @@ class Curve(Protocol):
         """Compute the points at n arc lengths.
 
         Args:
-            s: Arc lengths from the start of the curve, m, any real number, shape (n,).
+            s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends a closed curve
+                repeats, an open one stops.
 
         Returns:
             Points x, y, m, shape (n, 2).
@@ -94,7 +99,7 @@ class Circle(Curve):
 
     @property
     def data(self) -> CurveData:
-        """Radius (m), no vertices (shape (0, 2)) and arc lengths (m, shape (2,)) for compiled functions."""
+        """The circle as numbers, for compiled functions: radius, m, and no vertices, shape (0, 2)."""
         return CurveData(self.radius, True, np.zeros((0, 2)), np.array([0.0, self.length]))
 
     @property
@@ -111,7 +116,7 @@ class Circle(Curve):
         """Compute the points at n arc lengths.
 
         Args:
-            s: Arc lengths from the start of the curve, m, any real number, shape (n,).
+            s: Arc lengths from the start of the curve, m, any real number (several laps), shape (n,).
 
         Returns:
             Points x, y, m, shape (n, 2).
@@ -169,7 +174,8 @@ class Polyline:
         """Compute the points at n arc lengths.
 
         Args:
-            s: Arc lengths from the start of the curve, m, any real number, shape (n,).
+            s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends a closed curve
+                repeats, an open one stops.
 
         Returns:
             Points x, y, m, shape (n, 2).
@@ -179,8 +185,8 @@ class Polyline:
     def distance(self, points: Array, s: Array) -> Array:
         """Compute the distances of n points to the part of the curve near s.
 
-        Searched is the part within an arc length of pi d before and after s, where d is the distance from the point to
-        the curve's point at s. Where the curve crosses itself, a distant branch is therefore ignored.
+        With d the distance from a point to the curve's point at s, the nearest point is searched from s - pi d to
+        s + pi d. A branch that is close by, but farther along the curve, is therefore ignored.
 
         Args:
             points: Points x, y, m, shape (n, 2).
@@ -209,7 +215,8 @@ def write_points(s: Any, curve: Any, x: Any, y: Any) -> None:
     """Write the points of a curve at n arc lengths to two arrays.
 
     Args:
-        s: Arc lengths from the start of the curve, m, any real number, shape (n,).
+        s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends a closed curve
+            repeats, an open one stops.
         curve: Radius, vertices and arc lengths of the curve (`CurveData`).
         x: Output, first coordinate of the points, m, shape (n,).
         y: Output, second coordinate of the points, m, shape (n,).

@@ -56,6 +56,8 @@ class Reach(Task):
     ) -> tuple[Array, Array]:
         """Choose start and target positions of k episodes.
 
+        Both are uniform at least `margin` inside the workspace, or those of the attributes `start` and `target`.
+
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
             uniforms: Uniform random numbers in (0, 1): two for the start, two for the target, shape (k, 4).

@@ -80,7 +80,7 @@ class Track(Task):
 
     @property
     def ahead_s(self) -> tuple[float, ...]:
-        """Times from now of the future goals in the observation `preview`, s, ascending."""
+        """Time from now to each future goal in the observation `preview`, s, ascending."""
         return tuple(self.preview_s * (i + 1) for i in range(self.previews))
 
     @property
@@ -127,8 +127,8 @@ class Track(Task):
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
 
         Raises:
-            InputError: If the machine has one axis, or the path or its margin does not fit; for a file the message
-                names row and column.
+            InputError: If the machine has one axis, or a shape with its margin does not fit, or a point of a file is
+                outside; the message then names row and column.
         """
         if len(workspace) != 2:
             raise InputError("task track needs a machine that moves along x and y; choose the task reach for one axis")
@@ -162,6 +162,8 @@ class Track(Task):
         self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
         """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
+
+        Attributes that are not None fix them. A path from a file is followed as it is, from its first point.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
@@ -223,8 +225,6 @@ class Track(Task):
 
     def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
         """Write the goals of n episodes at m times each to an array.
-
-        This is faster than `goal` if the task has only one curve, whose file (if any) gives no times.
 
         Args:
             plan: Path of each episode, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction (+1 or
@@ -338,7 +338,7 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
         length: Length of the path, m; infinite for a closed path.
 
     Returns:
-        Arc lengths from the start of the path, m, shape (n, m); on a closed path they continue over several laps.
+        Arc lengths from the start of the path, m, shape (n, m); they are not limited to one lap of a closed path.
     """
     out = np.empty(elapsed_s.shape)
     for i in range(elapsed_s.shape[0]):
