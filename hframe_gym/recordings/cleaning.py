@@ -75,7 +75,7 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     Args:
         outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
-        longest_gap: Longest time between successive measurements of a sensor that is bridged, s.
+        longest_gap: Longest time between successive measurements of a sensor over which values are interpolated, s.
 
     Returns:
         Copy with linearly interpolated values between measurements, shape (n, sensors); still NaN in longer gaps, and
@@ -104,8 +104,8 @@ def repetitions(values: Array) -> int:
         values: Measurements of one channel, in the sensor's unit, shape (n,), NaN where not measured.
 
     Returns:
-        Median number of rows per measurement during motion; 1 for a sensor that measures in every row, or whose
-        measurements change fewer than 20 times.
+        Median number of rows per measurement during motion; 1 for a sensor that measures in every row, or with fewer
+        than 20 changes of at least three quantization steps.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
     if np.count_nonzero(changes) < _MIN_CHANGES:
@@ -118,7 +118,7 @@ def repetitions(values: Array) -> int:
 
 
 def without_repetitions(recording: Recording) -> Recording:
-    """Replace by NaN (not measured) what a log repeats between the measurements of a slow sensor.
+    """Replace the values that a log repeats between the measurements of a slow sensor by NaN (not measured).
 
     A slow sensor measures less often than a row is logged. `repetitions` detects it and estimates its number of rows
     per measurement.

@@ -94,8 +94,8 @@ class Log:
             reference: "#3" for the third column, a header, or a name without its unit.
 
         Returns:
-            The columns that satisfy the first of these criteria that any column satisfies: the same number, the same
-            header, the same header in other case, the same name in any case. Empty if none does.
+            The column with this number; otherwise those with this header; otherwise those with this header in any case;
+            otherwise those with this name in any case. Empty if there are none.
         """
         if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
             return [self.columns[int(reference[1:]) - 1]]

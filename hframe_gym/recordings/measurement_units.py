@@ -97,7 +97,7 @@ class Conversion:
         return scaled if self.denominator == 1.0 else scaled / self.denominator
 
     def scaled(self, factor: float) -> Conversion:
-        """Return this conversion followed by a further factor.
+        """Combine this conversion with a further factor.
 
         If the inverse of the factor is a whole number, the conversion divides by it. This rounds correctly: 0.001
         itself is not exact in binary numbers.
@@ -243,7 +243,7 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        Conversions by unit: first the units of the channel's quantity, SI first, then those of the others.
+        Conversions by unit: first the units of the channel's quantity, SI first, then those of the other quantities.
     """
     dimension = channel_dimension(machine, channel)
     conversions: dict[str, UnitConversion] = {}
