@@ -32,9 +32,9 @@ _CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each
 def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report sensor channels that keep one value for more than 0.1 s although they should have changed.
 
-    They should have changed if the other channels show a motion of this sensor, if the channel otherwise has noise even
-    at rest, or, where no other channel determines its motion, if its drive pushes the coordinate in both directions by
-    several times the friction.
+    A channel should have changed if the other channels show that its coordinate moves, or if it has noise at rest,
+    which a constant value lacks. If no other channels determine its motion, it should also have changed if its drive
+    pushes the coordinate in both directions by several times the friction.
 
     The finding is a fault, except in two cases, where it is advice: only the drive indicates a motion, and the drive
     may have been off; or the value is the smallest or largest one over all runs of a sensor with a fixed zero (no

@@ -122,8 +122,8 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     """Check for channels with a wrong sign, unit or gear ratio and for swapped channels.
 
     For signs, swaps and units, measured speeds are compared with those of a simulation with the recorded voltages, over
-    all runs together. If this gives no fault in signs and swaps, each run is checked for them alone. For gear ratios,
-    encoders are compared with sensors that have a fixed zero.
+    all runs together. If this gives no fault in signs and swaps, each single run is checked for them as well. For gear
+    ratios, encoders are compared with sensors that have a fixed zero.
 
     Args:
         data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at
