@@ -166,7 +166,7 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Describe why an agent cannot run on a machine: other numbers of axes, observed coordinates or drives.
+        """Describe why the agent cannot run on a machine: other numbers of axes, observed coordinates or drives.
 
         Args:
             machine: Machine on which the agent is to run or to be trained further.

@@ -85,9 +85,9 @@ def feature_parameters(
         machine: Machine with a workspace.
         period: Control period, s.
         transfers: For a fixed goal: durations of the minimum-energy transfers (motions to rest at the goal) whose first
-            voltages are features, in control periods; 0 is the shortest transfer. Default: no transfers.
-        preview: For a moving goal, if `transfers` is empty: number of future goals that the preview control uses whose
-            voltages are features. Default: no preview control.
+            voltages are features, in control periods beyond the shortest transfer (0). Default: none.
+        preview: For a moving goal, if `transfers` is empty: number of future goals of a preview control. Its voltages
+            are features. Default: no preview control.
 
     Returns:
         `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
@@ -292,7 +292,7 @@ class TransferBank:
         self.size = self._gains.shape[1]
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
-        """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
+        """Compute the first voltages of each transfer (motion to rest at the goal) from the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
@@ -330,7 +330,7 @@ class PlanBank:
         self._of_observation = _state_of_observation(self._model)
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any]) -> FeedbackLaws:
-        """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
+        """Plan each transfer (motion to rest at the goal) for the estimated machine and return its first voltages.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
@@ -338,7 +338,7 @@ class PlanBank:
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
 
         Returns:
-            `FeedbackLaws`: voltages as fractions of the rated ones, shape (batch, K, drives), by duration; derivatives.
+            Voltages as fractions of the rated ones, shape (batch, K, drives), by duration, and their derivatives.
         """
         rated = self._model.rated
         planned = self._transfers.plan(

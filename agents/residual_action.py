@@ -68,9 +68,10 @@ class Authority:
         return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
 
     def held(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the last action that is kept (held), and to which the policy's output is added.
+        """Compute the fraction of the last action that remains in the next action (is held).
 
-        Near the goal, where it approaches 1, the policy thus acts as an integrator, which can overcome static friction.
+        It approaches 1 at rest near the goal. The policy's output then changes the action, so that the policy acts as
+        an integrator, which can overcome static friction.
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
@@ -236,8 +237,8 @@ class ResidualAction:
     def history(self) -> dict[str, NDArray[np.float32]]:
         """Return the arrays that the policy receives in addition to the environment's observation.
 
-        They are those of the last call of `augment`, except `last_action`: after a call of `action`, it is the action
-        that was just computed.
+        They are as the last call of `augment` left them. Only `last_action` changes with a call of `action`: it is then
+        the action that was just computed.
 
         Returns:
             last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a

@@ -212,7 +212,7 @@ def _as_dict(observation: Any) -> Observation:
 
 
 def set_mean_action_to_zero(policy: Any) -> None:
-    """Set the last layer of a policy's mean action to zero, in place.
+    """Set weights and biases of the layer that outputs a policy's mean action to zero, in place.
 
     A policy that corrects a base controller then starts with the behavior of this controller.
 
