@@ -57,7 +57,7 @@ OutOption = Annotated[Path, typer.Option(help="Folder for the results; created i
 MaxRowsOption = Annotated[
     int,
     typer.Option(
-        "--max-rows", min=1000, help="Rows of all runs together; each run is used up to an equal part of them."
+        "--max-rows", min=1000, help="Number of rows of all runs together; each run is used up to an equal part of it."
     ),
 ]
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
@@ -111,7 +111,7 @@ def plain_text(text: str) -> str:
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names among which some options choose, such as tasks and controllers, for the help texts.
+    """List the names that some options accept, such as those of tasks and controllers, for the help texts.
 
     Plugins are imported first.
 

@@ -77,7 +77,7 @@ class MachineAnswers:
             Options with numbers in SI units, for `new_machine`.
 
         Raises:
-            InputError: If a text is not a number, or has not the form PARAMETER=VALUE.
+            InputError: If a text is not a number, or does not have the form PARAMETER=VALUE.
         """
         plain = ("pulley_radius", "gear_ratio", "rotor_inertia", "Kt", "resistance", "rated_voltage", "encoder_lines")
         values = {}
@@ -145,7 +145,7 @@ def file_obstacle(path: Path, force: bool) -> str:
 
 
 def motion_lines(machine: Machine) -> list[str]:
-    """Describe moved mass, force at rest and top speed at rated voltage; implausible values reveal a wrong unit.
+    """Describe moved mass, stall force and top speed at rated voltage; implausible values reveal a wrong unit.
 
     Args:
         machine: The new machine.

@@ -124,7 +124,7 @@ def option_words(**values: str | None) -> str:
 
 
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
-    """Propose to train an agent with the settings of an evaluation of controllers.
+    """Write the line that proposes, after an evaluation of controllers, to train an agent with the same settings.
 
     Args:
         machine: Value of the option --machine.
@@ -319,7 +319,7 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
 
 
 def write_new_effect(folder: Path, name: str, path: Path, number: int, table: str, log: Callable[[str], None]) -> None:
-    """Write a formula for a force that an identification described by a table of values as an effect, a Python file.
+    """Write a new effect, a Python file, from a formula for a force that an identification describes by a table.
 
     An effect is a deviation from the nominal model of a machine. The proposed formulas are printed with their numbers.
 

@@ -180,8 +180,8 @@ def effect_table() -> Table:
     Plugins are loaded first. Names are never wrapped or truncated, so that a pipe can search them.
 
     Returns:
-        Table (rich) with one row per effect: its name, and below each other its formula, the kind of component it acts
-        on (site), and its parameters with units.
+        Table (rich) with one row per effect and two columns: its name; its formula, the kind of component it acts on
+        (site) and its parameters with units.
     """
     load_plugins()
     table = _table("effect", "formula, site, parameters")
@@ -212,8 +212,8 @@ def machine_tables(machine: Machine) -> list[Table]:
         machine: Machine to print, with its effects (deviations from the nominal model).
 
     Returns:
-        Tables (rich), without those that would be empty. The last one has moved mass, force at rest, acceleration and
-        top speed along each axis at rated voltage; implausible values there show wrong units.
+        Tables (rich), without those that would be empty. The last one has moved mass, stall force (force at rest),
+        acceleration and top speed along each axis at rated voltage; implausible values there show wrong units.
     """
     tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
     effects = _titled("effects", "effect@site", "parameters")
@@ -325,7 +325,7 @@ def belt_mode_line(machine: Machine) -> str:
         machine: Machine to describe.
 
     Returns:
-        Text without a line break, with frequencies in Hz; it says so if the machine has no belts.
+        Text without a line break, with frequencies in Hz, or with the word "none" if there is no elastic belt.
     """
     modes = [f for f in mode_frequencies(machine).tolist() if f > 0]
     if not modes:
