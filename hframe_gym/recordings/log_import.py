@@ -154,7 +154,7 @@ def log_name(path: Path) -> str:
     Returns:
         The name, for example "test_3" for test_3.csv.gz.
     """
-    return Path(path.name.removesuffix(".gz")).stem
+    return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
 
 
 def read_mapping_file(path: str | Path) -> MappingOptions:
