@@ -166,14 +166,14 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Return a clause if a machine differs from that of the training in its numbers of axes, coordinates or drives.
+        """Describe why the agent cannot run on a machine: other numbers of axes, observed coordinates or drives.
 
         Args:
             machine: Machine on which the agent is to run or to be trained further.
 
         Returns:
             A clause about the agent, for example "was trained on a machine with 2 axes, 2 drives, but 'stage' has
-            1 axis, 1 drive"; None if the numbers of axes, observed coordinates and drives are equal.
+            1 axis, 1 drive"; None if the numbers are those of the machine of the training.
         """
         counts, trained = _part_counts(machine), _part_counts(self.machine)
         differing = [part for part in counts if counts[part] != trained[part]]
@@ -183,14 +183,14 @@ class Agent(Controller):
         return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
 
     def mismatch(self, machine: Machine, period: float) -> str | None:
-        """Return a warning if machine or control period of an evaluation differ from those of the agent's training.
+        """Return a warning if the machine or the control period of an evaluation is not that of the agent's training.
 
         Args:
             machine: Machine of the evaluation.
             period: Control period of the evaluation, s.
 
         Returns:
-            One line that names the differences, or None if there are none.
+            One line that names the differences (name or parameters of the machine, period); None if there are none.
         """
         differences = []
         if machine.name != self.machine.name:
@@ -270,7 +270,8 @@ def load_weights(policy: Any, folder: Path) -> None:
         folder: Folder of an agent, with the file policy.safetensors.
 
     Raises:
-        InputError: If the file is damaged, lacks weights of the policy or has weights that the policy lacks.
+        InputError: If the file is missing or damaged, lacks weights of the policy, or has weights that the policy lacks
+            or that are not finite.
         ImportError: If the extra `agents` is not installed.
     """
     safetensors = import_optional("safetensors.torch")
@@ -314,7 +315,7 @@ def same_parameters(machine: Machine, other: Machine) -> bool:
         other: Another one.
 
     Returns:
-        True if the names are equal and the values differ by rounding at most.
+        True if names and order are equal and values differ by at most a fraction of 1e-9, which rounding explains.
     """
     if list(machine.parameters) != list(other.parameters):
         return False

@@ -103,9 +103,7 @@ class _Card(_Table):
 
 
 def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, Any]:
-    """Read agent.json, which says how to build the policy of an agent, and check its values.
-
-    Also check that the folder holds all files of an agent.
+    """Read agent.json, which says how to build the policy of an agent, after a check of its values and of the folder.
 
     Args:
         folder: Folder of the agent.
@@ -116,7 +114,8 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
         Content of agent.json. The values that build the policy have the right types and are in their ranges.
 
     Raises:
-        InputError: If a file is missing, or agent.json is damaged, of another version or has other entries.
+        InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has a value of
+            the wrong type or out of range.
     """
     for name in files:
         if not (folder / name).is_file():
@@ -183,10 +182,10 @@ def read_previous_card(file: Path) -> dict[str, Any]:
         file: Its card.json.
 
     Returns:
-        Content of the file; learning curve, recipe and seed have the right form.
+        Content of the file. It has `recipe` and `seed`; `kept` and all values of the learning curve are numbers.
 
     Raises:
-        InputError: If the file is damaged.
+        InputError: If the file is missing or damaged.
     """
     card = read_json(file)
     try:

@@ -35,8 +35,8 @@ class AgentSource(ControllerSource):
             The agent, or None if the name is neither a folder nor that of an agent that comes with the package.
 
         Raises:
-            InputError: If the folder holds no agent, its files are damaged, or the machine has other numbers of axes
-                or drives than that of the training.
+            InputError: If the folder holds no agent, its files are damaged, or the machine has other numbers of axes,
+                observed coordinates or drives than that of the training.
             ImportError: If the extra `agents` is not installed.
         """
         folder = _agent_folder(name, scenario.task_name)
@@ -111,18 +111,20 @@ def shipped_agent_folder(name: str, task: str) -> Path:
 
 
 def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
-    """Find the folder of the agent whose training a recipe such as "adapt" continues. The package contains the agent.
+    """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues the training.
 
     Args:
         recipe: Recipe whose `start` names the agent.
         task: Name of the task, "reach" or "track".
-        machine: Machine on which training continues; it needs the agent's numbers of axes and drives.
+        machine: Machine on which training continues.
 
     Returns:
         Folder of the agent, for `load_weights`.
 
     Raises:
-        InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes or drives.
+        InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes, observed
+            coordinates or drives.
+        ImportError: If the extra `agents` is not installed.
     """
     folder = shipped_agent_folder(recipe.start, task)
     obstacle = Agent.load(folder).structural_mismatch(machine)

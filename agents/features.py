@@ -77,26 +77,25 @@ OBSERVATION_KEYS = (
 def feature_parameters(
     machine: Machine, period: float = 0.01, transfers: Sequence[int] = (), preview: int = 0
 ) -> dict[str, Any]:
-    """Compute kinematics and controller gains of a machine, from which the inputs of a policy network are built.
+    """Compute the arguments of `feature_matrix` that depend on the machine: its kinematics and gains of controllers.
 
-    The result holds arguments of `feature_matrix`. The inputs (features) can include the voltages of model-based
-    controllers, which are linear in the observation.
+    The features of a policy can include voltages of model-based controllers, which are linear in the observation.
 
     Args:
         machine: Machine with a workspace.
         period: Control period, s.
-        transfers: For a fixed goal: durations of minimum-energy transfers (motions to rest at the goal) whose first
-            voltages are features, in control periods beyond the shortest transfer. Default: none.
-        preview: For a moving goal: number of previewed goals of the preview control whose voltages are features.
-            Default: none.
+        transfers: For a fixed goal: durations of the minimum-energy transfers (motions to rest at the goal) whose first
+            voltages are features, in control periods beyond the shortest transfer (0). Default: none.
+        preview: For a moving goal, if `transfers` is empty: number of future goals of a preview control. Its voltages
+            are features. Default: no preview control.
 
     Returns:
         `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
             that acts on an axis of the tool itself has no motor coordinate.
         `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
             shape (motors, axes).
-        `gains`: only with `transfers` or `preview`; for each key of the observation, the matrix that maps its entries
-            to these voltages as fractions of the rated voltages, nested list of shape (voltages, entries).
+        `gains`: only with `transfers` or `preview`; by key of the observation, the matrix from its entries to these
+            voltages as fractions of the rated ones, transfer by transfer, nested list of shape (voltages, entries).
 
     Raises:
         InputError: If the machine has no transfer of a duration.
@@ -172,7 +171,7 @@ def feature_matrix(
 ) -> tuple[Array, Array]:
     """Build the matrix M and the factors g of the inputs of a policy network, g * sign(z M) * log(1 + |z M|).
 
-    z is an observation, all its arrays joined. A network resolves such inputs (features) from meters to micrometers.
+    z is an observation, all its arrays joined. These inputs (features) resolve meters as well as micrometers.
 
     Args:
         sizes: Number of entries of each array of the observation, by key, in the order in which z joins them.
@@ -180,13 +179,13 @@ def feature_matrix(
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
-        gains: By key, matrices that map entries of the observation to voltages of model-based controllers, shape
-            (voltages, entries of the key), as `feature_parameters` returns them. Default: no such features.
+        gains: By key, matrices from entries of the observation to voltages of model-based controllers, which are summed
+            over the keys, shape (voltages, entries of the key); see `feature_parameters`. Default: no such features.
 
     Returns:
         M: Matrix from entries of z (m, rad, m/s, rad/s) to errors, speeds and voltages divided by their scales, so that
             z M is dimensionless, shape (entries, features).
-        g: Factors, dimensionless, with which the largest usual values give features of 1, shape (features,).
+        g: Factors, dimensionless, shape (features,). Features are 1 at the largest values in use (0.5 m, 1.5 m/s, ...).
     """
     # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
     selectors = _selectors(sizes)
@@ -293,14 +292,15 @@ class TransferBank:
         self.size = self._gains.shape[1]
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
-        """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
+        """Compute the first voltages of each transfer (motion to rest at the goal) from the present state.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
+            `FeedbackLaws`: voltages as fractions of the rated ones, shape (batch, K, drives), and their derivatives by
+            the observation. First come the transfers of the declared machine, in the order of their durations.
         """
         gains = self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
         at_rest = self._model.observation(self._model.goal_state(goal))
@@ -330,7 +330,7 @@ class PlanBank:
         self._of_observation = _state_of_observation(self._model)
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any]) -> FeedbackLaws:
-        """Compute the voltages with which each transfer (motion to rest at the goal) would begin in the present state.
+        """Plan each transfer (motion to rest at the goal) for the estimated machine and return its first voltages.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
@@ -338,7 +338,7 @@ class PlanBank:
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
 
         Returns:
-            `FeedbackLaws`: voltages, shape (batch, K, drives), and their derivatives.
+            Voltages as fractions of the rated ones, shape (batch, K, drives), by duration, and their derivatives.
         """
         rated = self._model.rated
         planned = self._transfers.plan(

@@ -48,10 +48,9 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        The attribute `costs` holds the cost of each of B episodes (`episode_costs`: settling times and final error, s,
-        or contour and tracking error, mm), shape (B,), and `row` these scores by name:
+        `costs`: cost of each of B episodes, s or mm, shape (B,), as `episode_costs` defines it. `row`: scores by name.
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
-            `success`: fraction of episodes that settle in the task's band, 0 to 1.
+            `success`: fraction of episodes that settle in the band that the task defines, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm.
             `settling_s_BAND`: mean settling time, s; an episode that does not settle counts with its full length.
             `final_error_mm`: median distance to the goal at the end, mm.
@@ -109,15 +108,15 @@ def episode_costs(episodes: Episodes) -> Array:
 def improves(costs: Array, kept: Array | None) -> bool:
     """Decide whether a new agent replaces the best one so far: whether its mean cost is significantly lower.
 
-    Both agents run in the same episodes. The mean of the B differences of their costs must exceed its standard error,
-    which a large difference in a single episode never does.
+    Both agents run in the same B episodes. The mean reduction of the cost per episode must exceed its standard error. A
+    large reduction in a single episode alone does not suffice.
 
     Args:
         costs: Costs of the new agent, one per episode, s or mm, shape (B,).
         kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,); None if there is none.
 
     Returns:
-        True if the new agent replaces the kept one.
+        True if the new agent replaces the kept one, or there is none.
     """
     if kept is None:
         return True

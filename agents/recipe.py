@@ -109,9 +109,10 @@ class Recipe:
 
     @property
     def longest_transfer(self) -> int:
-        """Longest transfer (motion to rest at the goal) of the recipe, control periods beyond the shortest; -1: none.
+        """Duration of the longest transfer (motion to rest at the goal) that the recipe uses; -1 if it uses none.
 
-        The entries `transfers` of `features` and `actuation` list them; a short machine may not have all.
+        It counts in control periods beyond the shortest transfer, like the entries `transfers` of `features` and
+        `actuation`.
         """
         return max((*self.features.get("transfers", ()), *self.actuation.get("transfers", ())), default=-1)
 
@@ -135,7 +136,7 @@ def recipe_names() -> tuple[str, ...]:
 
 
 def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
-    """Raise an error if a recipe uses longer transfers (motions to rest at the goal) than a machine has.
+    """Raise an error if a recipe uses longer transfers (motions to rest at the goal) than a machine's workspace allows.
 
     Args:
         recipe: Settings of a training run.
@@ -143,7 +144,7 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
         task: Name of the task.
 
     Raises:
-        InputError: If the machine has no such transfer; the message lists recipes of the same task that it suits.
+        InputError: If a transfer is too long; the message lists recipes of the same task that suit the machine.
     """
     needed = recipe.longest_transfer
     if needed < 0:

@@ -68,9 +68,10 @@ class Authority:
         return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
 
     def held(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the last action that is kept (held), and to which the policy's output is added.
+        """Compute the fraction of the last action that remains in the next action (is held).
 
-        Near the goal, where it approaches 1, the policy thus acts as an integrator, which can overcome static friction.
+        It approaches 1 at rest near the goal. The policy's output then changes the action, so that the policy acts as
+        an integrator, which can overcome static friction.
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
@@ -111,7 +112,7 @@ class ResidualAction:
 
     Raises:
         InputError: If no controller is registered under the name of the base (agents are data: their files cannot name
-            a module to import), or there are plans without estimates or beside transfers.
+            a module to import), or `plans` are given without `estimates` or together with `transfers`.
     """
 
     def __init__(
@@ -153,7 +154,7 @@ class ResidualAction:
         """Build the space of the policy's outputs.
 
         Returns:
-            Box from -1 to 1: one entry for each drive; with a `bank`, then one for the weight of each of its transfers.
+            Box from -1 to 1: one entry for each drive, then one for the weight of each transfer of `bank`, if any.
         """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
@@ -236,7 +237,8 @@ class ResidualAction:
     def history(self) -> dict[str, NDArray[np.float32]]:
         """Return the arrays that the policy receives in addition to the environment's observation.
 
-        It is called before `action`; afterwards, `last_action` is the action that was just computed.
+        They are as the last call of `augment` left them. Only `last_action` changes with a call of `action`: it is then
+        the action that was just computed.
 
         Returns:
             last_observation: `observation` of the previous period, m, rad, m/s and rad/s, shape (batch, entries) for a
@@ -248,8 +250,8 @@ class ResidualAction:
                 rated voltages, shape (batch, 4 * drives); only with an `AdaptiveController` as base, whose attribute
                 documents the columns.
             estimates: Estimated deviations of friction, masses and belts from the model, dimensionless (0.1: about 10 %
-                above), shape (batch, parameters). They come from a `ParameterFilter` if the constructor's argument
-                `estimates` is True, else from an adaptive or predictive base, whose attribute documents the columns.
+                above), shape (batch, parameters); only if the constructor's argument `estimates` is True or the base is
+                adaptive or predictive. Attributes of `ParameterFilter` or of the base document the columns.
         """
         added: dict[str, NDArray[Any]] = {"last_observation": self._last_observation, "last_action": self._last_action}
         if self.base:
@@ -335,7 +337,7 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
         Conversion of policy outputs to actions. None if `settings` is empty: the outputs are then the actions.
 
     Raises:
-        InputError: If no controller is registered under the name of the base, or there are plans without estimates or
-            beside transfers.
+        InputError: If no controller is registered under the name of the base, or `plans` are given without `estimates`
+            or together with `transfers`.
     """
     return ResidualAction(machine, period, **settings) if settings else None

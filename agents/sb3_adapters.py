@@ -185,9 +185,9 @@ class ResidualActionVecEnv(VecEnvWrapper):
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Finish the step that `step_async` started; environments whose episode has ended are reset.
 
-        The base controller, whose action the policy corrects, must be called once per control period. The last
-        observation of an episode therefore contains its action of the period before. This hardly matters, because the
-        machine is usually at rest by then.
+        The base controller, whose action the policy corrects, must be called once per control period. In the last
+        observation of an episode, the arrays that `ResidualAction` adds, except `last_action`, are therefore those of
+        the period before. This hardly matters, because the machine is usually at rest by then.
 
         Returns:
             observations: Arrays by key, SI, each of shape (num_envs, entries of the key); the first ones of a new
@@ -212,7 +212,7 @@ def _as_dict(observation: Any) -> Observation:
 
 
 def set_mean_action_to_zero(policy: Any) -> None:
-    """Set the last layer of a policy's mean action to zero, in place.
+    """Set weights and biases of the layer that outputs a policy's mean action to zero, in place.
 
     A policy that corrects a base controller then starts with the behavior of this controller.
 
@@ -243,11 +243,11 @@ def random_state(model: Any) -> dict[str, Any]:
 
 
 def set_random_state(model: Any, state: dict[str, Any]) -> None:
-    """Restore the states, as `random_state` returned them, of all random generators that train a model.
+    """Restore the states of all random generators that the training of a model uses, from a checkpoint.
 
     Args:
         model: Model of stable-baselines3 or of the analytic policy gradient, whose generators are changed.
-        state: States by name of the generator.
+        state: States by name of the generator, as `random_state` returned them.
     """
     random.setstate(state["python"])
     np.random.set_state(state["numpy"])  # noqa: NPY002

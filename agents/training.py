@@ -65,7 +65,7 @@ def train(
     trust: bool = False,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Train an agent by a recipe (settings of a training run) and write it, as of its best evaluation, to a folder.
+    """Train an agent by a recipe (settings of a training run) and write its version with the best scores to a folder.
 
     The same seed gives the same agent, bit for bit, with the same package versions on the same processor. A resumed run
     with the same number of steps gives the agent of an uninterrupted one, bit for bit; only times and logs differ.
@@ -91,9 +91,9 @@ def train(
         Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).
 
     Raises:
-        InputError: If the recipe or task is unknown or unfit for the machine, `out` holds a run that is not to be
-            replaced, no checkpoint of this recipe, machine and seed to resume or one that this installation did not
-            write, or another process writes to `out`.
+        InputError: If the recipe or task is unknown or does not fit the machine; if `out` holds a run and neither
+            `resume` nor `force` is set; if `out` has no checkpoint of this recipe, machine and seed to resume, or one
+            that this installation did not write and `trust` is not set; or if another process writes to `out`.
         ImportError: If the extra `agents` is not installed; the message names it.
     """
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)

@@ -128,8 +128,8 @@ _BATCH: ContextVar[_Batch | None] = ContextVar("_BATCH", default=None)
 def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
     """Provide a binary file to write to; it replaces the file at `path` when the `with` block ends without an error.
 
-    Until then a reader sees the old file. Inside an `output_batch` of the same folder, the file appears only at the end
-    of the batch.
+    Until then a reader sees the old file. Inside an `output_batch` of its folder, or of a folder above, the file
+    appears only at the end of the batch.
 
     Args:
         path: File to write; its folder is created if it does not exist.
@@ -174,7 +174,7 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file in UTF-8; if writing fails, an existing file is unchanged.
 
-    Inside an `output_batch` of the same folder, the file appears only at the end of the batch.
+    Inside an `output_batch` of its folder, or of a folder above, the file appears only at the end of the batch.
 
     Args:
         path: File to write; its folder is created if it does not exist.
@@ -191,7 +191,7 @@ def write_text(path: str | Path, text: str) -> None:
 def remove_file(path: str | Path) -> None:
     """Remove a file if it exists.
 
-    Inside a block `with output_batch(folder)` of the same folder, the file disappears only at the end of the block.
+    Inside an `output_batch` of its folder, or of a folder above, the file disappears only at the end of the batch.
 
     Args:
         path: File to remove.
@@ -232,9 +232,9 @@ def newest(path: str | Path) -> Path:
 def output_batch(folder: str | Path) -> Iterator[Path]:
     """Make the files that the `with` block writes to a folder appear together at its end, or none of them.
 
-    It applies to files that are written with `atomic_file` or `write_text`, or removed with `remove_file`. The folder
-    is locked until the block ends, so that no other process of this package writes to it. In a batch within a batch of
-    the same folder, all files appear at the end of the outer one.
+    It applies to files in the folder and its subfolders that are written with `atomic_file` or `write_text`, or removed
+    with `remove_file`. The folder is locked until the block ends, so that no other process of this package writes to
+    it. A batch of the same folder or of a subfolder within this block becomes part of this batch.
 
     Args:
         folder: Folder of the files; created if it does not exist.

@@ -72,6 +72,8 @@ def map_tasks(
         ImportError: If Ray is requested and not installed; the message says how to install it.
         Exception: Any exception that the function raises. Other running tasks are then stopped.
     """
+    if not items:
+        return
     if ray is None and jobs < 2:
         for index, item in enumerate(items):
             result = function(item)
@@ -93,10 +95,10 @@ def map_tasks(
 
 
 def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
-    """Run a function that writes files to a folder, and return the contents of these files.
+    """Run a function that writes files, in a temporary folder, and return the contents of the files.
 
-    The folder is temporary. A worker process calls this function and returns the contents to the calling program. The
-    calling program writes them with `write_files`.
+    A worker process, which must not write to the folders of its caller, returns its files in this way; the calling
+    process writes them with `write_files`.
 
     Args:
         write: Function that takes the path of an empty folder and writes files to it.

@@ -45,7 +45,7 @@ def expansion_limit(path: Path) -> int:
 
 
 def refuse_expansion(path: Path, size: int) -> None:
-    """Raise an error if the decompressed content of a file exceeds 64 MB and 100 times the size of the file.
+    """Raise an error if the decompressed content of a file is larger than both 64 MB and 100 times the file.
 
     Args:
         path: The compressed file, for its size and for the message.

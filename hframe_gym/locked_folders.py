@@ -30,7 +30,8 @@ def locked_folder(folder: str | Path) -> Iterator[Path]:
 
     The folder is created if it does not exist. What a killed process left in it is cleaned up first: complete files are
     moved to their names (`move_committed`), incomplete ones are removed. The lock also ends if this process is killed.
-    A folder that was created here is removed again if it is still empty at the end.
+    A folder that was created here is removed again if it is still empty at the end. If this process has locked the
+    folder already, the block does nothing.
 
     Args:
         folder: Folder for the output of a command.
@@ -72,7 +73,7 @@ def complete_commit(folder: str | Path) -> None:
 
     `output_batch` writes the new files of a folder completely before it moves the first one. If it is killed between
     two moves, the folder holds new files beside old ones. Call this function before you read files of a folder that
-    belong together. While another process has locked the folder, the function does nothing.
+    belong together. While any process has locked the folder, the function does nothing.
 
     Args:
         folder: Folder that `output_batch` may have written.
@@ -140,9 +141,10 @@ def lock(descriptor: int) -> bool:
 
 
 def move_committed(folder: Path) -> None:
-    """Move the complete new files in the subfolder .hframe-commit to their names; delete the files that it lists.
+    """Complete the changes to a folder that `output_batch` has prepared in its subfolder .hframe-commit.
 
-    If a call is interrupted, the next one does the rest. The caller has locked the folder.
+    The files named as those in .hframe-commit/removed are deleted; the files in .hframe-commit/new are moved to their
+    names. If a call is interrupted, the next one does the rest. The caller has locked the folder.
 
     Args:
         folder: Folder that contains .hframe-commit; without this subfolder nothing happens.

@@ -56,6 +56,9 @@ def color(role: str) -> str:
 
     Returns:
         Hexadecimal color, "#rrggbb".
+
+    Raises:
+        KeyError: If there is no such role.
     """
     return COLORS[role][0]
 

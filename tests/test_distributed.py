@@ -65,6 +65,11 @@ def test_a_task_whose_worker_dies_is_repeated_and_nothing_is_lost_or_counted_twi
 
 
 @pytest.mark.integration
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_no_inputs_give_no_results(jobs: int) -> None:
+    assert list(map_tasks(draw, [], jobs=jobs)) == []
+
+
 def test_a_task_that_always_kills_its_worker_is_named(tmp_path: Path) -> None:
     task = partial(draw, folder=tmp_path, dies=4, times=99)
     with pytest.raises(InputError, match=r"^task 2 ended 3 worker processes, perhaps for lack of memory"):

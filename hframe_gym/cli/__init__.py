@@ -46,8 +46,8 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> None:
     With the environment variable `HFRAME_DEBUG` (`DEBUG_VARIABLE`), exceptions keep their traceback.
 
     Args:
-        interrupted: Function that returns whether the process was told to end (Ctrl-C, SIGTERM); exceptions are then
-            raised and not printed.
+        interrupted: Function that returns whether the process has received a signal to end (SIGINT, SIGTERM); an
+            exception is then raised and not printed.
 
     Raises:
         SystemExit: With exit code 0 (success), 1 (internal error, a fault that `hframe check` found, or a question that

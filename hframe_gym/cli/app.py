@@ -24,7 +24,7 @@ class CommandGroup(TyperGroup):
     """
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command; remove the line breaks within the paragraphs of its help, so that they fill the terminal.
+        """Return a command, without line breaks within the paragraphs of its help, so that these fill the terminal.
 
         Args:
             ctx: Click context of the group.
@@ -57,7 +57,7 @@ OutOption = Annotated[Path, typer.Option(help="Folder for the results; created i
 MaxRowsOption = Annotated[
     int,
     typer.Option(
-        "--max-rows", min=1000, help="Rows of all runs together beyond which only the beginning of each run is used."
+        "--max-rows", min=1000, help="Number of rows of all runs together; each run is used up to an equal part of it."
     ),
 ]
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
@@ -85,7 +85,7 @@ RayOption = Annotated[
 
 
 def register_agents() -> None:
-    """Register the trained agents as controllers, also where the package is used without its installed entry points."""
+    """Register the trained agents as controllers, also if the package is not installed and has no entry points."""
     import_module("hframe_gym.agents")
 
 
@@ -111,7 +111,7 @@ def plain_text(text: str) -> str:
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names among which some options choose, such as tasks and controllers, for the help texts.
+    """List the names that some options accept, such as those of tasks and controllers, for the help texts.
 
     Plugins are imported first.
 
@@ -147,7 +147,7 @@ class CommandWithChoices(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line; the option --ray may stand without an address, which means a local Ray.
+        """Parse the command line; without an address, the option --ray means a local Ray.
 
         Args:
             ctx: Click context of the command.

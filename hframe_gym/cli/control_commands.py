@@ -33,9 +33,9 @@ from .app import (
     register_agents,
 )
 from .support import (
+    collect_warnings,
     option_words,
     progress_bar,
-    repeat_warnings,
     require_folder,
     task_with_path,
     training_proposal,
@@ -191,7 +191,7 @@ def _evaluate_group(
     from ..evaluation import evaluate as run_evaluation
 
     register_agents()
-    with repeat_warnings() as warned:
+    with collect_warnings() as warned:
         scores, recorded = run_evaluation(controllers, **options)
     return scores, recorded, warned
 

@@ -168,7 +168,7 @@ def new_effect(
     formula: Annotated[int, typer.Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
     table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
 ) -> None:
-    """Write a formula that `hframe identify` found for an unknown force as a new effect, a Python file.
+    """Write a new effect, a Python file, from a formula that `hframe identify` proposes for an unknown force.
 
     Where no known effect (deviation from the machine's model) explains a force, `hframe identify` describes it by a
     table of values and proposes formulas. Review the file, then name it in HFRAME_PLUGINS to use the effect.

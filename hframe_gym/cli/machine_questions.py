@@ -77,7 +77,7 @@ class MachineAnswers:
             Options with numbers in SI units, for `new_machine`.
 
         Raises:
-            InputError: If a text is not a number, or has not the form PARAMETER=VALUE.
+            InputError: If a text is not a number, or does not have the form PARAMETER=VALUE.
         """
         plain = ("pulley_radius", "gear_ratio", "rotor_inertia", "Kt", "resistance", "rated_voltage", "encoder_lines")
         values = {}
@@ -96,10 +96,10 @@ class MachineAnswers:
 
 
 def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str], None]) -> None:
-    """Write a new machine.json from the options of `hframe machines new`.
+    """Write a new machine.json from the options of `hframe machines new`, and print the limits of its motion.
 
-    If the template or the file is not given, it is asked for on the terminal, and so is every value that has a question
-    (`ask`) and is not given.
+    If template and file are given, values that are not given are those of the template. Otherwise, `ask` asks on the
+    terminal for everything that is not given.
 
     Args:
         answers: Values of the command's options, empty or None where not given.
@@ -107,7 +107,8 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
         log: Called with a line of text for the user.
 
     Raises:
-        InputError: If a value is wrong, the file exists, or something is missing and there is no terminal.
+        InputError: If a value is wrong, the file exists and `force` is False, or template or file is missing and there
+            is no terminal.
     """
     if answers.out and (obstacle := file_obstacle(answers.out, force)):
         replacing = ", or replace it with --force" if obstacle.startswith("exists") else ""
@@ -144,13 +145,13 @@ def file_obstacle(path: Path, force: bool) -> str:
 
 
 def motion_lines(machine: Machine) -> list[str]:
-    """Describe what the drives can do along each axis; implausible values show that a value has a wrong unit.
+    """Describe moved mass, stall force and top speed at rated voltage; implausible values reveal a wrong unit.
 
     Args:
         machine: The new machine.
 
     Returns:
-        One line per rigid motion, with units.
+        One line with units per rigid motion (one that stretches no belt), for example along x and along y.
     """
     lines = []
     for name, limit in motion_limits(machine).items():
@@ -161,7 +162,7 @@ def motion_lines(machine: Machine) -> list[str]:
 
 
 def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False) -> MachineAnswers:
-    """Ask on the terminal for template, file, sensors and those values of `_QUESTIONS` that are not given.
+    """Ask on the terminal for template, file, travel, masses, motor data and sensors, each if it is not given.
 
     Enter accepts the value of the template. An answer that cannot be used is asked for again.
 
@@ -174,7 +175,7 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
         Answers with template, file and sensors; a value stays empty or None where the user accepts the template's.
 
     Raises:
-        InputError: If an option given before cannot be used, for example an unknown template.
+        InputError: If a given value cannot be used, for example an unknown template.
     """
     log("Enter accepts the value in brackets. All values are in SI units.")
     like = answers.like

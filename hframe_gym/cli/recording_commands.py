@@ -103,8 +103,8 @@ def import_logs(
 ) -> None:
     """Convert logs of controllers and data loggers to recordings, which the other commands read.
 
-    Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates. Columns
-    are assigned by --map, or if their name without unit is that of a channel ("X (mm)" for x_m). Nothing else is
+    Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates. A column
+    is assigned by --map, or if it alone has the name of a channel, with any unit ("X (mm)" for x_m). Nothing else is
     guessed. Everything that is converted, assumed or left out is printed. docs/import.md lists what is handled.
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests

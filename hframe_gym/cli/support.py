@@ -118,13 +118,13 @@ def option_words(**values: str | None) -> str:
         **values: Value by name of the option; None for an option that is left out.
 
     Returns:
-        Text that follows the command, for example " --machine axis --task reach".
+        Options, quoted for a shell, for example " --machine axis --task reach".
     """
     return "".join(f" --{name} {shlex.quote(value)}" for name, value in values.items() if value is not None)
 
 
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
-    """Propose to train an agent with the settings of an evaluation of controllers.
+    """Write the line that proposes, after an evaluation of controllers, to train an agent with the same settings.
 
     Args:
         machine: Value of the option --machine.
@@ -133,7 +133,8 @@ def training_proposal(machine: str, task: str, randomize: str, period: float) ->
         period: Control period of the evaluation, s.
 
     Returns:
-        One line of text with the command; empty if no recipe exists for the task.
+        One line with the command and, if it differs, the control period of the recipe; empty if the package has no
+        recipe "ppo" for the task.
     """
     from ..agents import load_recipe, recipe_names
 
@@ -220,11 +221,11 @@ def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None
 
 
 @contextmanager
-def repeat_warnings() -> Iterator[list[str]]:
-    """Collect the warnings of the library during the `with` block, to repeat them in a report; they are still printed.
+def collect_warnings() -> Iterator[list[str]]:
+    """Collect the texts of warnings during the `with` block, for a report; they are still printed.
 
     Yields:
-        List that receives the texts of all warnings of the class UserWarning.
+        List that receives the text of each warning of the class UserWarning.
     """
     texts: list[str] = []
     show = warnings.showwarning
@@ -273,7 +274,7 @@ def check_recordings_before_fit(
 def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Callable[[str], None]) -> None:
     """Estimate the duration of an identification and print it if it exceeds one minute.
 
-    The estimate is the measured time of one simulation of all runs, times a typical number of simulations.
+    The estimate is the measured time of one simulation of all runs, times 1500, a usual number of simulations.
 
     Args:
         recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
@@ -318,7 +319,7 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
 
 
 def write_new_effect(folder: Path, name: str, path: Path, number: int, table: str, log: Callable[[str], None]) -> None:
-    """Write a formula for a force that an identification described by a table of values as an effect, a Python file.
+    """Write a new effect, a Python file, from a formula for a force that an identification describes by a table.
 
     An effect is a deviation from the nominal model of a machine. The proposed formulas are printed with their numbers.
 

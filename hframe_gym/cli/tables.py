@@ -31,8 +31,9 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     Returns:
         Table (rich) with one row per channel and three columns: errors of the machine as declared, with refitted
         parameters, and with the identified effects as well. An error is the root mean square in the channel's unit and,
-        in parentheses, as a multiple of the sensor noise. If the report contains it, a last row has the root mean
-        square error of the drives' force relative to the root mean square of this force, %.
+        in parentheses, as a multiple of the sensor noise; or the words "diverges" or "not measured". If the report
+        contains it, a last row has the root mean square error of the drives' force divided by the root mean square of
+        this force, %.
     """
     title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
@@ -62,9 +63,9 @@ def score_table(scores: Mapping[str, Any]) -> Table:
 
     Returns:
         Table (rich) with one row per controller. The first columns are the fractions of episodes, %, that end within 1,
-        0.2 and 0.05 mm of the goal. For a fixed goal, the mean settling times to these bands, s, follow, and the ratio
-        to the shortest possible time (time-optimal bound); for a path to be followed, the root mean square and largest
-        contour and tracking errors, mm.
+        0.2 and 0.05 mm of the goal. For a fixed goal, the mean settling times to these bands, s, follow, and the mean
+        settling time to 0.2 mm divided by the mean of the shortest possible ones (time-optimal bound); "-" means that
+        the value is unknown. For a path, root mean square and largest contour and tracking error, mm, follow instead.
     """
     task = scores["task"].partition("(")[0].lower()
     title = (
@@ -158,7 +159,7 @@ def machine_table() -> Table:
     """Format the built-in machines as a table.
 
     Returns:
-        Table (rich) with one row per machine: name, description, numbers of coordinates and belts, and the lowest
+        Table (rich) with one row per machine: name, description, numbers of coordinates and belts, and the lowest three
         natural frequencies of the masses on the belts (belt modes), Hz.
     """
     table = _table("machine", "description")
@@ -179,8 +180,8 @@ def effect_table() -> Table:
     Plugins are loaded first. Names are never wrapped or truncated, so that a pipe can search them.
 
     Returns:
-        Table (rich) with one row per effect: its name, and below each other its formula, the kind of component it acts
-        on (site), and its parameters with units.
+        Table (rich) with one row per effect and two columns: its name; its formula, the kind of component it acts on
+        (site) and its parameters with units.
     """
     load_plugins()
     table = _table("effect", "formula, site, parameters")
@@ -211,8 +212,8 @@ def machine_tables(machine: Machine) -> list[Table]:
         machine: Machine to print, with its effects (deviations from the nominal model).
 
     Returns:
-        Tables (rich), without those that would be empty. The last one has moved mass, force at rest, acceleration and
-        top speed along each axis at rated voltage; implausible values there show wrong units.
+        Tables (rich), without those that would be empty. The last one has moved mass, stall force (force at rest),
+        acceleration and top speed along each axis at rated voltage; implausible values there show wrong units.
     """
     tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
     effects = _titled("effects", "effect@site", "parameters")
@@ -318,13 +319,13 @@ def _limits_table(machine: Machine) -> Table:
 
 
 def belt_mode_line(machine: Machine) -> str:
-    """Describe in one line the lowest natural frequencies of a machine's masses on its belts, at position 0.
+    """Describe in one line the lowest three natural frequencies of a machine's masses on its belts, at position 0.
 
     Args:
         machine: Machine to describe.
 
     Returns:
-        Text without a line break, with frequencies in Hz.
+        Text without a line break, with frequencies in Hz, or with the word "none" if there is no elastic belt.
     """
     modes = [f for f in mode_frequencies(machine).tolist() if f > 0]
     if not modes:

@@ -70,8 +70,9 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     """Find faults in recordings that make a fit meaningless, and defects that impair it.
 
     `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the quality of
-    the data: clock, inputs that never change or are logged late, outliers, stuck or clipped outputs, and wiring (signs,
-    swapped channels, units, gear ratios). It does not check whether the excitation suffices.
+    the data: clock, slow sensors, outliers, motion without input, inputs that never change or are logged late, stuck or
+    clipped outputs, and wiring (signs, swapped channels, units, gear ratios). It does not check whether the excitation
+    suffices.
 
     Args:
         recordings: Runs of the machine (times, voltages, measurements), at least one.

@@ -38,14 +38,14 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
     to the lowest natural frequency of the belts.
 
     Args:
-        recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
-        data: The same runs with initial states, noise and zeros, as `identification.prepare` estimates them.
+        recordings: Runs of the machine (times, s; voltages, V; measurements, m or rad).
+        data: The same runs, prepared for a fit by `identification.prepare`.
         machine: Declared machine.
 
     Returns:
-        Findings (severity, run, channel, message): "advice" where the excitation is insufficient or contradicts the
-        machine file, "note" where it suffices. A finding about a constant input names its run; each of the others
-        concerns all runs together.
+        Findings (severity, run, channel, message): "advice" where the excitation is insufficient, or exceeds the rated
+        voltage or the declared range; "note" where it suffices. A finding about a constant input names its run; each of
+        the others concerns all runs together.
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):

@@ -50,18 +50,18 @@ class CramerRaoBound:
 def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()) -> list[CramerRaoBound]:
     """Compute how precisely recordings can determine parameters: Cramer-Rao bounds on their standard deviations.
 
-    The bounds hold for the declared machine, simulated without feedback of measurements, if all the parameters are
-    estimated jointly, with white sensor noise and without priors. At most 20000 rows of each run are used.
+    The bounds assume that all these parameters are estimated jointly, without priors, from simulations of the declared
+    machine (without feedback of measurements) with white sensor noise. The first 20,000 rows of each run are used.
 
     Args:
         data: Runs (times, voltages, measurements, SI) with initial states and noise (`identification.prepare`).
-        machine: Declared machine, whose parameter values are the expansion point.
-        names: Full names of the parameters. Default: those that identification refits. Parameters whose value is zero
-            are left out.
+        machine: Declared machine, at whose parameter values the simulation is linearized.
+        names: Full names of the parameters. Default: those that identification refits.
 
     Returns:
-        One bound per parameter, in the order of `names`: smallest possible standard deviation divided by the value,
-        dimensionless, and the largest correlation with another parameter.
+        One bound per parameter, in the order of `names`, without parameters whose value is zero: smallest possible
+        standard deviation divided by the absolute value, dimensionless, and the other parameter whose estimate
+        correlates most with it, with the correlation, -1 to 1. A parameter without influence has an infinite bound.
 
     Raises:
         KeyError: If the machine has no parameter of a given name.
@@ -94,7 +94,8 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     """Report how precisely the recordings can determine each parameter that identification refits.
 
     The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate. Viscous friction
-    and back-EMF of a motor brake its motion alike; where nothing separates them, the precision of their sum is given.
+    and back-EMF of a motor brake its motion alike; if the runs cannot separate them, the precision of their sum is
+    given.
 
     Args:
         data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and noise.

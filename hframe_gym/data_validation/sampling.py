@@ -179,7 +179,7 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
 
 
 def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
-    """Check whether voltages that act one row earlier explain the motion clearly better.
+    """Report voltages that are logged one row late: one row earlier, they explain the motion clearly better.
 
     The machine's parameters are fitted twice, with the voltages as logged and with those of the next row. Of the runs
     with at most 20,000 rows, the three with the largest changes of the voltages are used.
@@ -189,9 +189,10 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
         machine: Declared machine.
 
     Returns:
-        A fault about all runs together if the second fit has less than 70 % of the chi-squared (mean squared error over
-        noise variance) of the first, else nothing. Nothing also if there is no such run, or if the machine is declared
-        with a delay or an effect that has a state (lag, hysteresis), which may be too large.
+        A fault about all runs together if the second fit has less than 70 % of the chi-squared (sum of squared errors
+        divided by the noise variances) of the first, else an empty list. Empty also if all runs are longer, or if the
+        declared machine has a delay or an effect with a state (lag, hysteresis): too large a declared delay would make
+        the response seem early as well.
     """
     largest = sorted((run for run in data.runs if len(run.time_s) <= _MAX_ROWS), key=_input_changes)[-_RUNS:]
     if not largest or any(e.definition.delay or e.definition.next_state for e in machine.effects):

@@ -30,21 +30,22 @@ _CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each
 
 
 def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report sensor channels that keep one value for more than 0.1 s although the machine moves.
+    """Report sensor channels that keep one value for more than 0.1 s although they should have changed.
 
-    The other channels show the motion. Where they do not, one of two observations suffices: the channel lacks the noise
-    that it has at rest, or its drive pushes the coordinate in both directions by several times its friction.
+    A channel should have changed if the other channels show that its coordinate moves, or if it has noise at rest,
+    which a constant value lacks. If no other channels determine its motion, it should also have changed if its drive
+    pushes the coordinate in both directions by several times the friction.
 
-    A stuck channel is a fault. Two cases are only advice: nothing but the drive indicates motion, and the drive may
-    have been off; or the value is the smallest or largest one over all runs, where a sensor with a fixed zero (no
-    incremental encoder) may have reached the end of its range. Identification leaves such measurements out.
+    The finding is a fault, except in two cases, where it is advice: only the drive indicates a motion, and the drive
+    may have been off; or the value is the smallest or largest one over all runs of a sensor with a fixed zero (no
+    incremental encoder), which may have reached the end of its range. Identification leaves out such measurements.
 
     Args:
         recordings: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad).
         machine: Declared machine.
 
     Returns:
-        At most one finding for each run and channel, about the longest such interval.
+        At most one finding for each run and channel, about its longest such interval.
     """
     findings = []
     # Ends of the channels' spans over all runs, (2, sensors).

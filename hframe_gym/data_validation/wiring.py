@@ -53,8 +53,8 @@ def sensor_motions(machine: Machine) -> Array:
         machine: Machine with sensors.
 
     Returns:
-        Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for example x, y),
-        in the order of `rigid_motions(machine)`, shape (sensors, motions).
+        Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for example x or y),
+        shape (sensors, motions), with columns in the order of `rigid_motions(machine)`.
     """
     motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
     return machine.sensor_matrix @ motions.T
@@ -95,18 +95,17 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
 def rigid_misfit(motion: Array, machine: Machine) -> float:
     """Compute which fraction of a measured motion contradicts rigid kinematics (belts that do not stretch).
 
-    A rigid motion is fitted to each row by least squares; what it leaves is the contradiction. Channels are first
-    divided by their change per unit of motion, so that angles and lengths are comparable. Rows in which a channel is
-    missing are left out.
+    Channels are divided by their change per unit of rigid motion, so that angles and lengths are comparable. A rigid
+    motion is fitted to each row by least squares; the residual contradicts rigid kinematics.
 
     Args:
         motion: Displacements or changes of the measurements, m or rad, shape (n, sensors), NaN where not measured. A
-            column without any measurement is not used.
+            column without any measurement is not used; a row that lacks another one is left out.
         machine: Machine with these sensors.
 
     Returns:
-        sqrt(sum of squared residuals / sum of squared motions), dimensionless, 0 to 1. It is 0 if nothing moves or if
-        there are too few channels for them to contradict each other.
+        sqrt(sum of squared residuals / sum of squares of the scaled channels), dimensionless, 0 to 1. It is 0 if
+        nothing moves, or if the channels are not redundant and thus cannot contradict each other.
     """
     M = sensor_motions(machine)  # (sensors, rigid motions)
     used = np.isfinite(motion).any(axis=0) & (np.linalg.norm(M, axis=1) > 0)
@@ -122,9 +121,9 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     """Check for channels with a wrong sign, unit or gear ratio and for swapped channels.
 
-    Signs, swaps and units: measured speeds are compared with those that the machine reaches in a simulation with the
-    recorded voltages, over all runs together; if no sign or swap is a fault there, these are checked in each run. Gear
-    ratios: encoders are compared with sensors that have a fixed zero.
+    For signs, swaps and units, measured speeds are compared with those of a simulation with the recorded voltages, over
+    all runs together. If this gives no fault in signs and swaps, each single run is checked for them as well. For gear
+    ratios, encoders are compared with sensors that have a fixed zero.
 
     Args:
         data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at

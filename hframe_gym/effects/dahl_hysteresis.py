@@ -30,7 +30,7 @@ def force(z, F):  # type: ignore[no-untyped-def]
 
 
 def initial_spread():  # type: ignore[no-untyped-def]
-    """Return the standard deviation of the state z after unrecorded motion: values from -1 to 1 are as likely."""
+    """Return the standard deviation of the state z after unrecorded motion; it is uniform in [-1, 1]."""
     return 0.58
 
 

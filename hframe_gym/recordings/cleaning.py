@@ -39,18 +39,17 @@ _EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sam
 
 
 def fill_gaps(recording: Recording) -> Recording:
-    """Insert rows for samples that the logger dropped: where a time step exceeds 1.5 median sampling periods.
+    """Insert rows into each gap of a recording, a time step of more than 1.5 median sampling periods.
 
-    Inputs count as constant from each row until the next. Without the inserted rows, the voltage before a gap would be
-    simulated over all of it. The voltages of the inserted rows are interpolated, which is closer to the applied ones;
-    the outputs are NaN.
+    A simulation holds each voltage until the next row, hence over a complete gap. The inserted rows avoid this: their
+    voltages are linearly interpolated, and their measurements are NaN.
 
     Args:
         recording: Run with or without gaps (times, s; voltages, V; measurements, m or rad).
 
     Returns:
-        Copy with additional rows at regular times (measurements of shape (n, sensors)), or the same object if no sample
-        was lost.
+        Copy with rows at equal time steps in the gaps (measurements of shape (n, sensors)); the same object if there
+        are no gaps.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)
@@ -69,19 +68,18 @@ def fill_gaps(recording: Recording) -> Recording:
 
 
 def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
-    """Interpolate the measurements of sensors that measure less often than the recording has rows.
+    """Interpolate over the rows in which a sensor did not measure, so that channels can be compared row by row.
 
-    Channels that never measure in the same row could not be compared otherwise. The result serves these comparisons
-    only: noise, resolution and everything that a fit uses are taken from the measured cells.
+    Only such comparisons use the result; fits and estimates of the noise use the measured cells alone.
 
     Args:
         outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
-        longest_gap: Longest time between two measurements of a sensor over which is interpolated, s.
+        longest_gap: Longest time between successive measurements of a sensor over which values are interpolated, s.
 
     Returns:
-        Copy with linearly interpolated values in these gaps, shape (n, sensors); still NaN in longer gaps, before the
-        first and after the last measurement.
+        Copy with linearly interpolated values between measurements, shape (n, sensors); still NaN in longer gaps, and
+        before a sensor's first and after its last measurement.
     """
     bridged = outputs.copy()
     rows = np.arange(len(time_s))
@@ -97,16 +95,17 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
 
 
 def repetitions(values: Array) -> int:
-    """Determine in how many rows a log repeats each measurement of a sensor that is slower than the log.
+    """Estimate in how many successive rows a log repeats each measurement of a sensor.
 
-    Such a channel changes by several quantization steps in one row and not at all in the next, which no motion does.
+    A sensor that measures less often than a row is logged changes by several quantization steps in one row and not at
+    all in the next. A sensor that measures in every row does not do this during a motion.
 
     Args:
         values: Measurements of one channel, in the sensor's unit, shape (n,), NaN where not measured.
 
     Returns:
-        Number of rows per measurement, the median during motion; 1 for a sensor that measures in every row, or whose
-        measurements change too seldom to tell.
+        Median number of rows per measurement during motion; 1 for a sensor that measures in every row, or with fewer
+        than 20 changes of at least three quantization steps.
     """
     changes = np.abs(np.diff(values[np.isfinite(values)]))
     if np.count_nonzero(changes) < _MIN_CHANGES:
@@ -119,17 +118,18 @@ def repetitions(values: Array) -> int:
 
 
 def without_repetitions(recording: Recording) -> Recording:
-    """Replace repeated measurements of sensors that are slower than the log by NaN (not measured).
+    """Replace the values that a log repeats between the measurements of a slow sensor by NaN (not measured).
 
-    A sensor is slower if, during motion, its measurement changes by several quantization steps in one row and then not
-    at all in the next ones.
+    A slow sensor measures less often than a row is logged. `repetitions` detects it and estimates its number of rows
+    per measurement.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad), with n rows.
 
     Returns:
-        Copy whose measurements, m or rad, shape (n, sensors), keep the first of the rows that repeat a measurement; the
-        same object if no sensor is slower.
+        Copy with measurements, m or rad, shape (n, sensors). A slow sensor keeps each row in which its measurement
+        changes and, from two measuring intervals after a change on, one row per interval. The same object if no
+        sensor is slow.
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:
@@ -148,19 +148,20 @@ def without_repetitions(recording: Recording) -> Recording:
 def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
 
-    Such samples depart from the straight line between their neighbors, and from the extrapolations of the two samples
-    before and of the two after them. Kinks and steps of a real motion (a shock at an end stop, a stop by Coulomb
-    friction) agree with one of the extrapolations, so they are kept. The departure must be large relative to three
-    quantities: the departures of all samples of the run, the distance that the change of speed there explains, and
-    the noise and resolution that the machine declares. Empty cells are skipped, and sensors with fewer than 30
-    measurements have no outliers.
+    The departure of such samples is their smallest distance from three straight lines: between their neighbors, and
+    through the two samples before and the two after them. Kinks and steps of a real motion (a shock at an end stop, a
+    stop by Coulomb friction) agree with one of these lines, so they are kept. For an outlier, the departure must exceed
+    12 times the median and 4 times the 98th percentile of the sensor's departures in this run, 8 times the declared
+    noise, 4 times the declared resolution, and the distance that a change of speed at this time explains. The first and
+    the last measurement are outliers if their step exceeds 5 times the largest other step, and noise and resolution.
 
     Args:
         recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
         machine: Machine that was recorded; its sensors declare noise and resolution.
 
     Returns:
-        True where a measurement is an outlier, shape (n, sensors); False at empty cells.
+        True where a measurement is an outlier, shape (n, sensors); False at empty cells and for a sensor with fewer
+        than 30 measurements.
     """
     mask = np.zeros(recording.outputs.shape, np.bool_)
     for j, sensor in enumerate(machine.sensors):
@@ -173,10 +174,10 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 
 
 def only_measurements(recording: Recording, machine: Machine) -> Recording:
-    """Keep only what sensors measured: replace repetitions of slow sensors, then outliers, by NaN (not measured).
+    """Replace repeated values of slow sensors, then outliers, by NaN (not measured).
 
-    A log repeats the value of a sensor that measures less often than the log has rows. Outliers are up to five samples
-    that leave the motion around them and return to it. `repetitions` and `outlier_mask` state the criteria.
+    A slow sensor measures less often than a row is logged, so that rows repeat its value. Outliers are up to five
+    samples that leave the motion around them and return to it. `repetitions` and `outlier_mask` state the criteria.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).

@@ -34,7 +34,7 @@ def copy_examples(out: str | Path) -> list[Path]:
         out: Folder to create; it must not exist, unless it is an empty folder. It appears complete or not at all.
 
     Returns:
-        What was copied: files and folders below `out`.
+        Paths in `out`: README.md and the folders rig_a, rig_b and notebooks.
 
     Raises:
         InputError: If `out` is a file or a folder that is not empty, or this installation has no examples.

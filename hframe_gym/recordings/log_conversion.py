@@ -56,11 +56,11 @@ class LogConverter:
     def convert(
         self, log: Log, sources: Sequence[ChannelSource], progress: Progress | None = None
     ) -> tuple[Recording, list[str]]:
-        """Read a log and convert it to one recording.
+        """Read a log and convert its channels to SI units in one recording.
 
-        A log may hold channels of several sampling rates, in one table with empty cells, or with several columns of
-        time. Rows of several columns of time are merged. Where a row has no value, a voltage keeps its last value and a
-        measurement is NaN.
+        Channels may have different sampling rates, each with its column of time; their rows are merged. Where a row has
+        no value, a voltage keeps its last value and a measurement is NaN. Speeds are integrated from 0 to positions.
+        Time stamps count from midnight before the first time stamp of the session.
 
         Args:
             log: Opened log.
@@ -68,8 +68,8 @@ class LogConverter:
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            recording: Recording of the complete log with the name of its file: times, s, shape (n,), voltages, V, shape
-                (n, drives), and measurements, m or rad, shape (n, sensors).
+            recording: Recording with the name of the file: times, s, shape (n,), voltages, V, shape (n, drives), and
+                measurements, m or rad, shape (n, sensors). It begins where all voltages have a value.
             remarks: Sentences for the user about rows that were left out, held or merged.
 
         Raises:
@@ -199,11 +199,11 @@ def _common_length(log: Log, by_header: Values) -> int:
 
 
 def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> tuple[list[Recording], list[str]]:
-    """Cut a recording into runs that begin and end at rest.
+    """Cut a recording into runs that begin at rest and, except perhaps the last one, end at rest.
 
-    The machine rests where no input and no output changes by more than noise for at least `min_rest`. Each rest between
-    two motions is cut in the middle. A run has at most `min_rest` of rest at its beginning and at its end; what remains
-    of longer rests is left out.
+    The machine rests where no input and no output changes by more than its noise and resolution for at least
+    `min_rest`. A rest between two motions is cut in the middle, but a run keeps at most `min_rest` of it. What precedes
+    the first rest is left out.
 
     Args:
         recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).
@@ -216,7 +216,7 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
         remarks: Sentences for the user about what was left out.
 
     Raises:
-        InputError: If the machine never rests for `min_rest`, or never moves.
+        InputError: If the machine never rests for `min_rest`, never moves, or rests only at the end.
     """
     time_s = recording.time_s
     resting = _resting_rows(recording, machine, min_rest)

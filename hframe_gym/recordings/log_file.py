@@ -78,8 +78,8 @@ class Log:
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            values: One array per column, shape (rows,), in the unit of the file: float64, NaN where a cell is empty, or
-                datetime64[ns] for time stamps.
+            values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
+                datetime64[ns] for time stamps. Columns of a MATLAB file may differ in their numbers of rows.
             remarks: Sentences for the user about rows that were left out.
 
         Raises:
@@ -88,14 +88,14 @@ class Log:
         return self.reader([self.columns.index(column) for column in columns], progress)
 
     def columns_called(self, reference: str) -> list[LogColumn]:
-        """Find the columns that a user may mean by a name.
+        """Find the columns that a user may mean by a reference.
 
         Args:
             reference: "#3" for the third column, a header, or a name without its unit.
 
         Returns:
-            The column with this number or header; if there is none, all whose header differs only in case, or else all
-            with this name in any case.
+            The column with this number; otherwise those with this header; otherwise those with this header in any case;
+            otherwise those with this name in any case. Empty if there are none.
         """
         if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
             return [self.columns[int(reference[1:]) - 1]]
@@ -105,14 +105,14 @@ class Log:
         return exact or same_header or same_name
 
     def columns_named_like(self, channel: str) -> list[LogColumn]:
-        """Find the columns named like a channel, except speeds.
+        """Find the columns that have the name of a channel.
 
         Args:
-            channel: Name of a channel, such as "x_m".
+            channel: Name of a channel with its unit, such as "x_m".
 
         Returns:
-            Columns with the name of the channel without its unit; case, blanks and punctuation do not matter. A column
-            whose header equals the channel's name excludes all others.
+            The column whose header equals the channel's name. If there is none: all columns with the same name without
+            unit (case, blanks and punctuation do not matter), except those in a unit of speed such as mm/s.
         """
         name = plain_name(split_unit(channel)[0])
         named = [column for column in self.columns if plain_name(column.name) == name]
@@ -127,13 +127,13 @@ def plain_name(name: str) -> str:
         name: Name of a column.
 
     Returns:
-        The name in lower case without blanks and punctuation, except "#".
+        The name in lower case without blanks and punctuation, except "#"; for example "posx" for "Pos. X".
     """
     return re.sub(r"[^\w#]|_", "", name.lower())
 
 
 def headers_text(columns: Sequence[LogColumn]) -> str:
-    """Return the headers of columns as a list in words, for messages.
+    """List the headers of columns in one text, for messages.
 
     Args:
         columns: Columns of a log.

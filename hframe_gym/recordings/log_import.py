@@ -79,11 +79,12 @@ def import_logs(
             once each.
 
     Returns:
-        Files of the recordings.
+        Files of the recordings, in the order of the logs and of the times in each.
 
     Raises:
         InputError: If a log is invalid, its columns cannot be assigned, or a run of the same name exists in the folder.
             In all these cases nothing is written.
+        OSError: If the folder cannot be written.
     """
     paths, other_files = find_logs(logs)
     folder = Path(out)
@@ -118,11 +119,11 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
     """List the logs of a folder, which are recognized by the endings of their names.
 
     Args:
-        path: A log, or a folder of logs.
+        path: A log, whatever its ending, or a folder of logs.
 
     Returns:
-        logs: The folder's files with a known ending, possibly followed by .gz, in alphabetical order. A path of a file
-            is taken as a log whatever its ending.
+        logs: Files of the folder, in alphabetical order, that end in one of `LOG_SUFFIXES` (.csv, .txt, .mat, ...),
+            possibly followed by .gz; or the one log.
         other_files: The remaining files of the folder, except hidden ones.
 
     Raises:
@@ -153,7 +154,7 @@ def log_name(path: Path) -> str:
     Returns:
         The name, for example "test_3" for test_3.csv.gz.
     """
-    return Path(path.name.removesuffix(".gz")).stem
+    return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
 
 
 def read_mapping_file(path: str | Path) -> MappingOptions:
@@ -200,7 +201,7 @@ def parse_factor(where: str, factor: object) -> float:
         The factor, dimensionless.
 
     Raises:
-        InputError: If it is not a number with a size from 1e-30 to 1e30.
+        InputError: If it is not a number, or its absolute value is not from 1e-30 to 1e30.
     """
     try:
         value = float(factor)  # type: ignore[arg-type]
@@ -222,7 +223,7 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
 
     Raises:
         OSError: If the file cannot be written.
-        InputError: If a Parquet file is written without pyarrow.
+        InputError: If the file is .parquet and pyarrow is not installed.
     """
     names = [TIME, *machine.input_channels, *machine.output_channels]
     columns = [recording.time_s, *recording.inputs.T, *recording.outputs.T]

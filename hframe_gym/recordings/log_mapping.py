@@ -81,8 +81,8 @@ class ChannelSource:
 def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[ChannelSource]:
     """Assign the columns of a log to the channels of a machine.
 
-    A column belongs to a channel if the options say so, or if its name without unit is that of exactly one channel ("X
-    [mm]", "x_mm" and "x" for x_m). Nothing else is guessed.
+    A column belongs to a channel if the options say so, or if it is the only one that has the name of the channel, with
+    any unit or none ("X [mm]", "x_mm" or "x" for x_m). Nothing else is guessed.
 
     Args:
         log: Opened log with its columns.
@@ -91,12 +91,11 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
 
     Returns:
         Sources (column and conversion of units): first those of the times, then one per channel of the machine, inputs
-        before outputs. If the log has several columns of time, each channel refers to the one of the same length, or
-        else to the nearest one to its left.
+        before outputs; `column` is None for an output that was not measured. `time` of each channel is the column of
+        time of the same length (MATLAB) or, in a table, the nearest one to its left.
 
     Raises:
-        InputError: If a channel has no column or several, or a unit is unknown. The message lists columns and channels,
-            and options to complete.
+        InputError: If a channel has no column or several, or its unit is unknown. The message proposes options.
     """
     return _LogMapping(log, machine, options).sources()
 

@@ -31,6 +31,9 @@ def load_machine(source: str | Path | Machine) -> Machine:
     Raises:
         InputError: If the source is neither a file nor a preset, or a field of the file is invalid. The message names
             the file and the field.
+
+    Warns:
+        UserWarning: For each value of the file that is possible but not plausible, such as a length in millimeters.
     """
     if isinstance(source, Machine):
         return source
@@ -62,13 +65,14 @@ def save_machine(machine: Machine, path: str | Path) -> None:
 
 
 def machine_to_dict(machine: Machine) -> dict[str, Any]:
-    """Convert a machine to the content of its machine.json, with the unit of every parameter.
+    """Convert a machine to the content of its machine.json.
 
     Args:
         machine: Machine to convert.
 
     Returns:
-        Content with the fields of `MachineFile`, made of dictionaries, lists, strings and numbers only.
+        Content with the fields of the schema (`MachineFile`), made of dictionaries, lists, strings and numbers only.
+        Every parameter has its unit, an identified one also its standard deviation.
     """
 
     def quantity(owner: str, key: str, value: float) -> dict[str, Any]:

@@ -59,9 +59,7 @@ class MachineReader:
     content: MachineFile
 
     def machine(self) -> Machine:
-        """Convert the content of a machine.json to a machine.
-
-        Values that are possible but not plausible, such as lengths in millimeters, cause a warning.
+        """Convert the content of a machine.json to a machine; warn of each of the `implausible_values`.
 
         Returns:
             The machine.
@@ -292,8 +290,9 @@ class MachineReader:
 def implausible_values(machine: Machine) -> list[tuple[str, str]]:
     """List values of a machine that are possible but probably mistakes, so that the user is warned of them.
 
-    They are lengths in millimeters, implausible signs and factors of belts, y listed before x, and sensors whose names
-    end in a unit other than m or rad.
+    They are: lengths in millimeters; factors of pulleys in a belt's extension that are no multiples of 1/2; belts whose
+    length would vanish within the travel; carriages that cannot move without stretching a belt; y listed before x; and
+    sensors whose names end in a unit other than m or rad.
 
     Args:
         machine: Machine as its file declares it.

@@ -298,8 +298,8 @@ def table_summary(table: type[Table]) -> str:
 def machine_json_schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of machine.json, with the description and the units of every field.
 
-    It checks types, units and signs. Only `load_machine` checks whether names that are referred to exist, and whether a
-    unit fits the kind of its coordinate.
+    It describes types, units and signs. Other rules, such as that a belt refers to existing coordinates or that a unit
+    suits a linear or rotary coordinate, are checked by `load_machine` alone.
 
     Returns:
         JSON Schema as dictionaries, lists, strings and numbers.

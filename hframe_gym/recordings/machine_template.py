@@ -96,9 +96,9 @@ class MachineOptions:
 
 
 def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
-    """Create a machine from a template, with other values.
+    """Create a machine from a template, with the user's values in place of some of the template's.
 
-    The lengths of the belts follow from the travel, and the resolution of the encoders from their lines and the gear
+    The lengths of the belts are adapted to the travel, and the resolution of the encoders to their lines and the gear
     ratio.
 
     Args:
@@ -110,8 +110,8 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
         The machine.
 
     Raises:
-        InputError: If the template is unknown, an option is not positive or does not fit the template, or the machine
-            would have no sensor.
+        InputError: If the template or a parameter in `options.values` is unknown, an option is not positive or does not
+            fit the template, or the machine would have no sensor.
     """
     if like not in TEMPLATES:
         raise InputError(f"--like {like}: choose one of {', '.join(TEMPLATES)}")
@@ -128,7 +128,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
 
 
 def write_machine_template(like: str, machine: Machine, path: Path) -> None:
-    """Write a machine.json with comments that explain its fields.
+    """Write a new machine to a machine.json with comments that explain its fields.
 
     Args:
         like: Template of the machine: "hframe", "axis" or "corexy".
@@ -136,7 +136,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
         path: File to write; a missing folder is created, an existing file is replaced.
 
     Raises:
-        InputError: If a value of the machine is not allowed; nothing is written then.
+        InputError: If a value of the machine is not allowed, such as a negative mass; nothing is written then.
         OSError: If the file cannot be written.
     """
     content = machine_to_dict(machine)
@@ -165,7 +165,7 @@ def compact_json(value: Any, indent: int = 0) -> str:
 
     Args:
         value: Dictionaries, lists, strings and numbers.
-        indent: Number of spaces before the lines after the first one.
+        indent: Number of spaces before the closing bracket if the text has several lines; entries have two more.
 
     Returns:
         JSON text without a line break at the end.

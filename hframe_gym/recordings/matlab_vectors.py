@@ -16,14 +16,17 @@ from scipy import io
 
 
 def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield all vectors in a variable of a MATLAB file; a matrix gives its columns.
+    """Yield all numeric vectors in a variable of a MATLAB file, also those of fields and cells; skip scalars and texts.
+
+    A matrix gives its columns if it has more rows than columns, else its rows.
 
     Args:
         name: Name of the variable.
         value: Array, structure (dictionary) or cell array (list) as SciPy returns it.
 
     Yields:
-        Name of a vector ("log.t" for a field, "data.2" for the second column of a matrix) and its values, shape (N,).
+        Name of a vector ("log.t" for a field, "data.2" for the second column of a matrix, or the label of a Simulink
+        signal) and its values, shape (N,).
     """
     if isinstance(value, dict):
         label = value.get("label")

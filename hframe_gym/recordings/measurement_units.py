@@ -97,7 +97,7 @@ class Conversion:
         return scaled if self.denominator == 1.0 else scaled / self.denominator
 
     def scaled(self, factor: float) -> Conversion:
-        """Return this conversion followed by a further factor.
+        """Combine this conversion with a further factor.
 
         If the inverse of the factor is a whole number, the conversion divides by it. This rounds correctly: 0.001
         itself is not exact in binary numbers.
@@ -175,18 +175,18 @@ def normalize_unit(text: str) -> str:
         text: Unit as written in a log or an option, possibly in brackets.
 
     Returns:
-        Unit of time, voltage, length, angle or speed, "%" or "pu" (of the rated voltage), such as "ms", "V" or "rpm";
-        the text without brackets if it is no known unit.
+        Unit of time, voltage, length, angle or speed, such as "ms", "V" or "rpm", or of a duty cycle, "%" or "pu" (per
+        unit, 1 is the rated voltage). A text that is none of them is returned without brackets.
     """
     plain = text.strip().strip("[](){}<>").strip()
     return _KNOWN.get(plain.lower(), plain)
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is a unit; a row of such texts below the header of a table is a row of units.
+    """Return whether a text is a unit, to recognize a row of units below the header of a table.
 
     Args:
-        text: Cell of the row.
+        text: Cell of a row.
 
     Returns:
         True for a known unit, including units such as "A" that no channel of a machine has.
@@ -204,7 +204,7 @@ def split_unit(header: str) -> tuple[str, str]:
     Returns:
         name: Name without the unit.
         unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in brackets is a
-            unit. Without brackets, only known units of time, voltage, length, angle, speed and duty are recognized.
+            unit. Without brackets, only units that `normalize_unit` knows are recognized.
     """
     match = _BRACKETED.fullmatch(header)
     if match and match["name"]:
@@ -233,16 +233,17 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
 
 
 def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
-    """Return the units that the column of a channel may have in a log, and how to convert each.
+    """Return the units that the column of a channel may have in a log, and how to convert each to the channel's unit.
 
-    Where the encoder of a motor measures the travel of a carriage, the column may be the angle or speed of the motor.
+    The column of a position may be a speed, which is integrated. For a motor encoder whose channel is the travel of a
+    carriage, it may also be the angle or speed of the motor. The column of a voltage may be a duty cycle.
 
     Args:
         machine: Machine with its drives and sensors.
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        Conversions by unit: first the units of the channel's quantity, SI first, then those of other quantities.
+        Conversions by unit: first the units of the channel's quantity, SI first, then those of the other quantities.
     """
     dimension = channel_dimension(machine, channel)
     conversions: dict[str, UnitConversion] = {}
@@ -270,7 +271,7 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
 
 
 def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message about a unit that a channel cannot have.
+    """Write the message for a column whose unit its channel cannot have, such as mm for a voltage.
 
     Args:
         machine: Machine with its drives and sensors.
@@ -278,8 +279,8 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
         unit: The unit.
 
     Returns:
-        Text without file and column, with the options that state the unit; for counts also the factor of the encoder's
-        declared resolution.
+        Message without file and column. It proposes the options --unit, with the possible units, and --scale; for the
+        unit counts also the factor of the encoder's declared resolution.
     """
     factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
@@ -290,9 +291,9 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
 
 
 def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message about a speed to which the user assigned a factor, but no unit.
+    """Write the message for a column in a unit of speed, for which the user gave a factor (--scale) but no unit.
 
-    Without a unit, a factor converts to the unit of the channel; whether the product is to be integrated is not known.
+    Such a column is refused, because it is not known whether its values times the factor are speeds or positions.
 
     Args:
         machine: Machine with its drives and sensors.
@@ -300,7 +301,7 @@ def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
         unit: Unit of the speed in the log.
 
     Returns:
-        Text without file and column, with the option that states the unit.
+        Message without file and column. It proposes the option --unit with which the speed is integrated.
     """
     dimension = channel_dimension(machine, channel)
     problem = f"{unit} is a speed, not {'a length' if dimension == 'length' else 'an angle'}"

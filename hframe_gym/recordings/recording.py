@@ -84,9 +84,9 @@ def load_recordings(
             ignored.
         machine: Machine that was recorded; its channels name the columns.
         progress: Called with the number of bytes read so far and the total number.
-        max_rows: Largest number of rows of all runs together. If they have more, only the beginning of a long run is
-            read: max_rows / number of runs, but at least 20,000 rows. Default: everything is read.
-        log: Called with a line of text for each run of which only the beginning is read.
+        max_rows: Largest number of rows of all runs together, divided evenly among the runs: of each run, the first
+            max_rows / number of runs rows are used, but at least 20,000. Default: all rows are used.
+        log: Called with a line of text for each run of which only the beginning is used.
 
     Returns:
         The runs in the order of their file names: times, s, shape (n,), voltages, V, shape (n, drives), and
@@ -152,8 +152,8 @@ def load_recording(
 
     Raises:
         InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty
-            or infinite, all outputs are empty, times do not increase, or a channel is in a wrong unit. The message
-            names the file, and row and column where there is one.
+            or infinite, all outputs are empty, times do not increase, a gap exceeds 600 s or the run a day, or a
+            channel is in a wrong unit. The message names the file, and row and column where there is one.
     """
     path = Path(path)
     try:
@@ -178,8 +178,8 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
 
     Raises:
         InputError: If there are no rows, a time or input is empty or infinite, all outputs are empty, times do not
-            increase, or a channel is in a wrong unit. The message names the file, and row and column where there is
-            one.
+            increase, a gap exceeds 600 s or the run a day, or a channel is in a wrong unit. The message names the file,
+            and row and column where there is one.
     """
     time_s = columns["time_s"]
     if len(time_s) == 0:

@@ -38,7 +38,7 @@ def read_table(
 
     Returns:
         Names of the columns in the order of the file, and the values of each column by its name, in the unit of the
-        file, shape (rows,); NaN where a cell is empty or is NA, NaN or #N/A.
+        file, shape (rows,); NaN where a cell is empty or is a word such as NA, NaN or #N/A.
 
     Raises:
         ForeignFormatError: If the table has another format, such as semicolons between the columns.
@@ -83,7 +83,7 @@ def import_command(path: Path) -> str:
 
 
 def cell_text(path: Path, name: str, column: Array, row: int) -> str:
-    """Return where a value of a column is, and the value, for messages.
+    """Return a text that names the place of a value in a file and the value itself, for messages.
 
     Args:
         path: File of the column.
@@ -92,7 +92,8 @@ def cell_text(path: Path, name: str, column: Array, row: int) -> str:
         row: Index of the row, from 0.
 
     Returns:
-        Text such as "run.csv, row 3, column x_m: 25", with rows from 1; the value of an empty cell is "value".
+        Text such as "run.csv, row 3, column x_m: 25", with rows from 1. For an empty cell it ends with the word "value"
+        in place of the number, so that messages read "...: value is empty".
     """
     value = "value" if np.isnan(column[row]) else f"{column[row]:g}"
     return f"{path}, row {row + 1}, column {name}: {value}"
@@ -145,7 +146,7 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
 
     Raises:
         InputError: If the file cannot be read or has other columns, fewer than two rows, a cell that is empty or
-            infinite, or times that do not increase. The message names file, row and column.
+            infinite, or times that do not increase. The message names the file, and row and column where there is one.
     """
     path = Path(path)
     header, columns = read_table(path)
@@ -189,8 +190,8 @@ def open_parquet(path: Path) -> Any:
         File, an object of the class `pyarrow.parquet.ParquetFile`.
 
     Raises:
-        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, or the columns have more
-            than 1e9 values or expand to more than 100 times the size of the file (and 64 MB).
+        InputError: If pyarrow is missing, the file is damaged, two columns have the same name, the columns have more
+            than 1e9 values, or their content is larger than 64 MB and than 100 times the file.
     """
     try:
         import pyarrow.parquet as parquet

@@ -69,7 +69,8 @@ def detect_format(path: Path) -> TextFormat:
         Description of the format.
 
     Raises:
-        InputError: If the file cannot be read, is empty or is not text.
+        InputError: If the file cannot be read, is empty or is not text, its first line is too long, or commas are both
+            separators and decimal marks.
     """
     encoding, deviations = _detect_encoding(path)
     with open_text(path, encoding) as (file, _):
@@ -135,9 +136,10 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
 
 
 def split_row(line: str, separator: str) -> list[str]:
-    """Split a line of a table into cells, and remove blanks and quotation marks around them.
+    """Split a line of a table into cells, without the blanks and quotation marks around them.
 
-    A separator between quotation marks does not split a cell, unless the separator is a blank.
+    A separator between quotation marks does not split a cell. If the separator is a blank, however, quotation marks
+    have no effect and are kept.
 
     Args:
         line: Line of a table.
@@ -156,7 +158,7 @@ def split_row(line: str, separator: str) -> list[str]:
 
 
 def is_missing(cell: str) -> bool:
-    """Return whether a cell has no value: it is empty or says so by NA, NaN, #N/A and the like.
+    """Return whether a cell has no value: whether it is empty or a word such as NA, NaN, null or #N/A.
 
     Args:
         cell: Text of the cell, without blanks around it.

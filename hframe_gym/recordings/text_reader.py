@@ -50,14 +50,15 @@ def read_columns(
         path: Text file, possibly compressed by gzip.
         layout: Format of its table: encoding, separator, columns, ... (`detect_format` finds it).
         columns: Indices of the columns to read, from 0.
-        lenient: Whether to leave out comment lines, rows without a value, and the last row if it is incomplete.
+        lenient: Whether to leave out comment lines, rows without any value, and the last row if it is incomplete.
+            Otherwise, a comment or an incomplete row is an error, and a row without values is read as NaN.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
             datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date 1970-01-01).
-        remarks: Sentences for the user about what was left out.
+        remarks: Sentences for the user about comment lines and an incomplete last row that were left out.
 
     Raises:
         InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
@@ -72,7 +73,8 @@ def read_columns(
     reader.tables.clear()
     values: dict[int, NDArray[Any]] = {c: np.ascontiguousarray(table[:, k]) for k, c in enumerate(reader.numbers)}
     for k, column in enumerate(reader.stamps):
-        values[column] = np.concatenate([np.zeros(0, "datetime64[ns]"), *(block[k] for block in reader.stamp_blocks)])
+        stamps = [np.zeros(0, "datetime64[ns]"), *(block[k] for block in reader.stamp_blocks)]
+        values[column] = np.concatenate(stamps)[:max_rows]
     remarks = []
     if reader.comments:
         remarks.append(f"{reader.comments} comment line{'s' if reader.comments > 1 else ''} between the rows left out")

@@ -31,6 +31,7 @@ from hframe_gym.recordings import (
     write_recording,
 )
 from hframe_gym.recordings.log_conversion import split_at_rests
+from hframe_gym.recordings.log_import import log_name
 from hframe_gym.recordings.measurement_units import WrongUnitError, accepted_units
 
 Table = dict[str, np.ndarray]
@@ -825,3 +826,8 @@ def test_logs_of_the_same_name_and_missing_logs_are_refused(hframe: Machine, tmp
         (tmp_path / name).write_text("x")
     with pytest.raises(InputError, match=r"a\.txt: would be the same run 'a' as a\.csv"):
         import_logs(tmp_path, tmp_path / "runs", hframe)
+
+
+@pytest.mark.parametrize("file", ["test_3.csv", "test_3.csv.gz", "TEST_3.CSV.GZ", "test_3.TXT"])
+def test_a_run_has_the_name_of_its_log_without_endings(file: str) -> None:
+    assert log_name(Path("logs", file)).lower() == "test_3"

@@ -17,6 +17,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_recording, read_path, text_reader
 from hframe_gym.recordings.table_file import read_table
+from hframe_gym.recordings.text_format import detect_format
 
 WriteRun = Callable[..., Path]
 
@@ -191,3 +192,10 @@ def test_line_ends_of_old_spreadsheets_are_read(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_bytes(b"x_m,y_m\r0,1\r2,3\r")
     assert {name: list(column) for name, column in read_table(path)[1].items()} == {"x_m": [0, 2], "y_m": [1, 3]}
+
+
+def test_numbers_and_time_stamps_end_at_the_same_row(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("clock,x_m\n" + "".join(f"12:00:0{second},{second}\n" for second in range(5)))
+    (clock, x_m), _ = text_reader.read_columns(path, detect_format(path), [0, 1], max_rows=3)
+    assert len(clock) == len(x_m) == 3
