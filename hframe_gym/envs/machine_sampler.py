@@ -23,7 +23,7 @@ from .domain_randomization import (
     as_rules,
     matching,
 )
-from .random_numbers import SMALLEST_UNIFORM, CorrelatedSampler, episode_keys, reset_uniforms
+from .random_numbers import LARGEST_UNIFORM, SMALLEST_UNIFORM, CorrelatedSampler, episode_keys, reset_uniforms
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -169,7 +169,7 @@ class RuleSampler:
 
     def _update_range(self, i: int, rule: RandomizeParameter) -> None:
         """Set `low` and `high` of parameter i to the extreme results of a rule for values in their present range."""
-        samples = rule.quantile(np.array([SMALLEST_UNIFORM, 1.0 - SMALLEST_UNIFORM]))
+        samples = rule.quantile(np.array([SMALLEST_UNIFORM, LARGEST_UNIFORM]))
         before = np.array([self.low[i], self.high[i]])
         # Both samples with both ends: a negative scale turns the smallest value into the largest.
         results = np.concatenate([rule.apply(before, np.full(2, sample)) for sample in samples])
@@ -311,7 +311,8 @@ class MachineSampler:
 
         Returns:
             By full name of the parameter: smallest and largest value / nominal value, dimensionless (SI if the nominal
-            value is 0). The largest is infinite for an unbounded distribution and a parameter without upper limit.
+            value is 0). They are finite for unbounded distributions too, because uniform numbers stay between 2^-54 and
+            1 - 2^-53.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

@@ -39,8 +39,7 @@ _ONE = np.uint64(1)
 RESET_STEP = 2**62
 # Smallest number of `uniform`. The largest, as close to 1, rounds to 1, whose quantile can be infinite: resets use the
 # number below it.
-SMALLEST_UNIFORM = 0.5 * 2.0**-53
-_LARGEST_BELOW_ONE = 1.0 - 2.0**-53
+SMALLEST_UNIFORM, LARGEST_UNIFORM = 0.5 * 2.0**-53, 1.0 - 2.0**-53
 _LARGEST_NORMAL = -float(ndtri(SMALLEST_UNIFORM))
 _ROUNDING = 1e-12  # fraction of a variance below which a difference of variances is rounding
 
@@ -187,7 +186,7 @@ def _fill(keys: Any, out: Any) -> None:
     """Write the uniform numbers of the resets with keys (k,) to out (k, n)."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = min(uniform(keys[i], RESET_STEP, j), _LARGEST_BELOW_ONE)
+            out[i, j] = min(uniform(keys[i], RESET_STEP, j), LARGEST_UNIFORM)
 
 
 def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:

@@ -204,7 +204,7 @@ def parse_factor(where: str, factor: object) -> float:
         InputError: If it is not a number, or its absolute value is not from 1e-30 to 1e30.
     """
     try:
-        value = float(factor)  # type: ignore[arg-type]
+        value = 0.0 if isinstance(factor, bool) else float(factor)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         value = 0.0
     if not 1e-30 <= abs(value) <= 1e30:

@@ -32,6 +32,14 @@ def sample(rules, count=1000, machine=MACHINE):
     return dict(zip(space.names, values.T, strict=True)), sampler
 
 
+def test_bounds_of_a_normal_distribution_are_finite():
+    """Uniform numbers lie between 2^-54 and 1 - 2^-53, that is, within 8.3 standard deviations."""
+    values, sampler = sample([RandomizeParameter("x.mass", Normal(1.0, 0.05))])
+    j = list(values).index("x.mass")
+    assert sampler.low[j] == pytest.approx(4.07 * (1.0 - 8.292 * 0.05), rel=1e-3)
+    assert sampler.high[j] == pytest.approx(4.07 * (1.0 + 8.210 * 0.05), rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("how", "low", "high"), [("scale", 4.07 * 0.5, 4.07 * 2.0), ("add", 4.57, 6.07), ("set", 0.5, 2.0)]
 )

@@ -800,6 +800,7 @@ def test_a_mapping_file_states_columns_units_and_factors(ending: str, tmp_path: 
         ("map = 'U1'\n", "map: not a table; a mapping file may have map, unit and scale"),
         ("[scale]\nx_m = 'mm'\n", "scale.x_m: 'mm' is not a factor"),
         ("[scale]\nx_m = 0\n", "scale.x_m: 0 is not a factor"),
+        ("[scale]\nx_m = true\n", "scale.x_m: True is not a factor"),
     ],
 )
 def test_an_invalid_mapping_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
