@@ -311,8 +311,7 @@ class MachineSampler:
 
         Returns:
             By full name of the parameter: smallest and largest value / nominal value, dimensionless (SI if the nominal
-            value is 0). They are finite for unbounded distributions too, because uniform numbers stay between 2^-54 and
-            1 - 2^-53.
+            value is 0); finite for unbounded distributions too, because uniform numbers are at most 1 - 2^-53.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

@@ -30,7 +30,9 @@ from .start_uncertainty import initial_state_projection, prediction_residuals
 
 Array = NDArray[np.float64]
 
-_DAMPINGS = 10.0 ** np.array([-6.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0])
+# Relative to the diagonal of the Hessian. The step without damping (Gauss-Newton) lets combinations of parameters that
+# only the prior determines converge: damping holds them back, because the data determine each parameter by itself.
+_DAMPINGS = (0.0, 1e-5, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2)
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ _BELT_PRIOR = 0.3
 _LENGTH_PRIOR = 0.1
 _MOTOR_PRIOR = 0.2
 _EFFECT_PRIOR = 0.5
-# A parameter that is fitted as a logarithm may move this many standard deviations of its prior. With wider limits, a
+# The logarithm of a parameter of the machine may move this many standard deviations of its prior. With wider limits, a
 # refit without the missing effects may end so far away (a mass twenty times the declared one instead of a spring) that
-# the search does not return. Linear parameters have no such limit: the typical sizes by which they are divided are only
-# rough estimates (a spring may be stronger than the drives).
+# the search does not return. Linear parameters of effects have no such limit, because the typical sizes by which they
+# are divided are only rough estimates (a spring may be stronger than the drives).
 _MAXIMUM_DEVIATION = 4.0
 _LIMIT_TOLERANCE = 0.01  # relative
 # Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
@@ -58,9 +58,12 @@ class FreeParameter:
     along: str = ""
 
     @property
-    def theta_limit(self) -> float:
-        """Largest |theta| in a fit, dimensionless: 4 prior standard deviations of a logarithm, otherwise infinite."""
-        return _MAXIMUM_DEVIATION * self.prior if self.scale is None else math.inf
+    def theta_limits(self) -> tuple[float, float]:
+        """Smallest and largest theta in a fit: +-4 prior standard deviations of a logarithm, or the value's bounds."""
+        if self.scale is None:
+            return -_MAXIMUM_DEVIATION * self.prior, _MAXIMUM_DEVIATION * self.prior
+        low, high = sorted((self.theta(self.lower), self.theta(self.upper)))
+        return low, high
 
     def at_limit(self, theta: float) -> bool:
         """Return whether a fit has moved the parameter to its limit, so that its value is not reliable.
@@ -69,9 +72,11 @@ class FreeParameter:
             theta: Dimensionless optimizer variable that the fit returned.
 
         Returns:
-            True if |theta| is more than 99 % of its limit, 4 standard deviations of the prior; False without limit.
+            True if theta has passed 99 % of the way from 0 to one of `theta_limits`. A limit at 0 does not count:
+            friction that is declared as zero may remain zero.
         """
-        return abs(theta) > (1.0 - _LIMIT_TOLERANCE) * self.theta_limit
+        low, high = ((1.0 - _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
+        return theta < low < 0.0 or 0.0 < high < theta
 
     def value(self, theta: Array) -> Array:
         """Convert theta to the parameter's value, clipped to its bounds.
@@ -183,7 +188,7 @@ def prior_precision(free: Sequence[FreeParameter]) -> Array:
 def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gradient: Array) -> Array:
     """Return the step of the optimizer's variables theta that minimizes a quadratic model of the cost within limits.
 
-    The model is cost + 2 gradient^T step + step^T hessian step. Each |theta| stays within `FreeParameter.theta_limit`.
+    The model is cost + 2 gradient^T step + step^T hessian step. Each theta stays within `FreeParameter.theta_limits`.
 
     Args:
         free: Free parameters, k of them, with the limits of theta.
@@ -196,15 +201,15 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
         model within the limits.
     """
     step = np.asarray(np.linalg.solve(hessian, -gradient), float)
-    limits = np.array([f.theta_limit for f in free])
-    if np.all(np.abs(theta + step) <= limits):
+    low, high = np.array([f.theta_limits for f in free]).reshape(-1, 2).T
+    if np.all((low <= theta + step) & (theta + step <= high)):
         return step
     # The quadratic model as a sum of squares, |A step - b|^2; eigenvalues may be negative by rounding.
     eigenvalues, axes = np.linalg.eigh(hessian)
     scales = np.sqrt(np.maximum(eigenvalues, np.finfo(np.float64).eps * eigenvalues.max()))
     A, b = scales[:, None] * axes.T, -(axes.T @ gradient) / scales
-    solution = lsq_linear(A, b, (-limits - theta, limits - theta), method="bvls")
-    return np.clip(theta + solution.x, -limits, limits) - theta
+    solution = lsq_linear(A, b, (low - theta, high - theta), method="bvls")
+    return np.clip(theta + solution.x, low, high) - theta
 
 
 def typical_force(machine: Machine) -> float:
@@ -250,9 +255,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
         if belt.length:
             free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
     free += [FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR) for drive in machine.drives[1:]]
-    free += [
-        FreeParameter(f"{drive.name}.Ke", drive.Ke, prior=_MOTOR_PRIOR) for drive in machine.drives if drive.Ke > 0
-    ]
+    free += [_damping(f"{drive.name}.Ke", drive.Ke, _MOTOR_PRIOR) for drive in machine.drives if drive.Ke > 0]
     if effects:
         free += _declared_effect_parameters(machine)
     return tuple(parameter for parameter in free if parameter.name not in machine.ties)
@@ -271,11 +274,23 @@ def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:
         }
         for key, scale in undeclared.items():
             value = getattr(c, key)
-            if value > 0:
+            if value > 0 and key == "viscous":
+                free.append(_damping(f"{c.name}.{key}", value, _FRICTION_PRIOR))
+            elif value > 0:
                 free.append(FreeParameter(f"{c.name}.{key}", value, prior=_FRICTION_PRIOR))
             else:
                 free.append(FreeParameter(f"{c.name}.{key}", value, prior=1.0, scale=scale))
     return free
+
+
+def _damping(name: str, value: float, prior: float) -> FreeParameter:
+    """Return a viscous friction or a back-EMF constant as a linear parameter, with the range of a logarithmic one.
+
+    The data determine the sum of viscous friction and back-EMF only. The set of equal sums is straight in linear
+    parameters. In logarithms it is curved, and a fit that follows it to the most probable values does not converge.
+    """
+    factor = math.exp(_MAXIMUM_DEVIATION * prior)
+    return FreeParameter(name, value, prior, scale=value, lower=value / factor, upper=value * factor)
 
 
 def _declared_effect_parameters(machine: Machine) -> list[FreeParameter]:

@@ -32,6 +32,7 @@ from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, 
 
 Array = NDArray[np.float64]
 
+_CONVERGED_COST = 0.02  # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
@@ -145,7 +146,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
 
 def polish(fitted: Fit, data: Dataset) -> Fit:
-    """Fit again with the shortest integration step, 0.125 ms, which has a negligible integration error.
+    """Fit again until convergence, with the shortest integration step, 0.125 ms, whose error is negligible.
 
     Args:
         fitted: Fit to refine; its parameters are the starting values.
@@ -154,7 +155,8 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Fit (machine, parameters theta, shape (k,), cost) at the same observer bandwidth.
     """
-    return fit(fitted.machine, fitted.free, data, fitted.bandwidth, theta=fitted.theta, longest_step=POLISH_STEP)
+    small, model = _CONVERGED_COST / data.count, (fitted.machine, fitted.free, data, fitted.bandwidth)
+    return fit(*model, theta=fitted.theta, tolerance=small, longest_step=POLISH_STEP)
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
@@ -172,9 +174,8 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted.
 
     Returns:
-        Fit of the same k parameters (theta of shape (k,)) with the smallest product, with the shortest integration
-        step. The given fit if none is better, if it is one in simulation, or if there is only one run, which permits no
-        cross-validation.
+        Fit of the same k parameters (theta of shape (k,)) with the smallest product, polished. The given fit if none is
+        better, if it is one in simulation, or if there is only one run, which permits no cross-validation.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
         return fitted

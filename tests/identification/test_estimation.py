@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, default_free_parameters, fit, prepare
 from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.free_parameters import FreeParameter, bounded_step
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION
-from hframe_gym.machine import Machine
-from hframe_gym.recordings import load_recordings
+from hframe_gym.identification.free_parameters import FreeParameter, bounded_step, prior_precision
+from hframe_gym.identification.linearization import ResidualModel
+from hframe_gym.identification.model_error import polish
+from hframe_gym.identification.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording, load_recordings
 from tools.make_examples import TRUE_RIG
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -82,7 +86,11 @@ def test_a_start_from_which_the_machine_diverges_has_an_infinite_cost(hframe: Ma
 @pytest.mark.parametrize("rounded", [False, True])
 def test_a_step_within_limits_is_the_best_one_there(rounded: bool) -> None:
     """The unlimited minimum is outside the limits. Rounding may give the matrix a negative eigenvalue."""
-    free = [FreeParameter("a", 1.0, prior=0.25), FreeParameter("b", 1.0, prior=0.5), FreeParameter("c", 0.0, 1.0, 1.0)]
+    free = [
+        FreeParameter("a", 1.0, prior=0.25),
+        FreeParameter("b", 1.0, prior=0.5),
+        FreeParameter("c", 0.0, 1.0, 1.0, lower=-math.inf),
+    ]
     theta, gradient = np.array([0.2, 0.0, 0.0]), np.array([-3.0, 1.0, -0.5])
     hessian = np.array([[1.0, 0.9, 0.2], [0.9, 1.0, 0.1], [0.2, 0.1, 1.0]])
     if rounded:
@@ -97,3 +105,43 @@ def test_a_step_within_limits_is_the_best_one_there(rounded: bool) -> None:
     axes = np.linspace(-1.2, 0.8, 81), np.linspace(-2.0, 2.0, 81), np.linspace(-3.0, 3.0, 121)
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
     assert cost(step[None])[0] <= cost(grid).min() + 1e-6
+
+
+@pytest.mark.unit
+def test_a_step_keeps_linear_parameters_within_their_bounds() -> None:
+    free = [FreeParameter("a", 2.0, prior=0.5, scale=2.0, lower=1.0, upper=6.0)]
+    for gradient, value in ((1e3, 1.0), (-1e3, 6.0), (-1.0, 4.0)):
+        step = bounded_step(free, np.zeros(1), np.eye(1), np.array([gradient]))
+        assert free[0].value(step) == pytest.approx([value])
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(("viscous", "back_emf"), [(0.1, 0.6), (0.15, 0.7)])
+def test_parameters_that_act_alike_converge_to_the_most_probable_values(viscous: float, back_emf: float) -> None:
+    """The data determine the sum of viscous friction and back-EMF; the prior determines the difference.
+
+    The expected decrease of the cost by a further step is that of a tenth of a standard deviation at most.
+    """
+    axis = BUILTIN_MACHINES["axis"]()
+    values = axis.parameters
+    machine = axis.replace({"x.viscous": viscous * values["x.viscous"], "motor.Ke": back_emf * values["motor.Ke"]})
+    data = prepare(list(_recordings(machine)), axis)
+    free = default_free_parameters(axis)
+    fitted = polish(fit(axis, free, data, SIMULATION), data)
+    equations = ResidualModel(fitted.machine, free, data, SIMULATION, POLISH_STEP).linearize(fitted.theta)
+    precision = prior_precision(free) * fitted.chi2
+    gradient = equations.normal_equations.gradient + precision @ fitted.theta
+    step = -np.linalg.solve(equations.normal_equations.information + precision, gradient)
+    assert -step @ gradient < 0.1 * fitted.chi2
+
+
+def _recordings(machine: Machine) -> Iterator[Recording]:
+    """Yield four runs of two seconds under random voltages, with the noise of the sensors."""
+    rng = np.random.default_rng(1)
+    for k in range(4):
+        time_s = np.arange(2000) * 1e-3
+        inputs = 0.8 * machine.drives[0].rated_voltage * np.repeat(rng.uniform(-1.0, 1.0, (40, 1)), 50, axis=0)
+        inputs[:100] = 0.0
+        outputs = simulate(machine, time_s, inputs).outputs
+        noise = rng.normal(0.0, 1.0, outputs.shape) * [sensor.noise or 1e-6 for sensor in machine.sensors]
+        yield Recording(f"run_{k}", time_s, inputs, outputs + noise)

@@ -78,7 +78,7 @@ def _starts_of_trials(
     monkeypatch.setattr(trial_fits, "_trial_fits_from", trials)
     data = prepare(recordings(axis, 2), axis)
     fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
-    theta = np.array([f.theta_limit if at_limit and f.name == "x.mass" else 0.1 for f in fitted.free])
+    theta = np.array([f.theta_limits[1] if at_limit and f.name == "x.mass" else 0.1 for f in fitted.free])
     trial_fits.trial_fits(
         dataclasses.replace(fitted, theta=theta, cost=chi2 * fitted.count), data, 0.1, SelectionCriteria()
     )
