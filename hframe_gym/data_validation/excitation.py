@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..dynamics import mode_frequencies
 from ..identification import Dataset
 from ..machine import Machine, rigid_motions
-from ..recordings import Recording, bridge_blanks
+from ..recordings import Recording, bridge_blanks, comparison_window
 from .findings import Finding
 from .wiring import sensor_motions
 
@@ -23,7 +23,7 @@ _ONE_SIDED = 0.15  # fraction of the moving time in the rarer direction that dir
 _SLOW = 0.1  # fraction of the top speed; motion below is slow
 _SLOW_TIME = 0.05  # fraction of the moving time that should be slow, to determine friction at low speed
 _MOVING = 0.01  # fraction of the top speed; motion below is rest
-_WINDOW = 0.02  # s, time over which speed is measured
+_WINDOW = 0.02  # s, time over which speed is measured at least
 _TOP_PERCENTILE = 99  # percentile of the speeds that counts as top speed; the maximum would be noise
 _MIN_SPECTRUM_ROWS = 9  # rows of a run; the spectrum of a shorter one has hardly any frequencies
 _MODE_MARGIN = 0.7  # fraction of the lowest belt frequency; power above it excites the belts
@@ -145,10 +145,11 @@ def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
         if np.linalg.matrix_rank(M[measured]) < len(names) or len(run.time_s) < 3:
             continue
         size = np.linalg.norm(M[measured], axis=1)
-        outputs = bridge_blanks(run.outputs[:, measured], run.time_s, _WINDOW)
+        span = comparison_window(run.outputs[:, measured], run.time_s, _WINDOW)
+        outputs = bridge_blanks(run.outputs[:, measured], run.time_s, span)
         travel = (outputs / size) @ np.linalg.pinv(M[measured] / size[:, None]).T  # (n, motions)
         period = float(np.median(np.diff(run.time_s)))
-        window = max(1, min(len(travel) - 1, round(_WINDOW / period)))
+        window = max(1, min(len(travel) - 1, round(span / period)))
         elapsed = run.time_s[window:] - run.time_s[:-window]
         travels.append(travel)
         speeds.append((travel[window:] - travel[:-window]) / elapsed[:, None])
