@@ -64,7 +64,9 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
         One finding of severity "advice" for each run and constant channel.
     """
     return [
-        Finding("advice", recording.name, channel, f"never changes, it is {values[0]:.4g} V throughout")
+        Finding(
+            "advice", recording.name, channel, f"never changes, it is {values[0]:.4g} {_input_unit(channel)} throughout"
+        )
         for recording in recordings
         for channel, values in zip(machine.input_channels, recording.inputs.T, strict=True)
         if np.ptp(values) == 0.0
@@ -77,10 +79,17 @@ def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Find
     for column, drive in enumerate(machine.drives):
         largest = max(float(np.abs(recording.inputs[:, column]).max()) for recording in recordings)
         if largest > _OVERVOLTAGE * drive.rated_voltage:
-            rated = f"rated {drive.rated_voltage:.4g} V"
-            message = f"reaches {largest:.4g} V, {rated}: is the column in another unit or in %?"
+            unit = _input_unit(drive.channel)
+            rated = f"rated {drive.rated_voltage:.4g} {unit}"
+            message = f"reaches {largest:.4g} {unit}, {rated}: is the column in another unit or in %?"
             findings.append(Finding("advice", "", drive.channel, message))
     return findings
+
+
+def _input_unit(channel: str) -> str:
+    """Return the unit that the name of an input channel ends with, A or Nm of a drive without back-EMF, else V."""
+    ending = channel.rpartition("_")[2]
+    return ending if ending in ("A", "Nm") else "V"
 
 
 def _amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
