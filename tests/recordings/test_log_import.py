@@ -739,6 +739,22 @@ def test_a_long_log_is_cut_where_the_machine_rests(
     assert len(list((tmp_path / "fine").iterdir())) == 4
 
 
+def test_a_long_log_without_rests_is_cut_into_runs_of_equal_duration(
+    session: tuple[Recording, np.ndarray], axis: Machine, tmp_path: Path
+) -> None:
+    recording, _ = session
+    write_recording(tmp_path / "log.csv", recording, axis)
+    lines: list[str] = []
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, ImportSettings(every=2.0), lines.append)
+    runs = load_recordings(tmp_path / "runs", axis)
+    assert len(runs) == round(recording.time_s[-1] / 2.0)
+    assert runs[1].name == "log_02"
+    np.testing.assert_array_equal(np.concatenate([run.outputs for run in runs]), recording.outputs)
+    assert any("which may begin in motion" in line for line in lines)
+    with pytest.raises(InputError, match="exclude each other"):
+        import_logs(tmp_path / "log.csv", tmp_path / "both", axis, ImportSettings(split=True, every=2.0))
+
+
 def test_a_log_that_begins_in_motion_loses_its_beginning(
     session: tuple[Recording, np.ndarray], axis: Machine, tmp_path: Path
 ) -> None:
