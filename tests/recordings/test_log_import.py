@@ -319,6 +319,11 @@ def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: M
         folder.mkdir(parents=True)
         savemat(folder / "run.mat", content)
         assert_equal(convert(folder / "run.mat", hframe, **options), table)
+    # The structure that dSPACE ControlDesk writes.
+    signals = np.array([(c, table[c]) for c in PLAIN[1:]], dtype=[("Name", "O"), ("Data", "O")])
+    (tmp_path / "desk").mkdir()
+    savemat(tmp_path / "desk/desk.mat", {"desk": {"X": {"Name": "", "Data": table["time_s"]}, "Y": signals}})
+    assert_equal(convert(tmp_path / "desk/desk.mat", hframe, columns={"time_s": "desk.X.Data"}), table)
     savemat(tmp_path / "rates.mat", {**named, **short})
     with pytest.raises(
         InputError, match=r"x_m: has 60 values, .* rename its time to t or time in the log, or .* --map time_s=t,t_slow"
