@@ -87,9 +87,7 @@ def import_logs(
         ),
     ] = None,
     unit: Annotated[list[str] | None, typer.Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms.")] = None,
-    scale: Annotated[
-        list[str] | None, typer.Option(help="CHANNEL=FACTOR to the channel's unit, e.g. x_m=0.001.")
-    ] = None,
+    scale: Annotated[list[str] | None, typer.Option(help="CHANNEL=FACTOR to the channel's unit: x_m=0.001.")] = None,
     mapping: Annotated[
         Path | None, typer.Option(help="TOML or JSON file with the tables map, unit and scale; options override it.")
     ] = None,
@@ -99,6 +97,9 @@ def import_logs(
     min_rest: Annotated[
         float, typer.Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
     ] = 0.5,
+    split_every: Annotated[
+        float | None, typer.Option(min=0.5, max=3600.0, help="Cut each log into runs of about so many s, in motion.")
+    ] = None,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
     """Convert logs of controllers and data loggers to recordings, which the other commands read.
@@ -119,10 +120,9 @@ def import_logs(
         {**from_file.units, **dict(_pairs("unit", unit))},
         {**from_file.scales, **scales},
     )
-    declared = load_machine(machine)
-    settings = ImportSettings(options, split_at_rests, min_rest, format.value)
+    settings = ImportSettings(options, split_at_rests, min_rest, format.value, split_every)
     with progress_bar("import") as progress:
-        files = run_import(logs, out, declared, settings, log, progress)
+        files = run_import(logs, out, load_machine(machine), settings, log, progress)
     log(f"wrote {len(files)} run{'s' if len(files) > 1 else ''} to {out}. Next: hframe check {out} --machine {machine}")
 
 

@@ -80,10 +80,10 @@ def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
     run = recordings[0]
     file = next(path for path in sorted(folder.iterdir()) if path.name.startswith(f"{run.name}."))
     seconds = run.time_s[-1] - run.time_s[0]
-    command = f"hframe import {file} --out RUNS --split-at-rests (and the --machine of this command)"
+    options = "--split-at-rests (--split-every 5 if it has none; and the --machine of this command)"
     raise InputError(
         f"{folder}: has the single run {run.name!r} of {seconds:.4g} s; at least two are needed, because one is held "
-        f"out. Record more runs, or cut it at its rests: {command}"
+        f"out. Record more runs, or cut it at its rests: hframe import {file} --out RUNS {options}"
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..dynamics import mode_frequencies
 from ..identification import Dataset
 from ..machine import Machine, rigid_motions
-from ..recordings import Recording, bridge_blanks
+from ..recordings import Recording, bridge_blanks, comparison_window
 from .findings import Finding
 from .wiring import sensor_motions
 
@@ -23,7 +23,7 @@ _ONE_SIDED = 0.15  # fraction of the moving time in the rarer direction that dir
 _SLOW = 0.1  # fraction of the top speed; motion below is slow
 _SLOW_TIME = 0.05  # fraction of the moving time that should be slow, to determine friction at low speed
 _MOVING = 0.01  # fraction of the top speed; motion below is rest
-_WINDOW = 0.02  # s, time over which speed is measured
+_WINDOW = 0.02  # s, time over which speed is measured at least
 _TOP_PERCENTILE = 99  # percentile of the speeds that counts as top speed; the maximum would be noise
 _MIN_SPECTRUM_ROWS = 9  # rows of a run; the spectrum of a shorter one has hardly any frequencies
 _MODE_MARGIN = 0.7  # fraction of the lowest belt frequency; power above it excites the belts
@@ -64,7 +64,9 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
         One finding of severity "advice" for each run and constant channel.
     """
     return [
-        Finding("advice", recording.name, channel, f"never changes, it is {values[0]:.4g} V throughout")
+        Finding(
+            "advice", recording.name, channel, f"never changes, it is {values[0]:.4g} {_input_unit(channel)} throughout"
+        )
         for recording in recordings
         for channel, values in zip(machine.input_channels, recording.inputs.T, strict=True)
         if np.ptp(values) == 0.0
@@ -77,10 +79,17 @@ def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Find
     for column, drive in enumerate(machine.drives):
         largest = max(float(np.abs(recording.inputs[:, column]).max()) for recording in recordings)
         if largest > _OVERVOLTAGE * drive.rated_voltage:
-            rated = f"rated {drive.rated_voltage:.4g} V"
-            message = f"reaches {largest:.4g} V, {rated}: is the column in another unit or in %?"
+            unit = _input_unit(drive.channel)
+            rated = f"rated {drive.rated_voltage:.4g} {unit}"
+            message = f"reaches {largest:.4g} {unit}, {rated}: is the column in another unit or in %?"
             findings.append(Finding("advice", "", drive.channel, message))
     return findings
+
+
+def _input_unit(channel: str) -> str:
+    """Return the unit that the name of an input channel ends with, A or Nm of a drive without back-EMF, else V."""
+    ending = channel.rpartition("_")[2]
+    return ending if ending in ("A", "Nm") else "V"
 
 
 def _amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
@@ -145,10 +154,11 @@ def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
         if np.linalg.matrix_rank(M[measured]) < len(names) or len(run.time_s) < 3:
             continue
         size = np.linalg.norm(M[measured], axis=1)
-        outputs = bridge_blanks(run.outputs[:, measured], run.time_s, _WINDOW)
+        span = comparison_window(run.outputs[:, measured], run.time_s, _WINDOW)
+        outputs = bridge_blanks(run.outputs[:, measured], run.time_s, span)
         travel = (outputs / size) @ np.linalg.pinv(M[measured] / size[:, None]).T  # (n, motions)
         period = float(np.median(np.diff(run.time_s)))
-        window = max(1, min(len(travel) - 1, round(_WINDOW / period)))
+        window = max(1, min(len(travel) - 1, round(span / period)))
         elapsed = run.time_s[window:] - run.time_s[:-window]
         travels.append(travel)
         speeds.append((travel[window:] - travel[:-window]) / elapsed[:, None])

@@ -83,8 +83,9 @@ def check_sampling(recording: Recording) -> list[Finding]:
         gaps[:] = True  # nothing more is said of the steps
     elif gaps.any():
         lost = float(np.sum(steps[gaps]) - np.sum(gaps) * period)  # s
+        duration = f"{lost:.3g} s" if lost >= 1.0 else f"{1e3 * lost:.3g} ms"
         message = (
-            f"{int(gaps.sum())} gaps ({1e3 * lost:.3g} ms in total, {100 * lost / np.sum(steps):.2g} %): samples were "
+            f"{int(gaps.sum())} gaps ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
             "dropped, and the inputs in the gaps are unknown"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))

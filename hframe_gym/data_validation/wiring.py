@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, Sensor, rigid_motions
-from ..recordings import bridge_blanks
+from ..recordings import bridge_blanks, comparison_window
 from .findings import Finding
 
 Array = NDArray[np.float64]
 
-_WINDOW = 0.02  # s, time over which motion is compared; long enough to average out noise
+_WINDOW = 0.02  # s, least time over which motion is compared; long enough to average out noise
 _MAX_ROWS = 20_000  # rows of a run that are simulated; enough to determine a sign
 _STEP = 1e-3  # s, longest integration step; the comparison needs no accuracy
 _GOOD_AGREEMENT = 0.7  # correlation of measured and simulated speed above which no mistake is suspected
@@ -135,13 +135,13 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     """
     # Matrices that undo one mistake (a sign, or two swapped channels), by its description.
     output_corrections, input_corrections = _single_corrections(machine)
-    inputs_as_recorded = np.eye(len(machine.drives))
-    transforms = np.array([inputs_as_recorded, *input_corrections.values()])
+    transforms = np.array([np.eye(len(machine.drives)), *input_corrections.values()])  # the first: inputs as recorded
     runs = [_first_rows(run) for run in data.runs]
-    # (rows, sensors) each
-    measured = [_speeds(bridge_blanks(run.outputs, run.time_s, _WINDOW), run.time_s) for run in runs]
-    # With the inputs as recorded and with each correction of them, (transforms, rows, sensors) each.
-    simulated = [_speeds(_simulate_outputs(machine, run, transforms), run.time_s) for run in runs]
+    measured, simulated = [], []  # arrays of shape (rows, sensors) and (transforms, rows, sensors)
+    for run in runs:
+        span = comparison_window(run.outputs, run.time_s, _WINDOW)
+        measured.append(_speeds(bridge_blanks(run.outputs, run.time_s, span), run.time_s, span))
+        simulated.append(_speeds(_simulate_outputs(machine, run, transforms), run.time_s, span))
     labels = list(input_corrections)
     all_measured, all_simulated = np.concatenate(measured), np.concatenate(simulated, axis=1)
     findings = _signs_and_swaps(all_measured, all_simulated, output_corrections, labels, machine)
@@ -155,10 +155,10 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     return findings + units + [ratio for ratio in ratios if ratio.channel not in {unit.channel for unit in units}]
 
 
-def _speeds(outputs: Array, time_s: Array) -> Array:
-    """Return the change of each channel over a window, shape (..., rows, channels), proportional to the mean speed."""
+def _speeds(outputs: Array, time_s: Array, span: float) -> Array:
+    """Return the change of each channel over a span in s, shape (..., rows, channels): mean speed times span."""
     period = float(np.median(np.diff(time_s)))
-    window = max(1, min(len(time_s) - 1, round(_WINDOW / period)))
+    window = max(1, min(len(time_s) - 1, round(span / period)))
     return (outputs[..., window:, :] - outputs[..., :-window, :])[..., :: max(1, window // 4), :]
 
 

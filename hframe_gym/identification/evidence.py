@@ -223,7 +223,7 @@ def _too_small(
         size, residue = _forces(without, fit_with_model_error(with_effect, data), effect, data)
     if size >= criteria.min_force_ratio * residue:
         return ""
-    return f"has a force of {1e3 * size:.2g} mN, where {1e3 * residue:.2g} mN remain unexplained"
+    return f"has a force of {size:.2g} N, where {residue:.2g} N remain unexplained"
 
 
 def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> tuple[float, float]:

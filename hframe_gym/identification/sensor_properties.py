@@ -102,7 +102,8 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
     if at_rest is not None:
         return max(at_rest, rounding) or declared or difference_noise(channel)
-    return max(rounding, declared or difference_noise(channel))
+    estimate = declared or difference_noise(channel)  # up to 0.7 quanta for the steps of a slow motion without noise
+    return rounding if not declared and estimate < 0.7 * quantum else max(rounding, estimate)
 
 
 _REST_S = 0.02  # s; a quantized measurement that stays the same for longer shows that the sensor is at rest
@@ -159,9 +160,9 @@ def difference_noise(channel: Sequence[Array]) -> float:
 def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float) -> float:
     """Estimate the jitter of the clock from the noise of a channel during fast motion.
 
-    A measurement that is late by dt has an error of dt * speed. Fifth differences of the measurements contain this
-    error and the sensor's noise, but hardly any smooth motion. Their variance during fast motion, divided by 252 (its
-    value for white noise of variance 1), therefore gives jitter^2 = (variance - noise^2) / speed^2.
+    A measurement that is late by dt has an error of dt * speed. Fifth differences show it and the sensor's noise, but
+    hardly any smooth motion. Their variance during fast motion, divided by that of white noise of variance 1, gives
+    jitter^2 = (variance - noise^2) / speed^2. Below a quantization step per row, rounding is no white noise.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
@@ -169,10 +170,9 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         noise: Standard deviation of the sensor's noise at rest, in its unit.
 
     Returns:
-        Standard deviation of the sampling time relative to the recorded time, s. It is 0 if jitter causes less variance
-        than the sensor's noise, because vibrations may cause as little.
+        Standard deviation of the sampling time, s; 0 below the variance of the noise, which vibrations may cause.
     """
-    squares, speeds = [], []
+    squares, speeds, travels = [], [], []
     for time_s, values in zip(times, channel, strict=True):
         measured = np.isfinite(values)
         if np.count_nonzero(measured) < _MIN_JITTER_ROWS:
@@ -180,16 +180,16 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         speed = smooth_speed(time_s[measured], values[measured])
         regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
         at_regular_times = values[measured] + speed * (regular - time_s[measured])
-        # Fifth differences of white noise have 252 times its variance; each belongs to the middle of six samples.
-        squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)
+        squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)  # at the middle of six samples
         speeds.append(np.abs(speed[2:-3]))
+        travels.append(speeds[-1] * np.median(np.diff(time_s[measured])))  # per row
     if not squares:
         return 0.0
     square, speed = np.concatenate(squares), np.concatenate(speeds)
-    fast = speed > np.percentile(speed, 75)
-    if not fast.any() or not np.median(speed[fast]) > 0.0:
+    fast = (speed > np.percentile(speed, 75)) & (np.concatenate(travels) > math.sqrt(12.0) * noise)
+    if not fast.any():
         return 0.0
-    # The median is robust against shocks; that of a squared Gaussian variable is 0.455 times its variance.
+    # The median is robust against shocks; that of a squared Gaussian variable is 0.455 of its variance.
     variance = float(np.median(square[fast])) / 0.455 - noise**2
     return math.sqrt(variance / float(np.median(speed[fast] ** 2))) if variance > noise**2 else 0.0
 

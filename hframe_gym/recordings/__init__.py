@@ -3,6 +3,7 @@
 from .cleaning import (
     GAP_PERIODS,
     bridge_blanks,
+    comparison_window,
     fill_gaps,
     only_measurements,
     outlier_mask,
@@ -30,6 +31,7 @@ __all__ = [
     "Recording",
     "Table",
     "bridge_blanks",
+    "comparison_window",
     "copy_examples",
     "examples_folder",
     "field_descriptions",

@@ -25,6 +25,8 @@ _MIN_SAMPLES = 30  # measured samples of a channel that give a scale
 _TYPICAL_FACTOR = 12.0  # times the median departure from a smooth motion
 _LARGE_FACTOR = 4.0  # times the departure that _LARGE_PERCENT of the samples do not exceed
 _LARGE_PERCENT = 98.0
+_SLOWEST_INTERVAL = 0.25  # s between measurements; the speed of a sensor that is slower still is not compared
+_INTERVAL_PERCENT = 95.0  # of the intervals; longer ones are pauses of the sensor
 _NEIGHBORS = 8  # samples on each side whose speeds are compared
 _IGNORED_SPEEDS = 2  # smallest and largest speeds that are ignored, because another outlier may be near
 # Times the distance that the change of speed around it explains. Measured runs with steps, shocks and Coulomb stops
@@ -65,6 +67,29 @@ def fill_gaps(recording: Recording) -> Recording:
     unmeasured = np.full((len(inserted), recording.outputs.shape[1]), np.nan)
     outputs = np.concatenate([recording.outputs, unmeasured])
     return Recording(recording.name, grid[order], inputs[order], outputs[order])
+
+
+def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
+    """Return a time over which the motion of all channels can be compared, at least an interval between measurements.
+
+    Args:
+        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
+        time_s: Sample times, s, shape (n,).
+        shortest: Window for sensors that measure in every row, s.
+
+    Returns:
+        Window, s, which spans the intervals of the slowest channel. Channels that measure less often than every 0.25 s
+        do not extend it.
+    """
+    window = shortest
+    for values in outputs.T:
+        intervals = np.diff(time_s[np.isfinite(values)])
+        if len(intervals):
+            typical = 1.01 * float(
+                np.percentile(intervals, _INTERVAL_PERCENT)
+            )  # longer than intervals that are rounded
+            window = max(window, typical) if typical <= _SLOWEST_INTERVAL else window
+    return window
 
 
 def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:

@@ -223,7 +223,7 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
     edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(np.int8), [0]])))
     first, last = edges[::2], edges[1::2] - 1  # first and last row of each rest
     if len(first) == 0:
-        raise InputError(f"{recording.name}: nothing rests for {min_rest:g} s, so it cannot be cut; reduce --min-rest")
+        raise InputError(f"{recording.name}: nothing rests for {min_rest:g} s: reduce --min-rest, or --split-every 10")
     if resting.all():
         raise InputError(f"{recording.name}: nothing moves, so there are no runs to cut")
     begins_at_rest, ends_at_rest = first[0] == 0, last[-1] == len(time_s) - 1

@@ -1,6 +1,6 @@
 """Convert logs of a controller or data logger to recordings.
 
-Each log becomes one run, or several, cut where the machine rests.
+Each log becomes one run, or several, cut where the machine rests or into pieces of equal duration.
 """
 
 from __future__ import annotations
@@ -48,12 +48,15 @@ class ImportSettings:
         split: Whether to cut each log into runs where the machine rests.
         min_rest: Shortest rest at which a log is cut, s.
         run_format: Ending of the recordings' files, which selects their format.
+        every: About how long the runs are into which each log is cut, s, whether the machine rests there or not; None
+            to leave logs whole.
     """
 
     mapping: MappingOptions = field(default_factory=MappingOptions)
     split: bool = False
     min_rest: float = 0.5
     run_format: RunFormat = "csv.gz"
+    every: float | None = None
 
 
 def import_logs(
@@ -86,6 +89,8 @@ def import_logs(
             In all these cases nothing is written.
         OSError: If the folder cannot be written.
     """
+    if settings.split and settings.every is not None:
+        raise InputError("--split-at-rests and --split-every exclude each other: choose one")
     paths, other_files = find_logs(logs)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
@@ -281,9 +286,15 @@ class _Importer:
         if self._settings.split:
             runs, split_remarks = split_at_rests(recording, self._machine, self._settings.min_rest)
             remarks += split_remarks
+        elif self._settings.every is not None:
+            runs = _equal_parts(recording, self._settings.every)
+            remarks.append(
+                f"cut into runs of {runs[0].time_s[-1] - runs[0].time_s[0]:.3g} s, which may begin in motion"
+            )
         elif recording.time_s[-1] - recording.time_s[0] >= _LONG_RUN:
             remarks.append(
-                f"{_LONG_RUN:g} s or longer: identification needs several runs; --split-at-rests cuts this one"
+                f"{_LONG_RUN:g} s or longer: identification needs several runs; --split-at-rests cuts this one, or "
+                "--split-every 10 if it has no rests"
             )
         for remark in remarks:
             self._say(f"  {remark}")
@@ -311,6 +322,16 @@ class _Importer:
             for line in lines:
                 self._say(line)
         self._last_mapping = lines
+
+
+def _equal_parts(recording: Recording, seconds: float) -> list[Recording]:
+    """Cut a recording into runs of about equal duration, s, named NAME_01, NAME_02, ...; their times stay."""
+    time_s = recording.time_s
+    count = max(1, round(float(time_s[-1] - time_s[0]) / seconds))
+    edges = np.searchsorted(time_s, np.linspace(time_s[0], time_s[-1], count + 1)[1:-1])
+    digits = max(2, len(str(count)))
+    parts = zip(*(np.split(a, edges) for a in (time_s, recording.inputs, recording.outputs)), strict=True)
+    return [Recording(f"{recording.name}_{n:0{digits}d}", *part) for n, part in enumerate(parts, start=1)]
 
 
 def _clock_remarks(time_s: Array) -> list[str]:

@@ -29,10 +29,11 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
         signal) and its values, shape (N,).
     """
     if isinstance(value, dict):
-        label = value.get("label")
+        # A signal of Simulink's structure with time has a label, one of dSPACE ControlDesk a name.
+        labels = {"values": value.get("label"), "Data": value.get("Name")}
         for key, member in value.items():
-            # A signal of Simulink's structure with time is known by its label.
-            yield from vectors(label if label and key == "values" else f"{name}.{key}", member)
+            label = labels.get(key)
+            yield from vectors(label if isinstance(label, str) and label else f"{name}.{key}", member)
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
         for number, member in enumerate(value, start=1):
             yield from vectors(f"{name}.{number}", member)

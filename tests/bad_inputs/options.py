@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "check runs": ("--machine", "--json"),
     "import log.txt --map v1_V=U1 --map v2_V=U2 --out imported": (
         *("--map", "--unit", "--scale", "--mapping", "--min-rest", "--format", "--machine", "--split-at-rests"),
+        "--split-every",
     ),
     "machines new --like corexy --out new.json": (
         *("--like", "--name", "--travel", "--mass", "--pulley-radius", "--gear-ratio", "--rotor-inertia", "--Kt"),

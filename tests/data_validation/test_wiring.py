@@ -110,3 +110,15 @@ def test_an_encoder_that_contradicts_a_scale_is_named(factor: float, text: str) 
     [finding] = [f for f in findings if text in f.message]
     assert finding.channel == "x_encoder_m"
     assert finding.severity == ("fault" if factor == 3.0 else "advice")
+
+
+@pytest.mark.parametrize("rows", [17, 50])
+def test_the_sign_of_a_sensor_that_is_slower_than_the_log_is_checked(rows: int) -> None:
+    axis = BUILTIN_MACHINES["axis"]()
+    time = np.arange(4000) * 2e-3
+    inputs = np.where(time > 0.1, 4 * np.sign(np.sin(3 * time)), 0.0)[:, None]
+    outputs = np.full((4000, 1), np.nan)
+    outputs[::rows] = -axis.simulate(time, inputs).outputs[::rows]
+    findings = check_recordings([Recording("r", time, inputs, outputs)], axis)
+    assert faults(findings) == [f"fault: x_m has the wrong sign or v_V has the wrong sign: {REMEDY}"]
+    assert any(f.channel == "x" and f.message.startswith("speeds up to 0.8 m/s") for f in findings)

@@ -131,7 +131,7 @@ def test_chance_may_explain_a_small_gain(scripted: Scripted, variance: float, su
 def test_the_force_of_an_effect_must_exceed_the_unexplained_one(scripted: Scripted, force: float, sure: bool) -> None:
     scripted.force, scripted.residue = {PUSH.label: 0.2 * force}, {1.2: 0.2}
     text = doubt(scripted)
-    assert text == ("" if sure else "has a force of 2e+02 mN, where 2e+02 mN remain unexplained")
+    assert text == ("" if sure else "has a force of 0.2 N, where 0.2 N remain unexplained")
 
 
 @pytest.mark.parametrize(("before", "sure"), [(0.15, True), (0.13, False), (0.05, False)])

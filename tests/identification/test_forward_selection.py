@@ -60,7 +60,7 @@ def test_a_doubtful_best_candidate_gives_way_and_is_remembered(scripted: Scripte
     _, effects = search_.run(fit_with(chi2=10.0))
     assert [s.effect for s in effects] == [DRAG]
     considered = search_.considered[PUSH.label]
-    assert considered.reason.startswith("has a force of 10 mN")
+    assert considered.reason.startswith("has a force of 0.01 N")
     assert considered.machine_without.effects == ()
     assert search_.with_data(DATA).considered == search_.considered
     # If it is selected later after all, it is no longer among those that failed.

@@ -96,6 +96,14 @@ def test_noise_without_resting_rows_is_the_declared_one_or_that_of_third_differe
     assert sensor_noise([np.full(50, np.nan)], [1], 0.0, 0.0) == 1.0
 
 
+@pytest.mark.parametrize("speed", [0.2, 0.45, 0.7, 3.3])
+def test_the_steps_of_a_coarse_encoder_in_motion_are_no_noise(speed: float) -> None:
+    channel = [np.rint(speed * np.arange(3000) + 10 * np.sin(np.arange(3000) * 1e-3)) * 0.2]  # speed: steps per row
+    assert sensor_noise(channel, [1], 0.2, 0.0) == pytest.approx(0.2 / np.sqrt(12))
+    noisy = [channel[0] + np.random.default_rng(3).normal(0.0, 0.5, 3000)]
+    assert sensor_noise(noisy, [1], 0.2, 0.0) == pytest.approx(0.5, rel=0.1)
+
+
 def moving_runs(limit: float = 0.1) -> list[Recording]:
     """Return runs along x in which the laser saturates at a limit, m."""
     rng = np.random.default_rng(4)
@@ -142,6 +150,12 @@ def test_clock_jitter_is_estimated_from_fast_motion(jitter: float) -> None:
     late = time_s + rng.normal(0.0, jitter, 2000) if jitter else time_s
     channel = 8.0 * np.sin(9.0 * late) + rng.normal(0.0, 0.15e-3, 2000)
     assert clock_jitter([time_s], [channel], 0.15e-3) == pytest.approx(jitter, rel=0.15)
+
+
+def test_the_steps_of_a_coarse_encoder_are_no_clock_jitter() -> None:
+    time_s = np.arange(3000) * 1e-3
+    channel = np.rint(450.0 * time_s + 10 * np.sin(time_s)) * 0.2  # about 0.45 steps per row
+    assert clock_jitter([time_s], [channel], 0.2 / np.sqrt(12)) == 0.0
 
 
 def test_a_vibration_is_no_clock_jitter() -> None:

@@ -320,6 +320,11 @@ def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: M
         folder.mkdir(parents=True)
         savemat(folder / "run.mat", content)
         assert_equal(convert(folder / "run.mat", hframe, **options), table)
+    # The structure that dSPACE ControlDesk writes.
+    signals = np.array([(c, table[c]) for c in PLAIN[1:]], dtype=[("Name", "O"), ("Data", "O")])
+    (tmp_path / "desk").mkdir()
+    savemat(tmp_path / "desk/desk.mat", {"desk": {"X": {"Name": "", "Data": table["time_s"]}, "Y": signals}})
+    assert_equal(convert(tmp_path / "desk/desk.mat", hframe, columns={"time_s": "desk.X.Data"}), table)
     savemat(tmp_path / "rates.mat", {**named, **short})
     with pytest.raises(
         InputError, match=r"x_m: has 60 values, .* rename its time to t or time in the log, or .* --map time_s=t,t_slow"
@@ -738,6 +743,22 @@ def test_a_long_log_is_cut_where_the_machine_rests(
         np.testing.assert_array_equal(run.inputs, recording.inputs[rows])
     import_logs(tmp_path / "log.csv", tmp_path / "fine", axis, ImportSettings(split=True, min_rest=0.02), lines.append)
     assert len(list((tmp_path / "fine").iterdir())) == 4
+
+
+def test_a_long_log_without_rests_is_cut_into_runs_of_equal_duration(
+    session: tuple[Recording, np.ndarray], axis: Machine, tmp_path: Path
+) -> None:
+    recording, _ = session
+    write_recording(tmp_path / "log.csv", recording, axis)
+    lines: list[str] = []
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, ImportSettings(every=2.0), lines.append)
+    runs = load_recordings(tmp_path / "runs", axis)
+    assert len(runs) == round(recording.time_s[-1] / 2.0)
+    assert runs[1].name == "log_02"
+    np.testing.assert_array_equal(np.concatenate([run.outputs for run in runs]), recording.outputs)
+    assert any("which may begin in motion" in line for line in lines)
+    with pytest.raises(InputError, match="exclude each other"):
+        import_logs(tmp_path / "log.csv", tmp_path / "both", axis, ImportSettings(split=True, every=2.0))
 
 
 def test_a_log_that_begins_in_motion_loses_its_beginning(
