@@ -17,15 +17,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from importlib import import_module
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .atomic_files import atomic_file, output_batch
 from .errors import InputError
 from .locked_folders import scratch_folder
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 LOCAL_RAY = "local"  # address that starts Ray on this machine
 ATTEMPTS = 3  # of a task whose worker dies
@@ -146,6 +150,28 @@ def _result(future: Future[Result], index: int) -> Result:
                 f"with more memory, or run fewer tasks at a time ({type(error).__name__})"
             ) from error
         raise
+
+
+@contextmanager
+def single_threaded_linear_algebra() -> Iterator[None]:
+    """Limit the linear algebra libraries of NumPy and SciPy to one thread, as a context or a decorator.
+
+    More threads change the order of sums, and with it the last bits of results.
+
+    Yields:
+        Nothing; the limit holds inside the context.
+    """
+    with _linear_algebra_threads().limit(limits=1, user_api="blas"):
+        yield
+
+
+@lru_cache(maxsize=1)
+def _linear_algebra_threads() -> ThreadpoolController:
+    """Return the control of the threads; finding the libraries, which must be loaded before, takes milliseconds."""
+    import scipy.linalg  # noqa: F401  # has a library of its own
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _run_task(function: Callable[[Item], Result], item: Item, version: str, settings: Mapping[str, str]) -> Result:

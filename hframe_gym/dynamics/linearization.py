@@ -10,13 +10,12 @@ References:
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import ThreadpoolController
 
+from ..distributed import single_threaded_linear_algebra
 from ..machine import Machine
 from .equations import Equations
 
@@ -153,12 +152,6 @@ def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equa
     return equations, np.zeros(count) if position is None else np.asarray(position, float)
 
 
-@lru_cache(maxsize=1)
-def _linear_algebra() -> ThreadpoolController:
-    """Return the control of the threads of SciPy's linear algebra library, which must be loaded."""
-    return ThreadpoolController()
-
-
 def matrix_exponential(matrix: Array) -> Array:
     """Compute the exponential of a matrix; the result is the same to the bit for any number of threads.
 
@@ -170,5 +163,5 @@ def matrix_exponential(matrix: Array) -> Array:
     """
     from scipy.linalg import expm
 
-    with _linear_algebra().limit(limits=1, user_api="blas"):  # threads would change the order of sums
+    with single_threaded_linear_algebra():
         return np.asarray(expm(matrix))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError, merge_run_warnings
 from ..machine import Machine
 from ..recordings import Recording, without_outliers, without_repetitions
@@ -48,6 +49,7 @@ _CAUSED_ERROR = -1.0  # gain on a held-out run below which an effect causes its 
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
+@single_threaded_linear_algebra()  # the result depends on no number of threads
 def identify(
     recordings: Sequence[Recording],
     machine: Machine,

@@ -14,13 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
+from ..distributed import single_threaded_linear_algebra
 from ..dynamics import resolved_step, simulate_batch
 from ..dynamics.simulation import Motion, threads
 from ..machine import Machine
@@ -54,18 +53,12 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
     """
     count = min(threads(), len(data.runs))
     # The runs occupy all cores; threads of the linear algebra library beside them would only wait for each other.
-    with _linear_algebra().limit(limits=1, user_api="blas"):
+    with single_threaded_linear_algebra():
         if count == 1:
             yield from map(function, data.runs)
             return
         with ThreadPoolExecutor(count) as pool:
             yield from pool.map(function, data.runs)
-
-
-@lru_cache(maxsize=1)
-def _linear_algebra() -> ThreadpoolController:
-    """Return the control of the linear algebra library's threads; finding the library takes milliseconds."""
-    return ThreadpoolController()
 
 
 def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:

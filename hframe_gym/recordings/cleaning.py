@@ -85,9 +85,8 @@ def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
     for values in outputs.T:
         intervals = np.diff(time_s[np.isfinite(values)])
         if len(intervals):
-            typical = 1.01 * float(
-                np.percentile(intervals, _INTERVAL_PERCENT)
-            )  # longer than intervals that are rounded
+            # 1 % longer, so that rounded intervals count as equal
+            typical = 1.01 * float(np.percentile(intervals, _INTERVAL_PERCENT))
             window = max(window, typical) if typical <= _SLOWEST_INTERVAL else window
     return window
 
