@@ -221,12 +221,17 @@ def test_a_folder_of_rigs_becomes_a_folder_of_results(tmp_path: Path) -> None:
     (tmp_path / "rigs" / "other").mkdir()
     for path in (ROOT / "examples" / "rig_b").glob("run_*.csv.gz"):
         shutil.copy(path, tmp_path / "rigs" / "other" / path.name.replace("run", "log"))
+    (tmp_path / "rigs" / "servo").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "rigs" / "servo" / f"{name}.csv").write_text("time_s,v_V,arm_rad\n0,0,0\n0.01,0,0\n")
     command = [sys.executable, "-m", "hframe_gym", "identify", str(tmp_path / "rigs"), "--out", str(tmp_path / "out")]
     command += ["--hold-out", "run_01"]
     done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr.startswith("hframe: other: ")
-    assert done.stderr.count("\n") == 1
+    other, servo = done.stderr.splitlines()
+    assert other.startswith("hframe: other: ")
+    assert servo.startswith("hframe: servo: ")
+    assert "column v_V" in servo
     assert "good: No effect is missing" in done.stdout
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["good"]
     page = (tmp_path / "out" / "good" / "report.html").read_text()

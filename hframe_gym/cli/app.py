@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterable
+from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +16,14 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..distributed import LOCAL_RAY
 from ..registry import load_plugins
+
+
+class RunFormats(StrEnum):
+    """File formats of recordings."""
+
+    CSV_GZ = "csv.gz"
+    CSV = "csv"
+    PARQUET = "parquet"
 
 
 class CommandGroup(TyperGroup):

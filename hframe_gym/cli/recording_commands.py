@@ -7,7 +7,6 @@ import sys
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -25,6 +24,7 @@ from .app import (
     OutOption,
     RayOption,
     RecordingsArgument,
+    RunFormats,
     app,
     console,
     log,
@@ -50,14 +50,6 @@ if TYPE_CHECKING:
 
 _Log = Callable[[str], None]
 _Fit = Callable[..., Any]  # `_fit_rig` with the options of the command
-
-
-class RunFormats(StrEnum):
-    """File formats of recordings."""
-
-    CSV_GZ = "csv.gz"
-    CSV = "csv"
-    PARQUET = "parquet"
 
 
 @app.command()
@@ -164,9 +156,7 @@ def identify(
     ],
     out: OutOption,
     machine: MachineOption = "hframe",
-    hold_out: Annotated[
-        list[str] | None, typer.Option(help="Run (file name without ending) to hold out; repeat for more runs.")
-    ] = None,
+    hold_out: Annotated[list[str] | None, typer.Option(help="Run (file name) to hold out; repeat for more.")] = None,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -203,8 +193,8 @@ def identify(
     with locked_folder(require_folder(out)):
         if rigs or ray is not None:
             outputs = {rig: out / rig.name for rig in rigs} or {runs_dir: out}
-            rigs_to_fit = [_Rig(rig, folder, _load_runs(rig, declared, max_rows)) for rig, folder in outputs.items()]
-            _identify_rigs(fit, rigs_to_fit, jobs or 1, ray)
+            read = [_Rig(rig, folder, _runs_or_error(rig, declared, max_rows)) for rig, folder in outputs.items()]
+            _identify_rigs(fit, read, jobs or 1, ray)
             return
         if jobs:
             os.environ["HFRAME_THREADS"] = str(jobs)
@@ -227,6 +217,14 @@ def _load_runs(folder: Path, machine: Machine, max_rows: int) -> list[Recording]
         recordings = load_recordings(folder, machine, progress, max_rows=max_rows, log=log)
     require_several_runs(recordings, folder)
     return recordings
+
+
+def _runs_or_error(folder: Path, machine: Machine, max_rows: int) -> list[Recording] | InputError:
+    """Load the runs of one of several rigs; an error must not stop the others."""
+    try:
+        return _load_runs(folder, machine, max_rows)
+    except InputError as error:
+        return error
 
 
 def _fit_rig(
@@ -258,11 +256,11 @@ def _write_rig(
 
 
 class _Rig(NamedTuple):
-    """What a worker gets: a folder of runs, the folder for the result, and the runs."""
+    """What a worker gets: a folder of runs, the folder for the result, and the runs or the error of reading them."""
 
     runs_dir: Path
     out: Path
-    recordings: list[Recording]
+    recordings: list[Recording] | InputError
 
 
 class _IdentifiedRig(NamedTuple):
@@ -311,6 +309,8 @@ def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _Identifie
             print(plain_text(f"{rig.runs_dir.name}: {line}"), flush=True)
 
     try:
+        if isinstance(rig.recordings, InputError):
+            raise rig.recordings
         result, findings = fit(rig.runs_dir, rig.recordings, log)
         problem, files = files_of(lambda folder: _write_rig(result, findings, folder, rig.out, log))
         if problem is not None and not isinstance(problem, ImportError):

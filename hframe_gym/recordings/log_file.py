@@ -9,6 +9,7 @@ import tempfile
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -298,3 +299,50 @@ def _refuse_large_variables(path: Path) -> None:
                     break  # which the reader reports
                 refuse_expansion(path, size)
         position += 8 + length
+
+
+def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
+    """List the logs of a folder, which are recognized by the endings of their names.
+
+    Args:
+        path: A log, whatever its ending, or a folder of logs.
+
+    Returns:
+        logs: Files of the folder, in alphabetical order, that end in one of `LOG_SUFFIXES` (.csv, .txt, .mat, ...),
+            possibly followed by .gz, except documents such as readme.txt; or the one log.
+        other_files: The remaining files of the folder, except hidden ones.
+
+    Raises:
+        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same
+            name.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [path], []
+    if not path.is_dir():
+        raise InputError(f"{path}: no such file or folder")
+    files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
+    logs = [p for p in files if p.name.lower().removesuffix(".gz").endswith(LOG_SUFFIXES) and not _is_document(p)]
+    if not logs:
+        raise InputError(f"{path}: no logs ({', '.join(LOG_SUFFIXES)}) in this folder")
+    for first, second in pairwise(sorted(logs, key=log_name)):
+        if log_name(first) == log_name(second):
+            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
+    return logs, [p for p in files if p not in logs]
+
+
+def log_name(path: Path) -> str:
+    """Return the name of the run to which a log is converted: its file name without .gz and without its ending.
+
+    Args:
+        path: File of the log.
+
+    Returns:
+        The name, for example "test_3" for test_3.csv.gz.
+    """
+    return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
+
+
+def _is_document(path: Path) -> bool:
+    """Return whether a file describes the logs and is none, by its name."""
+    return path.name.lower().partition(".")[0] in ("readme", "license", "licence", "notes", "changelog")

@@ -11,7 +11,6 @@ import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +22,7 @@ from ..file_limits import read_document, read_json
 from ..machine import Machine
 from .cleaning import GAP_PERIODS
 from .log_conversion import LogConverter, split_at_rests
-from .log_file import LOG_SUFFIXES, Log, open_log
+from .log_file import Log, find_logs, log_name, open_log
 from .log_mapping import ChannelSource, MappingOptions, map_columns
 from .measurement_units import TIME
 from .recording import Recording, run_name
@@ -118,48 +117,6 @@ def import_logs(
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
     return written
-
-
-def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
-    """List the logs of a folder, which are recognized by the endings of their names.
-
-    Args:
-        path: A log, whatever its ending, or a folder of logs.
-
-    Returns:
-        logs: Files of the folder, in alphabetical order, that end in one of `LOG_SUFFIXES` (.csv, .txt, .mat, ...),
-            possibly followed by .gz; or the one log.
-        other_files: The remaining files of the folder, except hidden ones.
-
-    Raises:
-        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same
-            name.
-    """
-    path = Path(path)
-    if path.is_file():
-        return [path], []
-    if not path.is_dir():
-        raise InputError(f"{path}: no such file or folder")
-    files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
-    logs = [p for p in files if p.name.lower().removesuffix(".gz").endswith(LOG_SUFFIXES)]
-    if not logs:
-        raise InputError(f"{path}: no logs ({', '.join(LOG_SUFFIXES)}) in this folder")
-    for first, second in pairwise(sorted(logs, key=log_name)):
-        if log_name(first) == log_name(second):
-            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
-    return logs, [p for p in files if p not in logs]
-
-
-def log_name(path: Path) -> str:
-    """Return the name of the run to which a log is converted: its file name without .gz and without its ending.
-
-    Args:
-        path: File of the log.
-
-    Returns:
-        The name, for example "test_3" for test_3.csv.gz.
-    """
-    return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
 
 
 def read_mapping_file(path: str | Path) -> MappingOptions:

@@ -31,7 +31,7 @@ from hframe_gym.recordings import (
     write_recording,
 )
 from hframe_gym.recordings.log_conversion import split_at_rests
-from hframe_gym.recordings.log_import import log_name
+from hframe_gym.recordings.log_file import log_name
 from hframe_gym.recordings.measurement_units import WrongUnitError, accepted_units
 
 Table = dict[str, np.ndarray]
