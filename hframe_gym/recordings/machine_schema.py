@@ -92,7 +92,8 @@ class CoordinateEntry(Table):
             behind a gear counts gear_ratio^2 times its inertia.
         viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
         coulomb: Coulomb friction, N or Nm.
-        radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one.
+        radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one. Without
+            belts (a servo with an arm) any length serves, such as the arm's: some messages state torques divided by it.
         range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
             of the linear coordinates, which are its workspace.
     """

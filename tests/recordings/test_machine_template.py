@@ -83,6 +83,8 @@ def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
     assert machine.coordinate("x").mass == pytest.approx(2.5 + 1e-5 / 0.012**2)
     assert (sensor.channel, sensor.kind) == ("x_m", "encoder")
     assert sensor.resolution == pytest.approx(2 * math.pi * 0.012 / 2000)
+    included = new_machine("axis", "rig", MachineOptions(mass=(2.5,), rotor_inertia=0.0))
+    assert included.coordinate("x").mass == 2.5
     both = new_machine("axis", "rig", MachineOptions(encoder_lines=500))
     assert both.output_channels == ("x_encoder_m", "x_m")
 
