@@ -89,6 +89,7 @@ def search_effects(
     log(f"searching for effects without {suspect}")
     outcome = others.run()
     if not outcome.explained:
+        log(f"no effects explain the others without {suspect}; searching in all runs")
         complete = all_runs.run()
         if complete.explained or _wide_chi2(complete) < CONTRADICTION * _wide_chi2(outcome):
             return complete
@@ -101,6 +102,7 @@ def search_effects(
     one_more = dataclasses.replace(criteria, max_effects=len(effects) + 1)
     extended = EffectSearch(data, all_runs.before.machine, one_more, log).run(start, effects)
     if explains(extended[0], others.base.chi2, criteria):
+        log(f"{suspect} is used")
         return all_runs.run(extended)
     log(f"no effect explains {suspect}; it is not used")
     return outcome._replace(contradiction=suspect)
