@@ -188,7 +188,8 @@ def _unconfirmed(without: Fit, with_effect: Fit, data: Dataset, criteria: Select
     gain, confirmed = without.cost - with_effect.cost, leave_one_out_gain(without, with_effect, data)
     if confirmed >= criteria.min_confirmed_fraction * gain:
         return ""
-    return f"is not confirmed by runs that it was not fitted to ({100 * confirmed / gain:.0f} % of the gain)"
+    there = f"{100 * confirmed / gain:.0f} % of the gain" if confirmed >= 0.0 else "their error grows with it"
+    return f"is not confirmed by runs that it was not fitted to ({there})"
 
 
 def _by_chance(

@@ -112,11 +112,13 @@ def test_an_effect_without_doubt(scripted: Scripted) -> None:
     assert doubt(scripted) == ""
 
 
-@pytest.mark.parametrize(("fraction", "sure"), [(0.31, True), (0.29, False)])
-def test_other_runs_must_confirm_an_effect(scripted: Scripted, fraction: float, sure: bool) -> None:
+@pytest.mark.parametrize(
+    ("fraction", "reason"), [(0.31, ""), (0.29, "29 % of the gain"), (-2000.0, "their error grows with it")]
+)
+def test_other_runs_must_confirm_an_effect(scripted: Scripted, fraction: float, reason: str) -> None:
     scripted.confirmed = fraction
     text = doubt(scripted)
-    assert text == ("" if sure else "is not confirmed by runs that it was not fitted to (29 % of the gain)")
+    assert text == (f"is not confirmed by runs that it was not fitted to ({reason})" if reason else "")
     # While much is unexplained, a fit without one run says little.
     assert doubt(scripted, 1.6, 1.2) == ""
 
