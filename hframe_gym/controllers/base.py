@@ -258,7 +258,7 @@ class Estimator(Protocol):
         """Estimate the state at the time of new measurements.
 
         Args:
-            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels) for B simulated
+            measurements: One measurement per sensor, m or rad, shape (B, channels) for B simulated
                 machines.
 
         Returns:

@@ -132,7 +132,7 @@ class StateEstimator:
         """Predict the state over the last control period and correct it with new measurements.
 
         Args:
-            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels) for B simulated
+            measurements: One measurement per sensor, m or rad, shape (B, channels) for B simulated
                 machines.
 
         Returns:

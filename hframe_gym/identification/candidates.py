@@ -101,7 +101,7 @@ def candidates(
         data: Prepared recordings (times, voltages, measurements).
         scales: Typical sizes of force, speed and so on. The library states starting values as multiples of them.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
-            velocity and missing force (the force that the model lacks), in the coordinate's units. Effects that are
+            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm. Effects that are
             periodic in position start from the strongest spatial periods of the missing force.
         slow_friction: Whether friction that is periodic in position also starts from long periods: 0.5 to 6 periods
             over the range of the positions.

@@ -71,13 +71,13 @@ class ProposedFormula:
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the formula to an entry of the list `formulas` of its table in report.json.
+        """Convert the formula to a dictionary, as report.json lists it among the formulas for the same table.
 
         Returns:
             "table": label (name@site) of the table; "terms": names of the terms; "formula": the equation as text;
-            "parameters": values by name, SI; "complexity": number of parameters; "curve_error": cross-validated error
-            at the table's values, in their standard deviations; "fitted" and "held_out": errors on runs, in units of
-            the sensor noise; "recommended": whether this formula is the recommended one.
+            "parameters": values by name, SI; "complexity": number of parameters; "curve_error": rms error at values of
+            the table that were left out of the fit, in their standard deviations; "fitted", "held_out" (by channel):
+            rms errors on runs, in units of the sensor noise; "recommended": whether it is the recommended formula.
         """
         effect, formula = self.effect, self.effect.formula
         return {
@@ -143,11 +143,11 @@ class TableComparison:
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the comparison to an entry of the list `proposed_formulas` in report.json.
+        """Convert the comparison to a dictionary, an entry of the list `proposed_formulas` in report.json.
 
         Returns:
-            "table": label (name@site) of the table; "complexity": number of its values; "fitted" and "held_out": errors
-            with the table on runs, in units of the sensor noise; "formulas": equation, values and errors of each.
+            "table": label (name@site) of the table; "complexity": number of its values; "fitted", "held_out" (by
+            channel): rms errors with the table, in units of the sensor noise; "formulas": list of the formulas.
         """
         return {
             "table": self.table.label,
@@ -202,7 +202,7 @@ def compare_formulas(
         log: Called with a line of text for every table and formula.
 
     Returns:
-        One comparison for each of `tables_of(result.after.machine)`, in their order.
+        One comparison for each table of the identified machine, in the order of the machine's effects.
 
     Raises:
         ImportError: If the machine has a table and scikit-learn is not installed; the message names the extra

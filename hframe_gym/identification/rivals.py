@@ -40,8 +40,8 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        First the fits that are as good as the best one, those with the fewest parameters (theta, shape (k,)) first;
-        then all others, lowest cost first.
+        First the fits that are as good as the best one, in the order of their numbers of free parameters (fewest
+        first); then all other fits, lowest cost first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -108,8 +108,9 @@ def compare_rivals(
         criteria: Decision thresholds.
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) with the most likely rival, None if no rival is more likely
-        than the effect; and the rivals that remain, those that were not tried among them.
+        best: Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (squared residuals / noise
+            variances, summed) with the most likely rival in place of the effect; None if no rival is more likely.
+        rivals: The rivals that remain, including those that were not tried.
     """
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]

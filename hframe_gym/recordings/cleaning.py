@@ -73,7 +73,7 @@ def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
     """Return a time over which the motion of all channels can be compared, at least an interval between measurements.
 
     Args:
-        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
         shortest: Window for sensors that measure in every row, s.
 
@@ -97,7 +97,7 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     Only such comparisons use the result; fits and estimates of the noise use the measured cells alone.
 
     Args:
-        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
         longest_gap: Longest time between successive measurements of a sensor over which values are interpolated, s.
 
@@ -125,7 +125,7 @@ def repetitions(values: Array) -> int:
     all in the next. A sensor that measures in every row does not do this during a motion.
 
     Args:
-        values: Measurements of one channel, in the sensor's unit, shape (n,), NaN where not measured.
+        values: Measurements of one channel, m or rad, shape (n,), NaN where not measured.
 
     Returns:
         Median number of rows per measurement during motion; 1 for a sensor that measures in every row, or with fewer
@@ -319,7 +319,7 @@ def peak_to_peak(outputs: Array) -> Array:
     """Compute the difference between the largest and the smallest measurement of each channel.
 
     Args:
-        outputs: Measurements, in the sensors' units, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
+        outputs: Measurements, m or rad, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
 
     Returns:
         Differences in the same units, 0 where nothing was measured, shape (sensors,), or a scalar for one sensor.
