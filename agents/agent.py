@@ -55,7 +55,7 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
         features: Keyword arguments of `LogScaleFeatures`: kinematics of the machine and gains of controllers.
 
     Returns:
-        Keyword arguments of the policy class: the given ones and those that set the input layer.
+        Keyword arguments of the policy class: the entries of `policy` and the arguments that set the input layer.
 
     Raises:
         ImportError: If the extra `agents` is not installed.

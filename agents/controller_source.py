@@ -137,10 +137,10 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
 
 
 def shipped_agent_names() -> tuple[str, ...]:
-    """List the trained agents that come with the package, for any task.
+    """List the trained agents that come with the package, of all tasks together.
 
     Returns:
-        Names without the suffix "-seedN", sorted, for example ("apg", "ppo", "residual", "sac").
+        Names without the suffix "-seedN", each once, sorted, for example ("apg", "ppo", "residual", "sac").
     """
     return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
 

@@ -60,7 +60,7 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, of the same type and shape.
+            speed: Tool speeds, m/s, array or torch tensor of shape (batch,).
 
         Returns:
             min(most, least + distance / full_at_m + speed / full_at_m_s), of the same type, shape (batch, 1).
@@ -75,11 +75,11 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, of the same type and shape.
+            speed: Tool speeds, m/s, array or torch tensor of shape (batch,).
 
         Returns:
-            max(0, 1 - distance / hold_m - speed / hold_m_s), of the same type, shape (batch, 1); the number 0 if
-            `hold_m` is 0.
+            max(0, 1 - distance / hold_m - speed / hold_m_s), dimensionless, array or tensor of shape (batch, 1); the
+            number 0 if the attribute `hold_m` is 0.
         """
         if not self.hold_m:
             return 0.0
@@ -165,7 +165,7 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the given keys, `last_observation`, `last_action` and, depending on the
+            Observation space of the policy: the keys of the environment, `last_observation`, `last_action` and, depending on the
             base controller and its estimates, `base_action`, `expected_friction` and `estimates`; `history` documents
             them.
         """
@@ -203,8 +203,8 @@ class ResidualAction:
                 entries of the key) for a batch of environments.
 
         Returns:
-            Arrays by key, SI, each of shape (batch, entries of the key): the given ones and those of `history`, such as
-            the previous observation, the previous action and the action of the base controller.
+            Arrays by key, SI, each of shape (batch, entries of the key): the arrays of `observation` and those that the
+            method `history` documents, such as the previous observation and the action of the base controller.
 
         Raises:
             InputError: If the base controller does not accept the observation.

@@ -109,9 +109,9 @@ class Registry(Generic[T]):
             The decorator, which returns the class or function unchanged.
 
         Raises:
-            ValueError: When the decorator is applied, if another class or function has the name. The same one, by its
-                file and `__qualname__`, may be registered again, for example by a reloaded module, and replaces the
-                earlier one.
+            ValueError: When the decorator is applied, if another class or function has the name. A class or function
+                with the same file and `__qualname__` as the registered one, for example of a reloaded module, is not
+                another one and replaces it.
         """
 
         def add(part: P) -> P:

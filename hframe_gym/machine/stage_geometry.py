@@ -257,8 +257,8 @@ class CoreXYGeometry(StageGeometry):
             y: Tool position along y, m.
 
         Returns:
-            Vertices (x, y), m, of the line of each section: "front1" and "rear1" from the left motor to the carriage,
-            directly and around the rear of the frame; "front2" and "rear2" likewise from the right motor.
+            Vertices (x, y), m, of the line of each section from a motor to the carriage: "front1" directly and "rear1"
+            around the rear of the frame, both from the left motor; "front2" and "rear2" likewise from the right motor.
         """
         carriage, bridge = self._swap((x, y))  # positions along the bridge, and along its motion
         motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(bridge)
