@@ -299,8 +299,8 @@ class TransferBank:
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            `FeedbackLaws`: voltages / rated ones, shape (batch, K, drives), by duration: declared machine, then
-            variants of it; derivatives by the observation, shape (batch, K, drives, entries).
+            `FeedbackLaws`: voltages / rated ones, shape (batch, K, drives), by duration, of the declared machine,
+            then of variants of it; their derivatives by the observation, shape (batch, K, drives, entries).
         """
         gains = self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
         at_rest = self._model.observation(self._model.goal_state(goal))

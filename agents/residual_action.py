@@ -165,9 +165,9 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the keys of the environment, `last_observation`, `last_action` and, depending on the
-            base controller and its estimates, `base_action`, `expected_friction` and `estimates`; `history` documents
-            them.
+            Observation space of the policy: the keys of the environment, `last_observation`, `last_action` and,
+            depending on the base controller and its estimates, `base_action`, `expected_friction` and `estimates`; the
+            method `history` documents the added keys.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
