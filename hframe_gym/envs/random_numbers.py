@@ -211,8 +211,8 @@ def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArr
 
     Args:
         keys: Keys of the environments, one 64-bit random number each, uint64, shape (k,).
-        episodes: Number of episodes that each environment has begun since it was seeded, shape (k,); -1 gives the key
-            for the parameters that are sampled once per seed.
+        episodes: Number of the new episode of each environment since it was seeded, from 0, shape (k,); -1 gives the
+            key for the parameters that are sampled once per seed.
 
     Returns:
         Keys of the episodes for `uniform` and `normal_pair`, uint64, shape (k,).

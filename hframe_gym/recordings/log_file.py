@@ -94,8 +94,12 @@ class Log:
             reference: "#3" for the third column, a header, or a name without its unit.
 
         Returns:
-            The column with this number; otherwise those with this header; otherwise those with this header in any case;
-            otherwise those with this name in any case. Empty if there are none.
+            Columns by the first of these criteria that any column meets; empty if none meets one:
+
+            1. its number is the reference;
+            2. its header equals the reference;
+            3. its header equals the reference except for upper and lower case;
+            4. its name without unit equals the reference except for upper and lower case.
         """
         if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
             return [self.columns[int(reference[1:]) - 1]]
