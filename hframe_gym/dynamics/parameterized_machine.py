@@ -154,7 +154,7 @@ class ParameterizedMachine:
         Args:
             i: Index of the coordinate in the machine, from 0.
             direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between blends the
-                coefficients of both directions, which differ only by effects. Float, array or expression.
+                coefficients of both directions, which differ only by effects. Float, array of any shape or expression.
 
         Returns:
             Viscous coefficient b, Ns/m (for a pulley: torque coefficient / radius^2): a float, an array of the common

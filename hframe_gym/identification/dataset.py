@@ -55,7 +55,7 @@ class PreparedRecording:
 
     @property
     def count(self) -> float:
-        """Effective number of measured values in the fit (sum of weights); N repetitions of a value count as one."""
+        """Effective number of measured values in the fit, dimensionless; N repeats of a rounded value count as one."""
         return float(self.counted.sum())
 
     def initial_state(self, machine: Machine) -> Array:
@@ -94,7 +94,7 @@ class Dataset:
 
     @property
     def count(self) -> float:
-        """Effective number of measured values of all runs in the fit; N repetitions of a rounded value count as one."""
+        """Effective number of measured values of all runs in the fit, dimensionless (sum of the runs' `count`)."""
         return sum(run.count for run in self.runs)
 
     @property

@@ -110,7 +110,7 @@ class NormalEquations:
             parts: Normal equations of at least one run.
 
         Returns:
-            Every product of `NormalEquations` and the number of measured values, each summed over the runs.
+            Sums over the runs of J^T J, shape (k, k), J^T r (k,), and so on, and of the numbers of measured values.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))

@@ -40,8 +40,8 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        First the fits that are as good as the best one, in the order of their numbers of free parameters (fewest
-        first); then all other fits, lowest cost first.
+        First the fits that are as good as the best one, by their number of free parameters theta, shape (k,)
+        (fewest first); then all other fits, lowest cost first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
