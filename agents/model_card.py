@@ -147,10 +147,10 @@ def versions(further: Sequence[str] = ()) -> dict[str, str]:
     """List the installed versions of Python and of the packages on which the result of a training run depends.
 
     Args:
-        further: Names of packages to list in addition to torch, NumPy and the others that every run uses.
+        further: Names of packages to list in addition to those that every run uses, such as torch and NumPy.
 
     Returns:
-        Version strings by package name, and that of Python by "python".
+        Version strings by package name; the version of Python has the name "python".
 
     Raises:
         PackageNotFoundError: If one of the packages is not installed.

@@ -284,7 +284,7 @@ class ResidualAction:
         """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
 
         It works on arrays and on torch tensors, so that training can differentiate it. A feedback law gives the first
-        voltage of a motion to rest at the goal; the policy can weight those of several motions.
+        voltage of a motion to rest at the goal; the policy can weight the first voltages of several motions.
 
         Args:
             output: Policy outputs, shape (batch, drives); with K laws (batch, drives + K), those for the weights last.
@@ -309,7 +309,7 @@ class ResidualAction:
         return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored last action, for a caller that applied other actions than those that `action` returned.
+        """Replace the stored last action, for a caller that applied other actions than `action` returned.
 
         The next observation of the policy contains it, and the base controller receives it.
 

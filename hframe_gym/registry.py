@@ -39,7 +39,7 @@ def load_plugins() -> None:
         InputError: If a plugin of `HFRAME_PLUGINS` cannot be imported.
 
     Warns:
-        UserWarning: If a plugin of an installed package cannot be imported; the others are still imported.
+        UserWarning: If a plugin of an installed package cannot be imported; all other plugins are still imported.
     """
     for name in filter(None, os.environ.get(PLUGIN_VARIABLE, "").split(os.pathsep)):
         import_plugin(name)

@@ -112,7 +112,7 @@ def plain_text(text: str) -> str:
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names that some options accept, such as those of tasks and controllers, for the help texts.
+    """List the names that some options accept, such as names of tasks and controllers, for the help texts.
 
     Plugins are imported first.
 

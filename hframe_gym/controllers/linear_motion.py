@@ -71,7 +71,7 @@ class LinearMotion:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
 
         The state is belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its velocity, m/s.
-        Viscous friction and motor constants are those of the declared machine.
+        Viscous friction and motor constants are taken from the declared machine.
 
         Args:
             parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P); masses, belts

@@ -116,7 +116,7 @@ class Equations(BeltEquations, SignalEquations):
     def force_balance(
         self, point: MotionPoint, motor_voltages: Sequence[Value], forces: Sequence[Value]
     ) -> ForceBalance:
-        """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
+        """Add the forces of effects to the forces of belts and drives, and determine the Coulomb friction force.
 
         Effects are deviations from the nominal model, such as Stribeck friction. Back-EMF counts as viscous friction
         and is in none of the forces. Forces act along the belt travel (position, or radius * angle of a pulley). Values

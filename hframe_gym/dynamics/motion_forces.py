@@ -151,7 +151,7 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
     Returns:
         Mean voltages, V: for each drive an array of shape (n,), or (variants, n) if its delay is an array of shape
         (variants, 1) with one value for each of several variants of the machine. The last mean is over an interval as
-        long as the one before. Until the delay has passed, the voltage of the first sample acts.
+        long as the interval before. Until the delay has passed, the voltage of the first sample acts.
     """
     # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)

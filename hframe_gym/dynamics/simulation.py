@@ -137,7 +137,7 @@ def simulate_batch(
         machine: One of the machines; it gives the equations of motion and the default parameters.
         time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) for all machines or (B, n, drives).
-        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: those of `machine`.
+        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: by `machine`.
         start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,) or
             (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order of the
             machine's effects) may follow in further columns; without them they are zero.

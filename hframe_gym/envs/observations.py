@@ -50,7 +50,7 @@ class StateView(NamedTuple):
 
         Args:
             simulator: Simulator of the machines.
-            signals: Specifications of the entries, positions and velocities; those of the tool's axes come first.
+            signals: Specifications of the entries, positions and velocities; the tool's axes come first.
 
         Returns:
             `rows`, shape (n, 4): for each entry the row of the state array, the coordinate, and two coordinates whose

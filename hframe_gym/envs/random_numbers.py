@@ -116,7 +116,7 @@ def _log(x: float) -> float:
 def cos_sin_of_turns(u: float) -> tuple[float, float]:
     """Compute cosine and sine of an angle, each with an error below 1e-15.
 
-    Unlike those of the C library, the results have the same bits on every system.
+    Unlike results of the C library, they have the same bits on every system.
 
     Args:
         u: Angle in turns (1 turn is 2 pi rad), any finite number.

@@ -190,7 +190,7 @@ class DeclaredSensors(SensorSuite):
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then the others.
+        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then all other ones.
 
         Args:
             machine: Machine with its sensors.

@@ -85,7 +85,7 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
 
     Returns:
         By key: "protocol" and "digest" (its name and hash), "entry" (controller or agent), "versions" of packages,
-        "scores" by part and metric, "draws" as given, and "schema" (version of the format) and "about" (empty text).
+        "scores" by part and metric, "draws" unchanged, and "schema" (version of the format) and "about" (empty text).
     """
     return {
         "schema": SCHEMA,
@@ -293,7 +293,7 @@ def protocol_bounds(name: str) -> dict[str, Array]:
 
     Raises:
         InputError: If there is no such protocol.
-        ValueError: If the stored times belong to other draws (episodes) than those of the protocol.
+        ValueError: If the stored times belong to other draws (episodes) than the protocol has.
     """
     protocol = get_protocol(name)
     if "reach" not in protocol.parts:

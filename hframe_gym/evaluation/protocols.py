@@ -245,7 +245,7 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
 
     Raises:
         InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges, or the
-            installed packages give other draws than those of the protocol.
+            installed packages give other draws (episodes) than the protocol declares.
     """
     protocol.check()
     load_plugins()

@@ -107,7 +107,7 @@ class Scenario:
     def controller_task(self) -> Task:
         """Copy of the task that previews the goal at the end of each of the next control periods, for controllers.
 
-        The length of the preview, s, is that of the task. A task without a preview is returned unchanged.
+        The length of the preview, s, stays the same. A task without a preview is returned unchanged.
         """
         task = as_task(self.task)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):

@@ -99,7 +99,7 @@ def candidates(
     Args:
         machine: Machine with the effects that have been selected so far.
         data: Prepared recordings (times, voltages, measurements).
-        scales: Typical sizes of force, speed and so on. The library states starting values as multiples of them.
+        scales: Typical sizes of force, speed, ...; the library states starting values as multiples of them.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
             velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm. Effects that are
             periodic in position start from the strongest spatial periods of the missing force.
@@ -220,7 +220,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
         scales: Typical sizes of force, speed and so on, by the unit of the parameter.
 
     Returns:
-        One free parameter for every parameter of the effect, except those that its definition declares as fixed.
+        One free parameter for every parameter of the effect, except parameters that its definition declares as fixed.
     """
     at_site = _scales_at(effect.definition, effect.site, machine, scales)
     free = []

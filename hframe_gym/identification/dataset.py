@@ -238,7 +238,7 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
         machine: Fitted machine with its effects (deviations from the nominal model).
-        reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
+        reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
             Default: `data`.
 
     Returns:
@@ -290,7 +290,7 @@ class TypicalScales:
     general: Mapping[str, float]
 
     def of(self, coordinate: str) -> Mapping[str, float]:
-        """Return the typical sizes at a coordinate together with those that belong to no coordinate.
+        """Return the typical sizes at a coordinate together with the sizes that belong to no coordinate.
 
         Args:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.

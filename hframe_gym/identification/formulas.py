@@ -192,7 +192,7 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
 def compare_formulas(
     result: IdentificationResult, log: Callable[[str], None] = lambda line: None
 ) -> tuple[TableComparison, ...]:
-    """Propose formulas for each table of an identified machine and compare their errors with that of the table.
+    """Propose formulas for each table of an identified machine and compare their errors with the table's error.
 
     A table is a force or friction level interpolated over one variable. Each formula takes its place, and all
     parameters of the machine are fitted again. A formula with which the machine diverges is left out.

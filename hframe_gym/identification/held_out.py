@@ -73,7 +73,7 @@ def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
 
 
 def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
-    """Return by which fraction the squared error of a machine is smaller than that of another machine.
+    """Return by which fraction the squared error of a machine is smaller than another machine's.
 
     The error is the prediction error in units of the sensors' noise. With the widest observer (60 rad/s), for machines
     without belts and with a drive and a sensor for each coordinate, it is the error of the drives' force instead:

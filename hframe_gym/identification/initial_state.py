@@ -101,7 +101,7 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
-        position: Positions, m or rad, shape (coordinates,); only those of the linear coordinates (carriages) are used.
+        position: Positions, m or rad, shape (coordinates,); only linear coordinates (carriages) are used.
             Coordinates that structural effects added, the last ones, may be missing.
 
     Returns:
@@ -190,7 +190,7 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
 
 
 def concentric_angle(machine: Machine, index: int, angle: float) -> float:
-    """Convert the angle of an eccentric pulley at rest to that of a concentric pulley with the same belt travel.
+    """Convert the angle of an eccentric pulley at rest to the angle of a concentric one with the same belt travel.
 
     A simulation starts from the angles of concentric pulleys, whose belt travel is radius * angle. The conversion is
     accurate to first order in the eccentricity.

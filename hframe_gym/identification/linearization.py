@@ -110,7 +110,7 @@ class NormalEquations:
             parts: Normal equations of at least one run.
 
         Returns:
-            Sums over the runs of J^T J, shape (k, k), J^T r (k,), and so on, and of the numbers of measured values.
+            Sums over the runs: J^T J, shape (k, k), J^T r (k,), all other products, and numbers of measured values.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))
@@ -274,7 +274,7 @@ class ResidualModel:
                 as candidate forces, shape (m, rows). Default: none.
 
         Returns:
-            For each run: J^T J, shape (k, k), J^T r, shape (k,), and so on, with the Jacobian J, and initial state.
+            For each run: `NormalEquations` with the Jacobian J (J^T J, shape (k, k), J^T r, (k,), ...), initial state.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:

@@ -246,7 +246,7 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
         data: Runs that were fitted.
 
     Returns:
-        Name of the run with the largest ratio of its chi-squared per sample to that of the other runs, both for
+        Name of the run with the largest ratio of its chi-squared per sample to the other runs', both for
         parameters that are fitted to the other runs. None if this ratio is at most 10, or for fewer than three runs.
     """
     if len(data.runs) < _MIN_AGREEING + 1:

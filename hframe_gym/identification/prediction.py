@@ -207,7 +207,7 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
         data: Data set, for the sampling period.
 
     Returns:
-        Number of values (rows times sensors), at least those of one row.
+        Number of values (rows times sensors), at least one row of them.
     """
     return max(1, round(seconds / data.period)) * len(machine.sensors)
 

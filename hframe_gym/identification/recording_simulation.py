@@ -112,7 +112,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         Initial state for `simulate(..., initial.start(machine), offset=initial.offset)`, the simulation whose errors
         identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `offset` the
         zeros of the sensors, m or rad, shape (sensors,), with which this simulation fits the recording best. If the
-        simulation diverges, the zeros are those of the measurements at rest. `warnings` lists what could not be
+        simulation diverges, the zeros follow from the measurements at rest. `warnings` lists what could not be
         determined.
     """
     return _initial_state(machine, _cleaned(recording, machine))

@@ -59,7 +59,7 @@ def close_rivals(
     per measured value, or by less than 3 % of the reduction that the selected effect brings if this is more.
 
     Args:
-        trials: Fits with one candidate effect (deviation from the model) each, that of the selected effect first.
+        trials: Fits with one candidate effect (deviation from the model) each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         data: Prepared recordings (times, voltages, measurements, SI).
         criteria: Decision thresholds; the values above are its defaults.

@@ -186,7 +186,7 @@ def load_result(folder: Path) -> SavedResult:
         (n, sensors)).
 
     Raises:
-        InputError: If a file is missing, damaged or inconsistent with the others; the message names the file.
+        InputError: If a file is missing, damaged or inconsistent with another file; the message names the file.
     """
     complete_commit(folder)
     if not newest(folder / "report.json").is_file():

@@ -117,7 +117,7 @@ def candidate_perturbations(
 ) -> Perturbation:
     """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
 
-    `screen` linearizes the residual with them. They are approximate in three respects: the motion is that of the
+    `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed for the
     machine without the candidate, the candidate does not interact with other effects, and forces are constant from each
     sample to the next.
 
@@ -245,7 +245,7 @@ def replaces_model_part(effect: Effect) -> bool:
         effect: Definition of the effect (deviation from the nominal model).
 
     Returns:
-        True for structural effects (they add coordinates) and those that replace dry friction.
+        True for effects that add coordinates (structural effects) and for effects that replace dry friction.
     """
     return bool(effect.structure or effect.friction)
 

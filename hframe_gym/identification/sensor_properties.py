@@ -85,7 +85,7 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
 
 
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
-    """Estimate the standard deviation of a sensor's noise, at least that of the rounding error, quantum / sqrt(12).
+    """Estimate the standard deviation of a sensor's noise; it is at least the rounding error, quantum / sqrt(12).
 
     With fewer than 30 rows at rest it is the declared value or, if there is none, comes from third differences.
 

@@ -260,7 +260,7 @@ def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = N
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
         machine: Fitted machine with its effects (deviations from the nominal model).
-        reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
+        reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
             Default: `data`.
 
     Returns:

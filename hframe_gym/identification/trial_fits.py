@@ -181,7 +181,7 @@ def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Datase
     """Fit a machine again in which a rival effect (deviation from the nominal model) replaces another effect.
 
     Args:
-        current: Fit of the machine with all selected effects, among them the one to replace.
+        current: Fit of the machine with all selected effects, among them the effect to replace.
         label: Label (name@site) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
         data: Runs to fit (times, voltages, measurements, SI).

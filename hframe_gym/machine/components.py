@@ -268,7 +268,7 @@ class Sensor:
 
     @property
     def coordinate(self) -> str:
-        """Name of the coordinate that the sensor mainly measures: the one with the largest coefficient in `row`.
+        """Name of the coordinate that the sensor mainly measures: it has the largest coefficient in `row`.
 
         The sign of a coefficient does not matter, and products of coordinates ("y*yaw") are ignored.
         """
