@@ -287,8 +287,8 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
     """Convert the environment option `randomize` to randomization rules.
 
     Args:
-        randomize: Name of a preset, or a list of `RandomizeParameter` and `RandomizeIdentified`. An entry may also be a
-            dict of the arguments of `RandomizeParameter`, as read from a TOML or JSON file.
+        randomize: Preset name ("default", ...), or a list of `RandomizeParameter` and `RandomizeIdentified`. An entry
+            may also be a dict of the arguments of `RandomizeParameter`, as read from a TOML or JSON file.
         names: Full names of all parameters that can be randomized, for example "x.mass".
 
     Returns:

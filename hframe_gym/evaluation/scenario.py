@@ -90,7 +90,7 @@ class Scenario:
 
     @cached_property
     def declared_machine(self) -> Machine:
-        """Machine with its nominal parameters, before randomization. A preset name or a path is loaded at first use."""
+        """Machine with its nominal parameters, before randomization; loaded at first use if given by name or path."""
         return as_machine(self.machine)
 
     @property
@@ -276,7 +276,7 @@ def make_controller(
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
             or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent.
-        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
+        machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further arguments.
         task: Task (name or object) for which the controller is needed; selects among the agents in the package.
         sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
             suite.

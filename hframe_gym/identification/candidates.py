@@ -51,7 +51,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name of the effect (deviation from the nominal model) and of its site, such as "stribeck_friction@x"."""
+        """Name of the effect (deviation from the nominal model) and its component, such as "stribeck_friction@x"."""
         return f"{self.effect.name}@{self.site}"
 
     @property
@@ -69,7 +69,7 @@ class Candidate:
                 ignored.
 
         Returns:
-            Effect at the candidate's site, with its parameters, SI, clipped to their bounds.
+            Effect on the candidate's component, with its parameters, SI, clipped to their bounds.
         """
         values = dict(self.columns[0])
         phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
@@ -131,10 +131,10 @@ def is_required(machine: Machine, label: str) -> bool:
 
     Args:
         machine: Machine with effects (deviations from the nominal model).
-        label: Label (name@site) of the effect that may be required.
+        label: Label (name@component) of the effect that may be required.
 
     Returns:
-        True if an effect at the same site names it in `Effect.requires`.
+        True if an effect on the same component names it in `Effect.requires`.
     """
     return any(f"{e.definition.requires}@{e.site}" == label for e in machine.effects)
 

@@ -74,7 +74,7 @@ class ProposedFormula:
         """Convert the formula to a dictionary, as report.json lists it among the formulas for the same table.
 
         Returns:
-            "table": label (name@site) of the table; "terms": names of the terms; "formula": the equation as text;
+            "table": label (name@component) of the table; "terms": names of the terms; "formula": the equation as text;
             "parameters": values by name, SI; "complexity": number of parameters; "curve_error": rms error at values of
             the table that were left out of the fit, in their standard deviations; "fitted", "held_out" (by channel):
             rms errors on runs, in units of the sensor noise; "recommended": whether it is the recommended formula.
@@ -146,7 +146,7 @@ class TableComparison:
         """Convert the comparison to a dictionary, an entry of the list `proposed_formulas` in report.json.
 
         Returns:
-            "table": label (name@site) of the table; "complexity": number of its values; "fitted", "held_out" (by
+            "table": label (name@component) of the table; "complexity": number of its values; "fitted", "held_out" (by
             channel): rms errors with the table, in units of the sensor noise; "formulas": list of the formulas.
         """
         return {

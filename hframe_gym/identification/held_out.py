@@ -50,8 +50,8 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
 def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
     """Return the fraction of the squared error of the held-out runs that one of several effects removes.
 
-    The machine with all effects is compared with the same machine without this effect and otherwise equal parameters;
-    if the effect added coordinates, with the machine as it was fitted before the effect.
+    The machine with all effects is compared with a copy without this effect, whose other parameters are equal. If the
+    effect added coordinates, it is compared with the machine that was fitted before the effect was added.
 
     Args:
         selected: Effect (deviation from the nominal model) that the search selected.

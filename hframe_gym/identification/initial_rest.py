@@ -263,7 +263,7 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
         Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, each of the
         size of one standard deviation, shape (errors, coordinates). Their variance is the variance of the slopes (noise
         and vibration of the belts) plus the square of 20 % of the speed or of the distance to the farthest possible
-        start, whichever is larger. Zeros and no errors if only rest is possible, or no velocity is significantly measured.
+        start, whichever is larger. Zeros and no errors if only rest is possible, or no velocity is significant.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:

@@ -271,18 +271,18 @@ def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDA
 def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
-    The estimate is the mean error over the complete run, if it differs from the mean error over the later half of the
-    rows at rest by at most `max_mean`; otherwise it differs from the latter by `max_mean`. The limit is needed because
-    a constant force may also cause a mean error. For a sensor without quantization, the first five rows of the run
-    replace a single row at rest, which has the noise of one measurement.
+    The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean error over
+    the later half of the rows at rest. The limit is needed because a constant force may also cause a mean error. For a
+    sensor without quantization, the first five rows of the run replace a single row at rest, which has the noise of one
+    measurement.
 
     Args:
         error: Measured minus predicted values of a batch of predictions over n samples, m or rad, 0 where
             not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Largest difference between the estimate and the mean over these rows at rest, m or rad, shape
-            (sensors,); infinite for no limit.
+        max_mean: Largest difference between estimate and mean error at rest, m or rad, shape (sensors,); infinite for
+            no limit.
         quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
 
     Returns:

@@ -101,7 +101,7 @@ def compare_rivals(
 
     Args:
         current: Fit of the machine with all effects (deviations from the model).
-        label: Label (name@site) of the effect to compare.
+        label: Label (name@component) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
             not tried; none is if another effect requires the effect to compare.
         data: Prepared recordings to fit (times, voltages, measurements, SI).

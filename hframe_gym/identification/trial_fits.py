@@ -161,7 +161,7 @@ def replacement_fit(
     Args:
         current: Fit with all selected effects (deviations from the nominal model).
         reduced: Fit without the effect to replace, at the same observer bandwidth.
-        replaced: Label (name@site) of the effect to replace.
+        replaced: Label (name@component) of the effect to replace.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
@@ -182,7 +182,7 @@ def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Datase
 
     Args:
         current: Fit of the machine with all selected effects, among them the effect to replace.
-        label: Label (name@site) of the effect to replace.
+        label: Label (name@component) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
         data: Runs to fit (times, voltages, measurements, SI).
 

@@ -167,7 +167,7 @@ class Machine:
     def tool_axes(self) -> tuple[str, ...]:
         """Names of the linear coordinates that give the tool position, in the order of its axes.
 
-        With at most two linear coordinates, all of them; with more, ("x", "y") if both names exist, otherwise ().
+        With one or two linear coordinates: all of them. With more: ("x", "y"), or () if one of these names is missing.
         """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
         if len(linear) > 2:
@@ -244,10 +244,10 @@ class Machine:
         return FIXED_UNITS[key]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
-        """Return the unit of a parameter of an effect (deviation from the nominal model) at its site.
+        """Return the unit of a parameter of an effect (deviation from the nominal model) on its component.
 
         Args:
-            effect: Effect at a site of this machine. It need not be one of the machine's effects.
+            effect: Effect on a component of this machine. The machine need not have it.
             parameter: Name of the effect's parameter, for example "A".
 
         Returns:
