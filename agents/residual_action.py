@@ -154,7 +154,8 @@ class ResidualAction:
         """Build the space of the policy's outputs.
 
         Returns:
-            Box from -1 to 1: one entry for each drive, then one for the weight of each transfer of `bank`, if any.
+            Box from -1 to 1: one entry for each drive. If the policy weights several transfers (motions to rest at the
+            goal, attribute `bank`), one entry for the weight of each follows.
         """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 

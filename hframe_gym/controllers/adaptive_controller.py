@@ -99,7 +99,7 @@ class AdaptiveController(FullStateController):
         """Clear estimates and controller memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         super().reset(mask)
         for controller in self._controllers():

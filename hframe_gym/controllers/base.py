@@ -99,7 +99,7 @@ class Controller(ABC):
         """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
 
     def concern(self) -> str | None:
@@ -135,10 +135,10 @@ class EpisodeStarts:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark the machines that start a new episode with their next observation; earlier marks remain.
+        """Mark machines as starting a new episode with their next observation; machines marked earlier stay marked.
 
         Args:
-            mask: True for the machines to mark, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to mark, shape (B,) for B machines. None: all; their number may then change.
         """
         if mask is None:
             self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
@@ -160,7 +160,7 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Remove all marks; call it after the first observations of the marked machines have been processed."""
+        """Unmark all machines; call it after the first observations of their new episodes have been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
@@ -189,7 +189,7 @@ class FullStateController(Controller):
         """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         self._starts.reset(mask)
 
@@ -307,7 +307,7 @@ class OutputFeedbackController(Controller):
         """Reset controller and estimator for the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         self.controller.reset(mask)
         self.estimator.reset(mask)

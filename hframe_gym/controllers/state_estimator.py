@@ -108,7 +108,7 @@ class StateEstimator:
         Their new estimates start from a machine at rest with the declared parameters.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         self._starts.reset(mask)
 

@@ -141,7 +141,7 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
 
 
 def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
-    """Replace the settling times of draws (episodes) that do not settle by the length of an episode.
+    """Copy a metric's values to an array, with the length of an episode for draws (episodes) that do not settle.
 
     Args:
         column: B settling times, s, None for a draw that does not settle; values of another metric are not changed.

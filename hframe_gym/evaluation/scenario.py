@@ -105,7 +105,7 @@ class Scenario:
 
     @property
     def controller_task(self) -> Task:
-        """Copy of the task that previews the goal at the end of each of the next control periods, for controllers.
+        """Copy of the task for controllers, which preview the goals at the ends of the next control periods.
 
         The length of the preview, s, stays the same. A task without a preview is returned unchanged.
         """

@@ -170,7 +170,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Leave out the runs whose initial position no sensor determines, so that they cannot be simulated.
+    """Copy a data set without the runs that cannot be simulated, because no sensor determines the initial position.
 
     Args:
         data: Data set of prepared runs (times, voltages, measurements, SI).
@@ -205,7 +205,7 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Seq
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Restore the saturated measurements (at the ends of a sensor's range) that a fit leaves out, for an evaluation.
+    """Copy a data set, with the saturated measurements (at the ends of a sensor's range) that a fit leaves out.
 
     Args:
         data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
@@ -230,7 +230,7 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
 
 
 def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Correct the estimated zeros (measurements at position 0) of the encoders with a fitted machine.
+    """Copy a data set, with zeros (measurements at position 0) of the encoders corrected by a fitted machine.
 
     `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
     forces that stretch the belts at rest; this stretch is the error of the zeros.
@@ -296,8 +296,8 @@ class TypicalScales:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Typical size by key: "force" (N, Nm), "speed" (m/s, rad/s), "position" (m, rad), "viscous", "drag",
-            "stiffness", "voltage" (V), or an SI unit, such as "A", of which the size then is a multiple.
+            Typical size, SI, by key: "force", "speed", "position", "viscous" (force / speed), "drag" (force / speed^2),
+            "stiffness" (force / position), "voltage", "A" (current), for belts "m", "N" and "1/m^2" (extension, force).
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 

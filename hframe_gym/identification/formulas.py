@@ -64,7 +64,7 @@ class ProposedFormula:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Ratio of rms error to sensor noise on the held-out runs, mean over the channels; NaN if not simulated.
+        """Mean over the channels of rms error / sensor noise, dimensionless, on the held-out runs; NaN if unknown.
 
         `PredictionErrors.noise_ratio` is the root mean square over the channels instead.
         """
@@ -139,7 +139,7 @@ class TableComparison:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Ratio of rms error to sensor noise on the held-out runs with the table, mean over the channels."""
+        """Mean over the channels of rms error / sensor noise, dimensionless, on the held-out runs, with the table."""
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:

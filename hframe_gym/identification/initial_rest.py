@@ -152,7 +152,7 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
 
 
 def without_moving_start(recording: Recording, machine: Machine) -> Recording:
-    """Remove the measurements before the machine comes to rest, if it still moves when the run begins.
+    """Copy a recording without the measurements before the machine comes to rest, if it moves when the run begins.
 
     The rest that follows gives the initial state. A simulation that begins with this state and without input remains at
     rest until the first input, so times and inputs are kept.
@@ -196,7 +196,7 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
 
     Args:
         values: The measurements, m or rad, NaN where there is none, shape (rows,).
-        run_values: All measurements of the run, which show the quantization step, shape (n,).
+        run_values: All measurements of the sensor in the run, m or rad, for its quantization step, shape (n,).
         sensor: The sensor with its declared noise and resolution.
 
     Returns:

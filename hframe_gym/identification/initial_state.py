@@ -305,7 +305,7 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
 
 
 def correct_encoder_zeros(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
-    """Correct the encoder zeros (measurements at position 0) of an initial state, and the positions that use them.
+    """Copy an initial state, with corrected encoder zeros (measurements at position 0) and resulting positions.
 
     Args:
         initial: Measured initial state.

@@ -134,7 +134,7 @@ class NormalEquations:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
-            Copy with k = 0 and the reduced products E^T E, shape (m, m), and E^T r, shape (m,), of the responses E.
+            Copy with k = 0; what remains of E^T E, shape (m, m), and E^T r, (m,), for responses E and residual r.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])

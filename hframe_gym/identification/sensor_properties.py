@@ -310,7 +310,7 @@ def _end(
 def blank_saturated(
     recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> Recording:
-    """Replace saturated measurements by NaN: those beyond or within four noise deviations of the end of a range.
+    """Copy a recording, with NaN for saturated measurements: beyond the end of a range, or within 4 noise deviations.
 
     Args:
         recording: One run (times, s; voltages, V; measurements, m or rad).

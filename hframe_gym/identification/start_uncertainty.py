@@ -251,7 +251,7 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 
 
 def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Correct the encoder zeros and the initial states of effects of all runs with a fitted machine.
+    """Copy a data set, with encoder zeros and initial states of effects corrected by a fitted machine.
 
     The zeros are the measurements at position 0; forces that stretch the belts at rest falsify their first estimate.
     The corrected states are those of effects that remember motion before the recording, such as hysteresis. They must
