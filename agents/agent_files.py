@@ -111,7 +111,7 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
         files: Names of the files that the folder must have.
 
     Returns:
-        Content of agent.json. The values that build the policy have the right types and are in their ranges.
+        Entries of agent.json. The values that build the policy have been checked: types and ranges are right.
 
     Raises:
         InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has a value of

@@ -48,7 +48,8 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        `costs`: cost of each of B episodes, s or mm, shape (B,), as `episode_costs` defines it. `row`: scores by name.
+        `costs`: cost of each of B episodes, shape (B,): by settling times and final error, s, or by errors along a
+        path, mm (`episode_costs`). `row`: scores by name.
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the band that the task defines, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm.

@@ -217,7 +217,7 @@ def read_result(path: str | Path) -> ResultFile:
         path: File that `write_result` wrote.
 
     Returns:
-        Content of the file.
+        Content of the file: protocol, controller or agent, versions of packages, scores, and values of all episodes.
 
     Raises:
         InputError: If the file is not a result file, names an unknown protocol, or lacks the digest (hash), parts

@@ -207,7 +207,7 @@ def get_protocol(name: str) -> Protocol:
         name: Name with the version, for example "reach-v1".
 
     Returns:
-        The protocol.
+        The protocol (a fixed benchmark).
 
     Raises:
         InputError: If there is no such protocol.

@@ -107,9 +107,9 @@ def candidates(
             over the range of the positions.
 
     Returns:
-        One candidate per effect, site and set of starting values, at most 64 per effect and site. Left out are effects
-        that the machine has already, effects that require another one which the machine lacks (`Effect.requires`),
-        effects that a refit of the machine's parameters can represent, and effects that replace a part of the model
+        One candidate per effect, site (component) and set of starting values, at most 64 per effect and site. Left out
+        are effects that the machine has already, effects that require another effect which the machine lacks, effects
+        that a refit of the machine's parameters can represent, and effects that replace a part of the model
         (they add coordinates or replace dry friction), which `screening.screen_structures` tries.
     """
     present = {e.label for e in machine.effects}

@@ -60,7 +60,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction (`error_reduction`), dimensionless, at most 1; negative if the effect increases the error.
+        Fraction, dimensionless, at most 1; negative if the effect increases the error, as `error_reduction` defines it.
     """
     return error_reduction(_machine_without(selected, machine), machine, validation, bandwidth)
 

@@ -299,7 +299,7 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
 
 
 def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
-    """Return how far the zero of each sensor may differ from its value by the rows at rest.
+    """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
 
     The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
     encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up to these limits,
@@ -316,7 +316,7 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
 
 
 def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
-    """Return how far, in a fit, the zero of each sensor may differ from its value by the rows at rest.
+    """Return how far, in a fit, the zero of each sensor may differ from its estimate by the rows at rest.
 
     The zero is the measurement at position 0. The limits differ from those of `max_zero_means` for a sensor without
     quantization. It gives the initial position, and the noise of its few measurements at rest makes this position wrong

@@ -65,7 +65,7 @@ def close_rivals(
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        Rivals with their fitted parameters, each effect and site once, in the order of the trials.
+        Rivals with their fitted parameters, each effect once per component, in the order of the trials.
     """
     best = trials[0]
     margin = _margin(current, best.cost, data, criteria)

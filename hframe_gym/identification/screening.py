@@ -86,9 +86,9 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Scored candidates, largest reduction of chi-squared (summed over all samples, dimensionless) first. The
-        reduction is 0 if only an amplitude outside its bounds would cause one, or if the machine's free parameters can
-        represent the candidate.
+        Candidates with the weights of their basis functions and the reduction of chi-squared (summed over all samples,
+        dimensionless), in the order of decreasing reduction. It is 0 if only an amplitude outside its bounds would
+        reduce chi-squared, or if the machine's free parameters can represent the candidate.
     """
     if not candidates:
         return []

@@ -170,7 +170,7 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         noise: Standard deviation of the sensor's noise at rest, m or rad.
 
     Returns:
-        Standard deviation of the sampling time, s; 0 below the variance of the noise, which vibrations may cause.
+        Standard deviation of the sampling time, s; 0 if the variance is below 2 noise^2: vibrations may cause it.
     """
     squares, speeds, travels = [], [], []
     for time_s, values in zip(times, channel, strict=True):
