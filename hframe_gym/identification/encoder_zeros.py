@@ -77,7 +77,7 @@ class EncoderZeros(NamedTuple):
         """Return a copy of a machine whose sensors have these zeros (measurements at position 0).
 
         Args:
-            machine: Machine to copy; it is not changed. Its sensors are those of the zeros, in the same order.
+            machine: Machine to copy; it is not changed. It has one sensor per zero, in the same order.
 
         Returns:
             Copy of the machine. A sensor with a known zero has this zero (m or rad) and, if the zero varies from run to
