@@ -94,12 +94,8 @@ class Log:
             reference: "#3" for the third column, a header, or a name without its unit.
 
         Returns:
-            Columns by the first of these criteria that any column meets; empty if none meets one:
-
-            1. its number is the reference;
-            2. its header equals the reference;
-            3. its header equals the reference except for upper and lower case;
-            4. its name without unit equals the reference except for upper and lower case.
+            Columns by the first criterion that any column meets: the reference is its number; its header; its header in
+            upper or lower case; its name without unit, in upper or lower case. Empty if no column meets any of these.
         """
         if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
             return [self.columns[int(reference[1:]) - 1]]
