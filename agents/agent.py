@@ -55,7 +55,7 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
         features: Keyword arguments of `LogScaleFeatures`: kinematics of the machine and gains of controllers.
 
     Returns:
-        Keyword arguments of the policy class: the given ones and those that set the input layer.
+        Keyword arguments of the policy class: the entries of `policy` and the arguments that set the input layer.
 
     Raises:
         ImportError: If the extra `agents` is not installed.
@@ -144,7 +144,7 @@ class Agent(Controller):
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Replace the stored last action, for a caller that applied other actions than those that `act` returned.
+        """Replace the stored last action, for a caller that applied other actions than `act` returned.
 
         The policy may observe the last action in the next period.
 
@@ -173,7 +173,7 @@ class Agent(Controller):
 
         Returns:
             A clause about the agent, for example "was trained on a machine with 2 axes, 2 drives, but 'stage' has
-            1 axis, 1 drive"; None if the numbers are those of the machine of the training.
+            1 axis, 1 drive"; None if the machine of the training has the same numbers.
         """
         counts, trained = _part_counts(machine), _part_counts(self.machine)
         differing = [part for part in counts if counts[part] != trained[part]]
@@ -183,7 +183,7 @@ class Agent(Controller):
         return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
 
     def mismatch(self, machine: Machine, period: float) -> str | None:
-        """Return a warning if the machine or the control period of an evaluation is not that of the agent's training.
+        """Return a warning if machine or control period of an evaluation differ from those of the agent's training.
 
         Args:
             machine: Machine of the evaluation.

@@ -111,7 +111,7 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
         files: Names of the files that the folder must have.
 
     Returns:
-        Content of agent.json. The values that build the policy have the right types and are in their ranges.
+        Entries of agent.json. The values that build the policy have been checked: types and ranges are right.
 
     Raises:
         InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has a value of
@@ -142,8 +142,8 @@ def refuse_to_replace(folder: Path, recipe: str, machine: str, seed: int, alone:
     Args:
         folder: Folder for the files of a training run; it need not exist.
         recipe: Name of the recipe of the new run, ALGORITHM_TASK.
-        machine: Name of its machine.
-        seed: Its seed.
+        machine: Name of the machine of the new run.
+        seed: Seed of the new run.
         alone: Whether the command trains this seed only, not several seeds. Only then does it accept the option
             --resume, which the message then proposes.
 

@@ -32,11 +32,11 @@ class AgentSource(ControllerSource):
                 that come with the package.
 
         Returns:
-            The agent, or None if the name is neither a folder nor that of an agent that comes with the package.
+            The agent, or None if neither a folder nor an agent that comes with the package has this name.
 
         Raises:
             InputError: If the folder holds no agent, its files are damaged, or the machine has other numbers of axes,
-                observed coordinates or drives than that of the training.
+                observed coordinates or drives than the machine of the training.
             ImportError: If the extra `agents` is not installed.
         """
         folder = _agent_folder(name, scenario.task_name)
@@ -137,10 +137,10 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
 
 
 def shipped_agent_names() -> tuple[str, ...]:
-    """List the trained agents that come with the package, for any task.
+    """List the trained agents that come with the package, of all tasks together.
 
     Returns:
-        Names without the suffix "-seedN", sorted, for example ("apg", "ppo", "residual", "sac").
+        Names without the suffix "-seedN", each once, sorted, for example ("apg", "ppo", "residual", "sac").
     """
     return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
 

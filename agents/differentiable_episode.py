@@ -114,8 +114,8 @@ class SimulatedPeriod:
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
 
         Returns:
-            outputs: State at the end of the period and tool positions within it, as the method `outputs` returns them
-                without changes, m and m/s, shape (B, o).
+            outputs: Result of the method `outputs` for the unchanged arguments: state at the end of the period, m and
+                m/s, then tool positions within it, m, shape (B, o).
             derivatives: Derivatives of the o outputs with respect to the entries of `state`, then of `volts` and, if
                 the drives have a dead time, of `last_volts`, SI, shape (2 n + d or 2 n + 2 d, B, o).
         """
@@ -226,14 +226,16 @@ def distance_cost(distance: Any) -> Any:
 
 
 def reach_cost(tool: Any, goal: Any) -> Any:
-    """Compute the cost of one control period of a motion to a fixed goal.
+    """Compute the cost of one control period of a motion to a fixed goal; it increases with the distance to the goal.
 
     Args:
-        tool: Tool positions at SAMPLES = 2 times of the period, m, shape (B, SAMPLES, axes).
+        tool: Tool positions of B environments in the middle and at the end of the period (SAMPLES = 2), m, shape (B,
+            SAMPLES, axes).
         goal: Goals, m, shape (B, axes).
 
     Returns:
-        Mean of `distance_cost` over the samples of the period, dimensionless, shape (B,).
+        Costs, dimensionless, shape (B,): mean over both times of a function of the distance (`distance_cost`) that
+        increases from 0 at the goal towards 1 far from it.
     """
     squares = ((tool - goal.double()[:, None]) ** 2).sum(2)
     return distance_cost(torch.sqrt(squares + SMALLEST_DISTANCE**2)).mean(1)

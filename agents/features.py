@@ -299,8 +299,8 @@ class TransferBank:
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            `FeedbackLaws`: voltages as fractions of the rated ones, shape (batch, K, drives), and their derivatives by
-            the observation. First come the transfers of the declared machine, in the order of their durations.
+            `FeedbackLaws`: voltages / rated ones, shape (batch, K, drives), by duration, of the declared machine,
+            then of variants of it; their derivatives by the observation, shape (batch, K, drives, entries).
         """
         gains = self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
         at_rest = self._model.observation(self._model.goal_state(goal))
@@ -330,7 +330,7 @@ class PlanBank:
         self._of_observation = _state_of_observation(self._model)
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any]) -> FeedbackLaws:
-        """Plan each transfer (motion to rest at the goal) for the estimated machine and return its first voltages.
+        """Plan each transfer (motion to rest at the goal) for the estimated machine; return voltages and derivatives.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
@@ -338,7 +338,7 @@ class PlanBank:
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
 
         Returns:
-            Voltages as fractions of the rated ones, shape (batch, K, drives), by duration, and their derivatives.
+            Voltages / rated ones by duration, shape (batch, K, drives), and `gains`, shape (batch, K, drives, entries).
         """
         rated = self._model.rated
         planned = self._transfers.plan(

@@ -48,7 +48,8 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        `costs`: cost of each of B episodes, s or mm, shape (B,), as `episode_costs` defines it. `row`: scores by name.
+        `costs`: cost of each of B episodes, shape (B,): by settling times and final error, s, or by errors along a
+        path, mm (`episode_costs`). `row`: scores by name.
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the band that the task defines, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm.
@@ -147,10 +148,10 @@ def versions(further: Sequence[str] = ()) -> dict[str, str]:
     """List the installed versions of Python and of the packages on which the result of a training run depends.
 
     Args:
-        further: Names of packages to list in addition to torch, NumPy and the others that every run uses.
+        further: Names of packages to list in addition to those that every run uses, such as torch and NumPy.
 
     Returns:
-        Version strings by package name, and that of Python by "python".
+        Version strings by package name; the version of Python has the name "python".
 
     Raises:
         PackageNotFoundError: If one of the packages is not installed.

@@ -60,7 +60,7 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, of the same type and shape.
+            speed: Tool speeds, m/s, array or torch tensor of shape (batch,).
 
         Returns:
             min(most, least + distance / full_at_m + speed / full_at_m_s), of the same type, shape (batch, 1).
@@ -75,11 +75,11 @@ class Authority:
 
         Args:
             distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, of the same type and shape.
+            speed: Tool speeds, m/s, array or torch tensor of shape (batch,).
 
         Returns:
-            max(0, 1 - distance / hold_m - speed / hold_m_s), of the same type, shape (batch, 1); the number 0 if
-            `hold_m` is 0.
+            max(0, 1 - distance / hold_m - speed / hold_m_s), dimensionless, array or tensor of shape (batch, 1); the
+            number 0 if the attribute `hold_m` is 0.
         """
         if not self.hold_m:
             return 0.0
@@ -154,7 +154,8 @@ class ResidualAction:
         """Build the space of the policy's outputs.
 
         Returns:
-            Box from -1 to 1: one entry for each drive, then one for the weight of each transfer of `bank`, if any.
+            Box from -1 to 1: one entry for each drive. If the policy weights several transfers (motions to rest at the
+            goal, attribute `bank`), one entry for the weight of each follows.
         """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
@@ -165,9 +166,9 @@ class ResidualAction:
             observation_space: Observation space of one environment.
 
         Returns:
-            Observation space of the policy: the given keys, `last_observation`, `last_action` and, depending on the
-            base controller and its estimates, `base_action`, `expected_friction` and `estimates`; `history` documents
-            them.
+            Observation space of the policy: the keys of the environment, `last_observation`, `last_action` and,
+            depending on the base controller and its estimates, `base_action`, `expected_friction` and `estimates`; the
+            method `history` documents the added keys.
         """
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
@@ -203,8 +204,8 @@ class ResidualAction:
                 entries of the key) for a batch of environments.
 
         Returns:
-            Arrays by key, SI, each of shape (batch, entries of the key): the given ones and those of `history`, such as
-            the previous observation, the previous action and the action of the base controller.
+            Arrays by key, SI, each of shape (batch, entries of the key): the arrays of `observation` and those that the
+            method `history` documents, such as the previous observation and the action of the base controller.
 
         Raises:
             InputError: If the base controller does not accept the observation.
@@ -284,7 +285,7 @@ class ResidualAction:
         """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
 
         It works on arrays and on torch tensors, so that training can differentiate it. A feedback law gives the first
-        voltage of a motion to rest at the goal; the policy can weight those of several motions.
+        voltage of a motion to rest at the goal; the policy can weight the first voltages of several motions.
 
         Args:
             output: Policy outputs, shape (batch, drives); with K laws (batch, drives + K), those for the weights last.
@@ -309,7 +310,7 @@ class ResidualAction:
         return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored last action, for a caller that applied other actions than those that `action` returned.
+        """Replace the stored last action, for a caller that applied other actions than `action` returned.
 
         The next observation of the policy contains it, and the base controller receives it.
 

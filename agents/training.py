@@ -73,7 +73,7 @@ def train(
     Args:
         algorithm: A recipe, or the name of one in the package without the task, for example "ppo", "sac", "residual" or
             "apg"; `recipe_names` lists them.
-        machine: Machine to train on, a preset name or the path of a machine.json.
+        machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
         task: Name of the task, "reach" or "track".
         steps: Environment steps in total, including those before a resume. Default: the recipe's.
         seed: Seed of the network, the episodes and the algorithm, not negative.

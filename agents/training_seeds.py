@@ -41,7 +41,7 @@ def train_seeds(
 
     Args:
         algorithm: A recipe (settings of a training run), or the name of one in the package without the task.
-        machine: Machine to train on, a preset name or the path of a machine.json.
+        machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
         task: "reach" or "track".
         steps: Environment steps of each run. Default: the recipe's.
         seeds: Seeds of the runs, all different.

@@ -59,7 +59,7 @@ def map_tasks(
     Args:
         function: Function of one input. For jobs > 1 or with `ray` it must be picklable: a function of a module, for
             example, or a `functools.partial` of one.
-        items: Inputs; picklable under the same condition.
+        items: Inputs of the function, one per call; for jobs > 1 or with `ray` they must be picklable, too.
         jobs: Number of local worker processes; with 1, the function runs in this process. With ray="local": number of
             cores that Ray uses, where 1 means all. Ignored for a Ray cluster.
         ray: None for local processes; "local" to start Ray on this machine; "auto" for the running cluster that

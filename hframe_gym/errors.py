@@ -20,7 +20,7 @@ def name_runs(names: Iterable[str]) -> str:
         names: Names of runs, at least one; repeated names count once.
 
     Returns:
-        The first name and the number of the others, such as "run_01 and 2 more runs".
+        The first name and the number of further names, such as "run_01 and 2 more runs".
     """
     first, *others = dict.fromkeys(names)
     return f"{first} and {len(others)} more run{'s' if len(others) > 1 else ''}" if others else first

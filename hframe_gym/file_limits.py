@@ -158,7 +158,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
     Raises:
         InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays together are
-            larger than `expansion_limit`.
+            larger than both 64 MB and 100 times the file.
     """
     try:
         with zipfile.ZipFile(path) as archive:

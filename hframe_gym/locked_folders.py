@@ -143,8 +143,9 @@ def lock(descriptor: int) -> bool:
 def move_committed(folder: Path) -> None:
     """Complete the changes to a folder that `output_batch` has prepared in its subfolder .hframe-commit.
 
-    The files named as those in .hframe-commit/removed are deleted; the files in .hframe-commit/new are moved to their
-    names. If a call is interrupted, the next one does the rest. The caller has locked the folder.
+    For each file in .hframe-commit/removed, the file with the same relative path in the folder is deleted. Each file in
+    .hframe-commit/new is moved to its relative path in the folder. If a call is interrupted, the next one does the
+    rest. The caller has locked the folder.
 
     Args:
         folder: Folder that contains .hframe-commit; without this subfolder nothing happens.

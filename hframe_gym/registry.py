@@ -39,7 +39,7 @@ def load_plugins() -> None:
         InputError: If a plugin of `HFRAME_PLUGINS` cannot be imported.
 
     Warns:
-        UserWarning: If a plugin of an installed package cannot be imported; the others are still imported.
+        UserWarning: If a plugin of an installed package cannot be imported; all other plugins are still imported.
     """
     for name in filter(None, os.environ.get(PLUGIN_VARIABLE, "").split(os.pathsep)):
         import_plugin(name)
@@ -109,9 +109,9 @@ class Registry(Generic[T]):
             The decorator, which returns the class or function unchanged.
 
         Raises:
-            ValueError: When the decorator is applied, if another class or function has the name. The same one, by its
-                file and `__qualname__`, may be registered again, for example by a reloaded module, and replaces the
-                earlier one.
+            ValueError: When the decorator is applied, if another class or function has the name. A class or function
+                with the same file and `__qualname__` as the registered one, for example of a reloaded module, is not
+                another one and replaces it.
         """
 
         def add(part: P) -> P:

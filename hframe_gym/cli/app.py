@@ -114,13 +114,14 @@ def plain_text(text: str) -> str:
         text: Text to print.
 
     Returns:
-        The text with each such character replaced by its escape sequence in Python's notation.
+        The text with every character that is not printable, except line feeds and tabs, replaced by its escape sequence
+        in Python's notation.
     """
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names that some options accept, such as those of tasks and controllers, for the help texts.
+    """List the names that some options accept, such as names of tasks and controllers, for the help texts.
 
     Plugins are imported first.
 
@@ -156,10 +157,13 @@ class CommandWithChoices(TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line; without an address, the option --ray means a local Ray.
+        """Parse the command line and store the values of options and arguments in the context, as Click does.
+
+        The option --ray (run on Ray, a library for parallel computing on clusters) may be followed by the address of a
+        cluster. If it is not, the value "local" is stored: Ray then starts on this machine.
 
         Args:
-            ctx: Click context of the command.
+            ctx: Click context of the command, which receives the values by name in its attribute `params`.
             args: Words after the command's name.
 
         Returns:

@@ -113,7 +113,7 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
         results: Contents of the result files that `hframe evaluate --protocol` writes, one per controller.
 
     Returns:
-        One table (rich) per part of the protocol, with one row per controller. For moves to a goal: the fractions of
+        One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the fractions of
         episodes, %, that settle within 1, 0.2 and 0.05 mm, and the mean settling time to 0.2 mm, s, with its 95 %
         interval. For paths: root mean square and largest contour error, mm, with their intervals.
     """

@@ -99,7 +99,7 @@ class AdaptiveController(FullStateController):
         """Clear estimates and controller memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         super().reset(mask)
         for controller in self._controllers():
@@ -149,7 +149,7 @@ class AdaptiveController(FullStateController):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the actions of this control period in the controller's memory by those that were applied instead.
+        """Replace the stored actions of this control period by the actions that were applied instead.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

@@ -99,7 +99,7 @@ class Controller(ABC):
         """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
 
     def concern(self) -> str | None:
@@ -111,7 +111,7 @@ class Controller(ABC):
         return None
 
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
-        """Replace the actions of this control period in the controller's memory by those that were applied instead.
+        """Replace the stored actions of this control period by the actions that were applied instead.
 
         Call it after `act` if something changes the actions, for example a learned policy that corrects them: observers
         and the compensation of a dead time need the applied voltages.
@@ -135,10 +135,10 @@ class EpisodeStarts:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark the machines that start a new episode with their next observation; earlier marks remain.
+        """Mark machines as starting a new episode with their next observation; machines marked earlier stay marked.
 
         Args:
-            mask: True for the machines to mark, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to mark, shape (B,) for B machines. None: all; their number may then change.
         """
         if mask is None:
             self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
@@ -160,7 +160,7 @@ class EpisodeStarts:
         return True
 
     def clear(self) -> None:
-        """Remove all marks; call it after the first observations of the marked machines have been processed."""
+        """Unmark all machines; call it after the first observations of their new episodes have been processed."""
         self.mask = np.zeros(len(self.mask), np.bool_)
 
 
@@ -189,7 +189,7 @@ class FullStateController(Controller):
         """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         self._starts.reset(mask)
 
@@ -258,7 +258,7 @@ class Estimator(Protocol):
         """Estimate the state at the time of new measurements.
 
         Args:
-            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels) for B simulated
+            measurements: One measurement per sensor, m or rad, shape (B, channels) for B simulated
                 machines.
 
         Returns:
@@ -274,7 +274,7 @@ class Estimator(Protocol):
         """
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages of the last call of `send` by those that were applied instead.
+        """Replace the voltages that the last call of `send` stored by the voltages that were applied instead.
 
         Args:
             volts: Applied voltages, V, shape (B, drives) for B simulated machines.
@@ -307,7 +307,7 @@ class OutputFeedbackController(Controller):
         """Reset controller and estimator for the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         self.controller.reset(mask)
         self.estimator.reset(mask)
@@ -336,7 +336,7 @@ class OutputFeedbackController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the actions of this control period in the controller's memory by those that were applied instead.
+        """Replace the stored actions of this control period by the actions that were applied instead.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

@@ -168,7 +168,7 @@ class MeasurementModel:
         """Scale measurements to meters of belt travel (radius * angle), the unit of the measurement equation.
 
         Args:
-            measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).
+            measurements: Measurements of B simulated machines, m or rad, shape (B, channels).
 
         Returns:
             Scaled measurements, m, shape (B, channels).
@@ -181,7 +181,7 @@ class MeasurementModel:
         At an end of its range, a sensor does not follow the position; such a measurement must not correct an estimate.
 
         Args:
-            measurements: Measurements of B simulated machines in the units of their sensors, shape (B, channels).
+            measurements: Measurements of B simulated machines, m or rad, shape (B, channels).
 
         Returns:
             True for each measurement inside the range, shape (B, channels); always for sensors without a range.

@@ -154,7 +154,7 @@ class MinimumEnergyTransfers:
 
         Returns:
             Number of control periods until rest, shape (B,), and voltages of the first period, V, shape (B, drives).
-            Where no motion stays within the limits, both are those of the longest one, which exceeds the limits.
+            Where no motion stays within the limits, both describe the longest motion, which exceeds the limits.
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits

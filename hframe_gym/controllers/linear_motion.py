@@ -71,7 +71,7 @@ class LinearMotion:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
 
         The state is belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its velocity, m/s.
-        Viscous friction and motor constants are those of the declared machine.
+        Viscous friction and motor constants are taken from the declared machine.
 
         Args:
             parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P); masses, belts
@@ -150,14 +150,14 @@ def state_scale(states: int) -> Array:
 
 
 def scaled_matrices(A: Array, *inputs: Array) -> tuple[Array, ...]:
-    """Convert the matrices of discrete-time linear systems to states in units of `state_scale`.
+    """Convert the matrices of discrete-time linear systems to scaled states: belt travel / 1 m, velocity / 100 m/s.
 
     Args:
         A: System matrices of the state, belt travel of n coordinates, m, and its velocity, m/s, shape (..., 2 n, 2 n).
         *inputs: Input matrices, m and m/s per unit of the inputs, shape (..., 2 n, inputs).
 
     Returns:
-        Matrices of the systems whose state is divided by `state_scale`, in the given order and of the given shapes.
+        The converted A, shape (..., 2 n, 2 n), then each converted input matrix, shape (..., 2 n, inputs).
     """
     scale = state_scale(A.shape[-1])
     return A / scale[:, None] * scale, *(matrix / scale[:, None] for matrix in inputs)
@@ -175,9 +175,9 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
         longest: Largest number of periods N.
 
     Yields:
-        For each N, with states in units of `state_scale`: the response A^(N-1) B to the voltages of the first period,
-        shape (points, 2 n, drives); the reachability Gramian W_N, sum of A^j B B' A'^j for j < N, shape (points, 2 n,
-        2 n); and the response A^N to the initial state, shape (points, 2 n, 2 n).
+        For each N, with scaled states (belt travel / 1 m, velocity / 100 m/s): the response A^(N-1) B to the voltages
+        of the first period, shape (points, 2 n, drives); the reachability Gramian W_N, sum of A^j B B' A'^j for j < N,
+        shape (points, 2 n, 2 n); and the response A^N to the initial state, shape (points, 2 n, 2 n).
     """
     A, B = scaled_matrices(A, B)
     gramian, power = np.zeros_like(A), np.broadcast_to(np.eye(A.shape[1]), A.shape)

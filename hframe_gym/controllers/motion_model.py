@@ -184,7 +184,7 @@ class MotionModel:
                 further columns are ignored.
 
         Returns:
-            Belt travel minus that of unstretched belts at the same tool position, m, shape (B, n); 0 for the tool axes.
+            Belt travel minus its value with unstretched belts at this tool position, m, shape (B, n); 0 for tool axes.
         """
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
@@ -246,7 +246,7 @@ class MotionModel:
         return self._effect_viscous_force(state) - level * self._direction(state)
 
     def effect_friction(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute what the machine's effects (deviations from its nominal model) add to friction: see `friction_force`.
+        """Compute the friction that effects (deviations from the nominal model) add to the Coulomb friction.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -275,14 +275,14 @@ class MotionModel:
         return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
     def static_stretch(self, force: Array, goal: Array) -> Array:
-        """Compute how far the motors are displaced at rest when stretched belts balance a force on the tool.
+        """Compute how far the motors must turn to stretch the belts until they balance a force on the resting tool.
 
         Args:
-            force: Force on each of the n coordinates of B machines, N, shape (B, n); only those on the tool are used.
+            force: Force on each of the n coordinates of B machines, N, shape (B, n); only forces on the tool are used.
             goal: Tool positions, m, shape (B, axes).
 
         Returns:
-            Belt travel minus that of unstretched belts at the tool positions, m, shape (B, n); 0 for the tool axes.
+            Belt travel (radius * angle) of the turn from unstretched belts, m, shape (B, n); 0 for the tool axes.
         """
         tool = self.tool
         motors = [i for i in range(len(self.mass)) if i not in tool]
@@ -315,7 +315,7 @@ class MotionModel:
 
         Args:
             before: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, at the start, shape (B, 2 n).
-            after: The same at the end of the period, m and m/s, shape (B, 2 n).
+            after: Belt travel, m, and its rate, m/s, at the end of the period, shape (B, 2 n).
             volts: Voltages at the motors in the period, V, shape (B, drives).
             period: Control period, s.
 

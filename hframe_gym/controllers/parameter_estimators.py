@@ -100,8 +100,8 @@ class ParameterEstimator(ABC):
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
                 coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
             after: States at the end of the period, m and m/s, shape (B, 2 n).
-            actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives); with a dead
-                time (`switch_s` > 0) those before and after the time `switch_s`, shape (B, 2, drives).
+            actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives). With a dead
+                time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period, shape (B, 2, drives).
             starts: True for machines whose episode starts with `after`, shape (B,); their estimates become zero, that
                 is, the declared values.
         """

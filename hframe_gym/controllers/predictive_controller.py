@@ -125,7 +125,7 @@ class PredictiveController(FullStateController):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the actions of this control period in the controller's memory by those that were applied instead.
+        """Replace the stored actions of this control period by the actions that were applied instead.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
@@ -146,8 +146,8 @@ class PredictiveController(FullStateController):
     def gain(self) -> Array:
         """Compute the derivative of the voltages of the last call of `act` with respect to the state.
 
-        It is that of the linear plan; corrections of the plan by simulations are ignored. Training by the analytic
-        policy gradient uses it if a policy corrects this controller. Call `act` before.
+        The derivative of the linear plan is returned; corrections of the plan by simulations are ignored. Training by
+        the analytic policy gradient uses it if a policy corrects this controller. Call `act` before.
 
         Returns:
             Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).

@@ -108,7 +108,7 @@ class StateEstimator:
         Their new estimates start from a machine at rest with the declared parameters.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all, and B may change afterwards.
+            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
         """
         self._starts.reset(mask)
 
@@ -121,7 +121,7 @@ class StateEstimator:
         self._dead_time.send(volts)
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages of the last call of `send` by those that were applied instead.
+        """Replace the voltages that the last call of `send` stored by the voltages that were applied instead.
 
         Args:
             volts: Applied voltages of the drives, V, shape (B, drives) for B simulated machines.
@@ -132,7 +132,7 @@ class StateEstimator:
         """Predict the state over the last control period and correct it with new measurements.
 
         Args:
-            measurements: One measurement per sensor, in the sensor's unit, shape (B, channels) for B simulated
+            measurements: One measurement per sensor, m or rad, shape (B, channels) for B simulated
                 machines.
 
         Returns:

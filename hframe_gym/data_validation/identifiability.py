@@ -56,7 +56,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     Args:
         data: Runs (times, voltages, measurements, SI) with initial states and noise (`identification.prepare`).
         machine: Declared machine, at whose parameter values the simulation is linearized.
-        names: Full names of the parameters. Default: those that identification refits.
+        names: Full names of the parameters. Default: the parameters that identification refits.
 
     Returns:
         One bound per parameter, in the order of `names`, without parameters whose value is zero: smallest possible

@@ -182,8 +182,8 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
 def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     """Report voltages that are logged one row late: one row earlier, they explain the motion clearly better.
 
-    The machine's parameters are fitted twice, with the voltages as logged and with those of the next row. Of the runs
-    with at most 20,000 rows, the three with the largest changes of the voltages are used.
+    The machine's parameters are fitted twice, with the voltages as logged and with the voltages of the next row. Of the
+    runs with at most 20,000 rows, the three with the largest changes of the voltages are used.
 
     Args:
         data: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad), without other faults.

@@ -191,10 +191,10 @@ def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Val
     Args:
         total: First summand, in the unit of row[i] * values[i]: a float, an array of shape (...) or an expression.
         row: Factor by index, for example the extension of a belt per travel of each coordinate.
-        values: One value per index, of the same kind and shape (...) as `total`.
+        values: Values that `row` indexes: floats, arrays of shape (...) or expressions.
 
     Returns:
-        The sum, shape (...).
+        The sum, in the unit of `total`, shape (...).
     """
     for i, factor in sorted(row.items(), key=lambda term: term[1] < 0):
         size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]

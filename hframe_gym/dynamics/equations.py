@@ -93,7 +93,7 @@ class Equations(BeltEquations, SignalEquations):
             motor_voltage: Voltage at the motor, V: float, array of shape (...) or symbolic expression.
 
         Returns:
-            Current, A, of the same kind and shape (...).
+            Current, A: float, array of shape (...) or symbolic expression.
         """
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]
@@ -116,7 +116,7 @@ class Equations(BeltEquations, SignalEquations):
     def force_balance(
         self, point: MotionPoint, motor_voltages: Sequence[Value], forces: Sequence[Value]
     ) -> ForceBalance:
-        """Add the forces of the effects to those of belts and drives, and determine the Coulomb friction force.
+        """Add the forces of effects to the forces of belts and drives, and determine the Coulomb friction force.
 
         Effects are deviations from the nominal model, such as Stribeck friction. Back-EMF counts as viscous friction
         and is in none of the forces. Forces act along the belt travel (position, or radius * angle of a pulley). Values
@@ -130,8 +130,8 @@ class Equations(BeltEquations, SignalEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
             coulomb: Coulomb friction force (>= 0) on each coordinate, N, shape (...); 0 where an effect replaces it.
-            arguments: By the effect's index in `instances`, inputs of its formula `next_state`: "level", the Coulomb
-                friction force, N or Nm, for an effect that replaces it; "i", the current, A, for one that changes it.
+            arguments: Inputs of the formula `next_state` of effects, by index in `instances` (all effects, once per
+                component): "level", the Coulomb friction (N, Nm), or "i", the current (A), before the effect acts.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -248,8 +248,8 @@ class Equations(BeltEquations, SignalEquations):
         Returns:
             forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
             coulomb: Coulomb friction force (>= 0) on each coordinate, N, shape (...); 0 where an effect replaces it.
-            arguments: By the effect's index in `instances`, inputs of its formula `next_state`: "level", the Coulomb
-                friction force, N or Nm, for an effect that replaces it; "i", the current, A, for one that changes it.
+            arguments: Inputs of the formula `next_state` of effects, by index in `instances` (all effects, once per
+                component): "level", the Coulomb friction (N, Nm), or "i", the current (A), before the effect acts.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -313,14 +313,14 @@ class Equations(BeltEquations, SignalEquations):
 
         Args:
             positions: Positions, m or rad, real or complex, shape (..., coordinates).
-            velocities: Velocities, m/s or rad/s, of the same shape; None: at rest.
+            velocities: Velocities, m/s or rad/s, shape (..., coordinates); None: at rest.
             time_s: Time since the machine was switched on, s, shape (...).
-            effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by
-                its index in `instances`, shape (...) each; None: all zero.
+            effect_states: State of each effect that has one (bristle deflection, motor current, ...), SI, shape (...)
+                each, by index in `instances` (all effects, once per component); None: all zero.
 
         Returns:
             The point: one array of shape (...) per coordinate for the belt travel (position, or radius * angle of a
-            pulley), m, and one for its rate, m/s; time and effect states as given.
+            pulley), m, and one for its rate, m/s; `time_s` and `effect_states` unchanged.
         """
         q = 1.0 * np.asarray(positions)  # real or complex
         v = np.zeros_like(q) if velocities is None else 1.0 * np.asarray(velocities)

@@ -108,7 +108,7 @@ def direction(v, f):  # type: ignore[no-untyped-def]
 
     Args:
         v: Speed, m/s.
-        f: Force on the coordinate without friction, N.
+        f: Sum of all forces on the coordinate except friction, N.
 
     Returns:
         v, or f where v is zero; only the sign is meaningful.
@@ -123,7 +123,7 @@ def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
     Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
 
     Args:
-        f: Force on the coordinate without friction, N.
+        f: Sum of all forces on the coordinate except friction, N.
         coulomb: Coulomb friction force F >= 0, N.
 
     Returns:
@@ -141,7 +141,7 @@ def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
 
     Args:
         v: Speed, m/s.
-        f: Force on the coordinate without friction, N.
+        f: Sum of all forces on the coordinate except friction, N.
         coulomb: Coulomb friction force F >= 0, N.
 
     Returns:
@@ -159,7 +159,7 @@ def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
 
     Args:
         v: Speed before the step, m/s.
-        f: Force on the coordinate without friction, N, constant over the step.
+        f: Sum of all forces on the coordinate except friction, N, constant over the step.
         coulomb: Coulomb friction force F >= 0, N.
         decay: Factor exp(-b h / m), dimensionless, by which viscous friction reduces the speed.
         gain: Speed gained per unit of force, h / m * decay_integral(b h / m), s/kg.
@@ -180,7 +180,7 @@ def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  
 
     Args:
         v: Speed before the step, m/s.
-        f: Force on the coordinate without friction, N, constant over the step.
+        f: Sum of all forces on the coordinate except friction, N, constant over the step.
         coulomb: Coulomb friction force F >= 0, N.
         viscous: Viscous coefficient b in the direction of the motion before the stop, Ns/m.
         viscous_after: Viscous coefficient in the opposite direction, after a reversal, Ns/m.

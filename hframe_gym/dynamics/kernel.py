@@ -146,15 +146,17 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
 
 
 def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Generate the Python source of the simulation kernel, the compiled code that integrates machines of one structure.
+    """Generate the Python source of a simulation kernel: the code that, once compiled, integrates a machine's motion.
+
+    Machines that differ in parameter values only have the same kernel.
 
     Args:
-        machine: Any machine of the structure (`Machine.shape`); its parameter values do not matter.
+        machine: Machine to simulate; its parameter values do not matter.
         forced: Whether the generated functions take an external force on every coordinate.
 
     Returns:
         text: Complete source text of the Python module.
-        source: Description of the kernel: the part of the text that is specific to the structure, and the row of each
+        source: Description of the kernel: the part of the text that depends on the machine, and the row of each
             parameter in the arrays that the generated functions take.
     """
     source = KernelSource(machine, forced=forced)
@@ -252,14 +254,15 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
 
 
 def is_generated(machine: Machine, *, forced: bool) -> bool:
-    """Return whether the simulation functions of a machine exist in this process, so that none must be generated.
+    """Return whether `kernel_for` can return the simulation functions of a machine without generating source code.
 
     Args:
         machine: The machine.
         forced: Whether the functions take an external force on every coordinate.
 
     Returns:
-        True if `kernel_for` has generated them for a machine of the same structure.
+        True if this process has generated functions with this `forced` for the machine, or for a machine that differs
+        from it in parameter values only.
     """
     return (machine.shape, forced) in _KERNELS
 

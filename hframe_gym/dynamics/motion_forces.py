@@ -97,18 +97,18 @@ def effect_forces(
 ) -> Array:
     """Return the forces that effects (deviations from the nominal model) add along a motion.
 
-    The result is the difference of the net forces with and without the effects. Therefore it contains everything that
-    an effect changes: a force, friction, a voltage, a current or the tension of a belt.
+    The result is the difference of two net forces: of the machine with these effects, and of the machine without them.
+    Therefore it contains everything that an effect changes: a force, friction, a voltage, a current or a belt tension.
 
     Args:
-        machine: Machine without the effects to be evaluated, if `effects` is given; it may have others. Otherwise the
-            machine with them.
+        machine: Machine. If `effects` is given, it must not have these effects; any other effect that it has acts in
+            both cases. If `effects` is not given, all effects of the machine are evaluated.
         time_s: Sample times, s, strictly increasing, shape (n,).
         positions: Positions, m or rad, shape (n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (n, coordinates).
         inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
         effects: Effects to evaluate together. A parameter is a float, or an array of shape (variants, 1) with one value
-            for each of several variants. Default: all effects of the machine.
+            for each of several variants. Default: the effects of the machine, which is compared with no effect.
 
     Returns:
         Added forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
@@ -151,7 +151,7 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
     Returns:
         Mean voltages, V: for each drive an array of shape (n,), or (variants, n) if its delay is an array of shape
         (variants, 1) with one value for each of several variants of the machine. The last mean is over an interval as
-        long as the one before. Until the delay has passed, the voltage of the first sample acts.
+        long as the interval before. Until the delay has passed, the voltage of the first sample acts.
     """
     # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
@@ -184,9 +184,9 @@ def effect_states(
             of the parameters.
 
     Returns:
-        State of every effect that has one, in the effect's unit, by its index in `equations.instances`: shape (n,), or
-        (variants, n). It is the value at each sample, but for effects on a motor current the mean from the sample to
-        the next, because the current varies while the voltage is held.
+        State of every effect that has one, SI, shape (n,) or (variants, n), by index in `equations.instances` (all
+        effects, once per component on which they act). The state is that at each sample; for an effect on a motor
+        current, it is the mean from the sample to the next, because the current varies while the voltage is held.
     """
     states: dict[int, Array] = {}
     for k in equations.states:

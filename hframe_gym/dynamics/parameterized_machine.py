@@ -153,11 +153,12 @@ class ParameterizedMachine:
 
         Args:
             i: Index of the coordinate in the machine, from 0.
-            direction: Direction of the motion in [-1, 1], dimensionless; float, array of any shape or expression. It
-                makes a difference only if an effect gives both directions different friction.
+            direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between blends the
+                coefficients of both directions, which differ only by effects. Float, array of any shape or expression.
 
         Returns:
-            Viscous coefficient b, Ns/m (that of a pulley divided by radius^2), of the same kind and shape.
+            Viscous coefficient b, Ns/m (for a pulley: torque coefficient / radius^2): a float, an array of the common
+            shape of `direction` and the parameters, or an expression.
         """
         coefficient = self._coordinates[i].viscous
         for _, e in self.effects_on("viscous", i):
@@ -182,31 +183,34 @@ class ParameterizedMachine:
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield the effects (deviations from the nominal model) that act on a component and define a formula, `hook`.
+        """Yield the effects (deviations from the nominal model) on a component that change a certain quantity.
 
         Args:
-            hook: Name of the formula, for example "voltage"; `hframe_gym.machine.Effect` lists these formulas
-                ("hooks").
+            hook: Quantity, for example "voltage". An effect changes it if it defines the formula of this name;
+                `hframe_gym.machine.Effect` lists the formulas ("hooks").
             component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
-            Index of the effect in `instances` (all effects, once per component on which they act), and the effect.
+            index: Index in the attribute `instances`, which lists all effects once per component on which they act.
+            effect: The effect with its parameter values.
         """
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.component == component:
                 yield k, instance.effect
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield the effects (deviations from the nominal model) that act on a coordinate and define a formula, `hook`.
+        """Yield the effects (deviations from the nominal model) on a coordinate that change a certain quantity.
 
-        Effects at a drive of the coordinate are included; `effects_at` yields those at one component only.
+        Effects on a drive that moves the coordinate are included.
 
         Args:
-            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists these formulas ("hooks").
+            hook: Quantity, for example "force". An effect changes it if it defines the formula of this name;
+                `hframe_gym.machine.Effect` lists the formulas ("hooks").
             i: Index of the coordinate in the machine, from 0.
 
         Yields:
-            Index of the effect in `instances` (all effects, once per component on which they act), and the effect.
+            index: Index in the attribute `instances`, which lists all effects once per component on which they act.
+            effect: The effect with its parameter values.
         """
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.coordinate == i:
@@ -241,7 +245,7 @@ class ParameterizedMachine:
             i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            Position in the coordinate's unit, m or rad: a float, array of shape (...) or expression, as in the point.
+            Position in the coordinate's unit, m or rad: a float, array of shape (...) or expression, like the travel.
         """
         return point.travel[i] * self.per_radius(i)
 
@@ -253,26 +257,27 @@ class ParameterizedMachine:
             i: Index of the coordinate in the machine, from 0.
 
         Returns:
-            Speed in the coordinate's unit, m/s or rad/s: a float, array of shape (...) or expression, as in the point.
+            Speed in the coordinate's unit, m/s or rad/s: a float, array of shape (...) or expression, like the travel.
         """
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
         """Return the state of an effect, such as a bristle deflection or a motor current, at a point of a motion.
 
-        An effect is a deviation from the nominal model. `point` may hold states that are older than the point by
-        `point.elapsed` seconds; the effect's formula `next_state` then advances them by this time.
+        An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
+        expressions. If `point.elapsed` (s) is set, the states in `point` are from this much earlier, and the effect's
+        formula `next_state` advances the state to the time of the point.
 
         Args:
             k: Index of the effect in `instances` (all effects, once per component on which they act).
-            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
-                states of the effects.
-            **arguments: For an effect that replaces dry friction, the Coulomb friction force `level`, N or Nm; for one
-                that changes the current of a drive, the current `i` without this change, A; none for others. Floats,
-                arrays of one common shape (...) or symbolic expressions.
+            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate,
+                shape (...) each, and the states of the effects, SI, shape (...) each.
+            **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for an effect
+                that replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes
+                the current of a drive. No input for any other effect.
 
         Returns:
-            State in the unit of the effect, shape (...); 0 for an effect without state.
+            State (bristle deflection, m or rad; current, A; ...), shape (...); 0 for an effect without state.
         """
         if k not in self.states:
             return 0.0
@@ -319,17 +324,17 @@ class ParameterizedMachine:
 
         Args:
             k: Index of the effect in `instances` (all effects, once per component on which they act).
-            state: State before the step, in the unit of the effect, shape (...).
-            arguments: For an effect that replaces dry friction, the Coulomb friction force `level`, N or Nm; for one
-                that changes the current of a drive, the current `i` without this change, A; empty for others. Values
-                of shape (...).
+            state: State before the step, SI, shape (...).
+            arguments: Further input, shape (...): `level`, the Coulomb friction force, N or Nm, for an effect that
+                replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes the
+                current of a drive. Empty for any other effect.
             traveled: Change of the belt travel (position, or radius * angle of a pulley) of each coordinate over the
                 step, m, shape (...) each.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s, shape (...) each.
             dt: Length of the step, s, shape (...).
 
         Returns:
-            State after the step, in the unit of the effect, shape (...).
+            State after the step, SI, shape (...).
         """
         quantities = {"z": state, "dt": dt, **arguments}
         if (i := self.instances[k].state_coordinate) >= 0:

@@ -95,8 +95,8 @@ def share_kernel(machine: Machine, effects: Sequence[AppliedEffect]) -> None:
 
     A search that tries many effects one at a time then compiles once, and not once per effect; `rollout_kernel` finds
     the shared kernel. Effects that are not selected get the amplitude zero and change no bit of a simulation. Effects
-    that a zero amplitude does not remove in this way (delays, changes of current, bristle friction, effects on belts or
-    structure) are left out of the kernel. If no other effect is given, nothing is prepared.
+    that a zero amplitude does not remove in this way (delays, changes of current, bristle friction, effects that act on
+    belts or add components) are left out of the kernel. If no other effect is given, nothing is prepared.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that it has already.

@@ -131,29 +131,29 @@ def simulate_batch(
     readings: bool = True,
     parallel: bool = True,
 ) -> Motion:
-    """Simulate B machines of the same structure (`Machine.shape`) over n samples; arguments are not checked.
+    """Simulate B machines that differ in parameter values only, over n samples; arguments are not checked.
 
     Args:
-        machine: Machine that gives the structure and the default parameters.
+        machine: One of the machines; it gives the equations of motion and the default parameters.
         time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) for all machines or (B, n, drives).
-        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: those of the machine.
-        start: Positions, then velocities, at the first sample, in the coordinates' units, shape (2 * coordinates,) or
-            (B, 2 * coordinates). Further columns are the states of the effects in their order (default: zero). Default:
-            at rest at the origin.
+        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: by `machine`.
+        start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,) or
+            (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order of the
+            machine's effects) may follow in further columns; without them they are zero.
         extra_force: External force, N or Nm, held until the next sample, shape (n, coordinates) or (B, n, coordinates).
-        measured: Measurements that correct the simulation (observer), in the channels' units, shape (n, sensors) or (B,
-            n, sensors), NaN where not measured.
-        gains: Observer gains, in the coordinates' units per unit of the channel, shape (2 * coordinates, sensors): at
-            every sample gains @ (measured - reading) is added to positions and velocities. None: no correction.
+        measured: Measurements that correct the simulation (observer), m or rad, shape (n, sensors) or (B, n, sensors),
+            NaN where not measured.
+        gains: Observer gains, SI, shape (2 * coordinates, sensors): at every sample gains @ (measured - reading) is
+            added to the positions (first rows) and velocities (last rows). None: no correction.
         longest_step: Largest step of the integrator, s.
         states: Whether to return positions and velocities.
         readings: Whether to return sensor readings.
         parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
-        `Motion`: positions and velocities, shape (B, n, coordinates), and noise-free readings, shape (B, n, sensors),
-        in the coordinates' and channels' units; empty where not requested. Diverged motions have NaN or large values.
+        `Motion`: positions (m, rad) and velocities (m/s, rad/s), shape (B, n, coordinates), and noise-free readings (m,
+        rad), shape (B, n, sensors); empty where not requested. Diverged motions have NaN or large values.
     """
     parameters = parameter_batch(machine) if parameters is None else parameters
     # The compiled functions work in belt travel: position * radius.
@@ -214,10 +214,10 @@ def _run_kernel(
 
 
 def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
-    """Simulate B machines of the same structure over n samples; return positions, without sensor readings.
+    """Simulate B machines that differ in parameter values only, over n samples; return positions, no sensor readings.
 
     Args:
-        machine: Machine that gives the structure (`Machine.shape`) and the default parameters.
+        machine: One of the machines; it gives the equations of motion and the default parameters.
         time_s: Sample times, s, strictly increasing, shape (n,).
         inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
         velocities: Whether to append the velocities, m/s or rad/s, to the positions.
@@ -250,7 +250,7 @@ def simulate(
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,). The
             internal states of all effects that have one (a hysteresis, for example) may follow, in the order of
             `machine.effects`; without them they are zero. Default: at rest at the origin with unstretched belts.
-        offset: Constant that is added to the readings of each sensor, in its unit, shape (sensors,) or one number.
+        offset: Constant that is added to the readings of each sensor, m or rad, shape (sensors,) or one number.
         longest_step: Largest step of the integrator, s.
 
     Returns:

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 def row_name(component: str, index: int, key: str) -> str:
     """Return the name of a step constant: a quantity that depends on the parameters and the step length only.
 
-    The constants are computed before the integration; `Layout.derived` maps these names to rows of their array.
+    The constants are computed before the integration and stored in the rows of an array. By the name, the generator of
+    the simulation code finds the row.
 
     Args:
         component: "coordinate", "drive" or "belt".

@@ -121,7 +121,8 @@ class Trace:
         """Give an expression a name in the generated source text, and compute it at this point of the text.
 
         Args:
-            role: First part of the name, for example "tension"; `section` may put a prefix before it.
+            role: First part of the name, for example "tension". Inside a block `with trace.section(comment, prefix)`,
+                the prefix is put before it.
             index: Second part: index of the coordinate, belt, drive, sensor or effect; None for no second part.
             value: Expression to name. Numbers, variables and expressions that have a name already are left unchanged.
 
@@ -203,7 +204,7 @@ class Trace:
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))
 
     def line(self, text: str) -> None:
-        """Append one line of source text to the generated function, inside the present block.
+        """Append one line of source text to the generated function, inside the innermost open `with trace.block(...)`.
 
         Args:
             text: Source text without indentation and line break.

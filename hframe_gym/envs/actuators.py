@@ -202,7 +202,7 @@ class ActuatorModel:
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
-            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
+            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
             last: Index after the last block.
             clipped: Number of action entries outside [-1, 1] since the reset, shape (environments,); increased here.
         """

@@ -101,7 +101,7 @@ class EnvConfig:
 
     @property
     def chosen_reward(self) -> RewardLike:
-        """The option `reward`; if that is None, "progress" with `normalize=True` and "dense" otherwise."""
+        """The option `reward`. If it is None: "progress" with `normalize=True`, "dense" without."""
         return self.reward if self.reward is not None else "progress" if self.normalize else "dense"
 
     def __post_init__(self) -> None:
@@ -167,16 +167,16 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Convert the environment option `machine` (object, preset name or file) to a `Machine`.
+    """Convert the environment option `machine` (object, built-in name or file) to a `Machine`.
 
     Args:
-        machine: A `Machine`, which is returned unchanged, the name of a machine preset, or the path of a machine.json.
+        machine: A `Machine`, which is returned unchanged, a built-in name ("hframe", ...), or path of a machine.json.
 
     Returns:
         Machine model.
 
     Raises:
-        InputError: If no preset or file has this name, or the file is invalid.
+        InputError: If no built-in machine or file has this name, or the file is invalid.
     """
     if isinstance(machine, Machine):
         return machine

@@ -287,12 +287,13 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
     """Convert the environment option `randomize` to randomization rules.
 
     Args:
-        randomize: Name of a preset, or a list of `RandomizeParameter` and `RandomizeIdentified`. An entry may also be a
-            dict of the arguments of `RandomizeParameter`, as read from a TOML or JSON file.
+        randomize: Preset name ("default", ...), or a list of `RandomizeParameter` and `RandomizeIdentified`. An entry
+            may also be a dict of the arguments of `RandomizeParameter`, as read from a TOML or JSON file.
         names: Full names of all parameters that can be randomized, for example "x.mass".
 
     Returns:
-        Rules in the given order. Rules of a preset that match none of `names` are left out, those of a list are kept.
+        Rules in the order of the preset or list. A rule of a preset that matches none of `names` is left out; a rule of
+        a list is kept.
 
     Raises:
         InputError: If the preset or a distribution is unknown, or an entry is not a rule or has an invalid argument.

@@ -33,8 +33,8 @@ class BatchProperties:
     def entries(self) -> tuple[SignalSpec, ...]:
         """Name, unit and bounds of every entry of the observation array `observation`, in order.
 
-        Also `center` and `scale`: with `normalize=True` an entry is (value - center) / scale. With `flat=True` the
-        entries are those of the one observation array.
+        Each also has `center` and `scale`: with `normalize=True` an observed entry is (value - center) / scale. With
+        `flat=True`, the tuple lists the entries of the single observation array.
         """
         return self.batch.format.entries or self.batch.observations.entries
 
@@ -42,8 +42,8 @@ class BatchProperties:
     def privileged_entries(self) -> tuple[SignalSpec, ...]:
         """Name, unit and bounds of every entry of `privileged`, the observation array for a critic, in order.
 
-        The entries are the true state and then the randomized parameters. Also `center` and `scale`: with
-        `normalize=True` an entry is (value - center) / scale. Empty unless `privileged=True`.
+        The entries are the true state and then the randomized parameters. Each also has `center` and `scale`: with
+        `normalize=True` an observed entry is (value - center) / scale. Empty unless `privileged=True`.
         """
         return self.batch.observations.privileged
 

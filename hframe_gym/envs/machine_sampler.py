@@ -310,8 +310,8 @@ class MachineSampler:
         """Compute the smallest and the largest values that `normalized` can return.
 
         Returns:
-            By full name of the parameter: smallest and largest value / nominal value, dimensionless (SI if the nominal
-            value is 0); finite for unbounded distributions too, because uniform numbers are at most 1 - 2^-53.
+            By full name of the parameter: smallest and largest value, both divided by the nominal value, dimensionless
+            (SI if this is 0); finite for unbounded distributions too: uniform numbers are at most 1 - 2^-53.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

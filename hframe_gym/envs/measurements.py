@@ -29,7 +29,7 @@ class SensorArray:
     """Turn ideal readings into measurements with noise, quantization and range; keep the last two for differences.
 
     An ideal reading is the output of a sensor without noise and quantization, as the simulation computes it. Readings
-    are stored in blocks of LANES environments: environment b is lane b % LANES of block b // LANES.
+    are stored in blocks of LANES environments: environment b is lane b % LANES (8 or 16) of block b // LANES.
 
     Args:
         machine: Machine that declares the sensors.
@@ -82,7 +82,7 @@ class SensorArray:
 
         Args:
             readings: Ideal (noise-free) readings of all sensors of the machine, delays included, m or rad, shape
-                (blocks, sensors, LANES): environment b is lane b % LANES of block b // LANES.
+                (blocks, sensors, LANES): environment b is lane b % LANES (8 or 16) of block b // LANES.
             index: Indices of the environments, shape (k,).
             elapsed: Control periods since the reset of each of the `count` environments, shape (count,); they select
                 the random numbers.
@@ -232,7 +232,7 @@ class DelayLine:
         Args:
             index: Indices of the environments, ascending, shape (k,).
             readings: Ideal (noise-free) readings at the start of the episode, without delay, m or rad, shape
-                (blocks, sensors, LANES): environment b is lane b % LANES of block b // LANES.
+                (blocks, sensors, LANES): environment b is lane b % LANES (8 or 16) of block b // LANES.
         """
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]

@@ -50,7 +50,7 @@ class StateView(NamedTuple):
 
         Args:
             simulator: Simulator of the machines.
-            signals: Specifications of the entries, positions and velocities; those of the tool's axes come first.
+            signals: Specifications of the entries, positions and velocities; the tool's axes come first.
 
         Returns:
             `rows`, shape (n, 4): for each entry the row of the state array, the coordinate, and two coordinates whose
@@ -142,10 +142,10 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the measurements at the end of a control period, for `write`; do nothing if the state is observed.
+        """Measure at the end of a control period, for the observation that `write` fills; without sensors do nothing.
 
         Args:
-            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
+            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
             last: Index after the last block.
             elapsed: Number of control periods since the last reset of each of the `count` environments, shape (count,).
         """
@@ -196,7 +196,7 @@ class ObservationBuilder:
         All are limited to the bounds of the observation space. `evaluation` adds distances to the goal and rewards.
 
         Args:
-            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
+            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
             last: Index after the last block.
             observation: Output, arrays by key, shape (count, entries of the key); rows of other blocks are not changed.
             tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
@@ -242,7 +242,7 @@ class ObservationBuilder:
         """Write the true tool positions, limited to their bounds, of the environments in blocks first to last - 1.
 
         Args:
-            first: Index of the first block; block i holds environments i * LANES to (i + 1) * LANES - 1.
+            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
             last: Index after the last block.
             tool: Output, positions, m, shape (count, axes); other rows are not changed.
         """

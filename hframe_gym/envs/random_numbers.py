@@ -116,7 +116,7 @@ def _log(x: float) -> float:
 def cos_sin_of_turns(u: float) -> tuple[float, float]:
     """Compute cosine and sine of an angle, each with an error below 1e-15.
 
-    Unlike those of the C library, the results have the same bits on every system.
+    Unlike results of the C library, they have the same bits on every system.
 
     Args:
         u: Angle in turns (1 turn is 2 pi rad), any finite number.
@@ -211,8 +211,8 @@ def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArr
 
     Args:
         keys: Keys of the environments, one 64-bit random number each, uint64, shape (k,).
-        episodes: Number of episodes that each environment has begun since it was seeded, shape (k,); -1 gives the key
-            for the parameters that are sampled once per seed.
+        episodes: Number of the new episode of each environment since it was seeded, from 0, shape (k,); -1 gives the
+            key for the parameters that are sampled once per seed.
 
     Returns:
         Keys of the episodes for `uniform` and `normal_pair`, uint64, shape (k,).

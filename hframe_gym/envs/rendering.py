@@ -79,14 +79,15 @@ class Scene:
 
 
 def tool_point(batch: EnvironmentBatch, b: int) -> Point:
-    """Return the position at which a picture shows the tool of one environment.
+    """Return the point at which a picture, seen from above, shows the tool of one environment.
 
     Args:
         batch: Batch of environments.
         b: Index of the environment, from 0.
 
     Returns:
-        Coordinates (x, y) of the tool's axes, without a yaw of the bridge, m; y is 0 for a machine with one axis.
+        Point (x, y), m: positions of the carriages along the tool's axes; y is 0 for a machine with one axis. The small
+        displacement of the tool by a yaw of the bridge is left out.
     """
     position = batch.simulator.positions(b)
     return _in_plane([position[name] for name in batch.machine.tool_axes])

@@ -80,7 +80,8 @@ def evaluate_rows(
         kind: Built-in reward: 0 dense, -1 (far) to 0 (at the goal); 1 sparse, 0 within `band` and -1 outside.
         band: Distance to the goal within which the sparse reward is 0, m; not used by the dense one.
         distance: Output, distances from `tool` to `desired`, m, shape (n,); other rows are not changed.
-        reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,); likewise.
+        reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,); other rows
+            are not changed.
     """
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):

@@ -130,15 +130,15 @@ class Sensors(SensorSuite):
             raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
 
     def apply(self, machine: Machine) -> Machine:
-        """Return a copy of a machine in which x and y have the lasers and the driven coordinates have the encoders.
+        """Return a copy of a machine in which lasers measure x and y and encoders measure the driven coordinates.
 
-        Sensors that the machine declares there get kind, noise, resolution and range of these; missing ones are added.
+        A sensor that the machine has there gets their kind, noise, resolution and range; a missing sensor is added.
 
         Args:
             machine: Machine to copy; it is not changed.
 
         Returns:
-            Copy of the machine that declares these sensors, with the effect `sensor_range` for the lasers' ranges.
+            Copy of the machine with the sensors of this suite, and the effect `sensor_range` for the lasers' ranges.
 
         Raises:
             InputError: If a drive acts on x or y itself, which would then have both a laser and an encoder.
@@ -190,7 +190,7 @@ class DeclaredSensors(SensorSuite):
         return machine
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then the others.
+        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then all other ones.
 
         Args:
             machine: Machine with its sensors.
@@ -315,8 +315,8 @@ class PositionFromSensors:
             sensors: The n observed sensors.
 
         Returns:
-            Map from n measurements (m or rad) to the tool position, m: the matrix `belts`, shape (axes, n), for sensors
-            of other coordinates; index `direct` (-1: none) and factor `scale`, shape (axes,), of each axis' sensor.
+            Map from n measurements (m or rad) to the tool position (m). An axis with a sensor: its index `direct` (-1:
+            none) and factor `scale`, shape (axes,). Otherwise by the other sensors: matrix `belts`, shape (axes, n).
 
         Raises:
             InputError: If the sensors do not determine every axis.

@@ -309,8 +309,9 @@ class ObservationFormat:
             observation: Arrays by key, SI, float32, shape (n, entries of the key).
 
         Returns:
-            Arrays by key of the same shapes, or with `flat` one array of shape (n, all entries), float32; dimensionless
-            with `normalize`, (value - center) / scale, else SI. Without both options `observation` itself.
+            Arrays by key, float32, shape (n, entries of the key); with `flat`, one array of shape (n, all entries).
+            Values are SI; with `normalize`, they are (value - center) / scale, dimensionless. Without both options:
+            `observation` itself.
         """
         if not self.active:
             return observation

@@ -110,7 +110,7 @@ def with_end_stops(machine: Machine) -> Machine:
         machine: Machine with a range for each tool axis.
 
     Returns:
-        Copy with one more effect `end_stop` per axis, whose parameters come after those of the machine.
+        Copy with one more effect `end_stop` per axis, whose parameters follow the parameters of the machine.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.

@@ -94,7 +94,7 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
         `success`: fraction of episodes that settle, 0 to 1, by distance ("1mm", "0.2mm", "0.05mm").
         `settling_s`: settling times by distance, s: `mean`, `median`, `p95` (95 % quantile) and `ci95`, the 95 %
         confidence interval of the mean. An episode that does not settle counts with its length.
-        `over_bound`: what `ratio_to_bound` returns for the settling times within 0.2 mm; None without bounds.
+        `over_bound`: settling times within 0.2 mm / bounds, see `ratio_to_bound`; None without bounds.
         `overshoot_mm`: distance by which the tool passes the goal on the line from start to goal, mm, and
         `final_error_mm`: distance to the goal at the end, mm; `mean` and `ci95` over the episodes each.
 

@@ -275,7 +275,7 @@ class Game:
         return np.asarray(min(size, 1.0) * fractions / np.abs(fractions).max())
 
     def advance(self) -> None:
-        """Simulate all stages for one frame of the window, 20 ms * `speed`; do nothing while the game is paused."""
+        """Simulate all stages for 20 ms * `speed`, one frame of the window; do nothing while the game is paused."""
         if self.paused:
             return
         self._due += self._periods_per_frame

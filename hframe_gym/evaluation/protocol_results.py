@@ -80,10 +80,12 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
     Args:
         protocol: Benchmark that was run.
         entry: Name, kind and hash of the controller or agent.
-        draws: Values of all episodes (draws), by part of the protocol and metric, in the unit of the metric.
+        draws: Values of all episodes of the protocol ("draws"): by part (task) and by metric, such as `final_error_mm`,
+            a list with one value per episode, mm or s.
 
     Returns:
-        Name and digest of the protocol, entry, package versions, scores by part and metric, and the draws.
+        By key: "protocol" and "digest" (its name and hash), "entry" (controller or agent), "versions" of packages,
+        "scores" by part and metric, "draws" unchanged, and "schema" (version of the format) and "about" (empty text).
     """
     return {
         "schema": SCHEMA,
@@ -139,7 +141,7 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
 
 
 def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
-    """Replace the settling times of draws (episodes) that do not settle by the length of an episode.
+    """Copy a metric's values to an array, with the length of an episode for draws (episodes) that do not settle.
 
     Args:
         column: B settling times, s, None for a draw that does not settle; values of another metric are not changed.
@@ -170,11 +172,11 @@ def result_file_name(content: Mapping[str, Any]) -> str:
     """Return the name of a result file, made of the names of the protocol and of the controller or agent.
 
     Args:
-        content: Content of the file, of which names of protocol and entry are used.
+        content: Content of the file. The names of the protocol and of the entry (the controller or agent) are used.
 
     Returns:
-        For example "reach-v1_adaptive-pid.json". Characters of the entry's name other than letters, digits, "-" and "."
-        become "-".
+        PROTOCOL_ENTRY.json, for example "reach-v1_adaptive-pid.json". In the name of the entry, characters other than
+        letters, digits, "-" and "." become "-".
     """
     safe = "".join(c if c.isalnum() or c in "-." else "-" for c in content["entry"]["name"])
     return f"{content['protocol']}_{safe}.json"
@@ -186,11 +188,11 @@ def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
     If this fails, an existing file stays unchanged.
 
     Args:
-        folder: Folder; created if it does not exist.
-        content: Names of protocol and entry, scores and draws, which `result_content` has collected.
+        folder: Folder for the file; created if it does not exist.
+        content: Result of `result_content`: protocol, controller or agent (entry), scores, and values of all episodes.
 
     Returns:
-        Path of the file, PROTOCOL_ENTRY.json.
+        Path of the file; its name is PROTOCOL_ENTRY.json.
 
     Raises:
         OSError: If the file cannot be written.
@@ -215,11 +217,12 @@ def read_result(path: str | Path) -> ResultFile:
         path: File that `write_result` wrote.
 
     Returns:
-        Content of the file.
+        Content of the file: protocol, controller or agent, versions of packages, scores, and values of all episodes.
 
     Raises:
-        InputError: If the file is not a result file, names an unknown protocol, or does not have the digest, parts,
-            metrics and draws (episodes) of that protocol. Also if its scores differ from those computed from its draws.
+        InputError: If the file is not a result file, names an unknown protocol, or lacks the digest (hash), parts
+            (tasks), metrics or number of draws (episodes) of this protocol. Also if its scores do not follow from its
+            values of the draws.
         OSError: If the file cannot be read.
     """
     try:
@@ -290,7 +293,7 @@ def protocol_bounds(name: str) -> dict[str, Array]:
 
     Raises:
         InputError: If there is no such protocol.
-        ValueError: If the stored times belong to other draws (episodes) than those of the protocol.
+        ValueError: If the stored times belong to other draws (episodes) than the protocol has.
     """
     protocol = get_protocol(name)
     if "reach" not in protocol.parts:

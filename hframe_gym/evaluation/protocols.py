@@ -91,7 +91,7 @@ class Protocol:
         return actuators.apply(machine) if actuators else machine
 
     def scenario(self, part: str) -> Scenario:
-        """Return the settings with which the episodes of a part (task) are simulated.
+        """Return the settings with which the episodes of a part (one task of the benchmark) are simulated.
 
         Args:
             part: Name of the part, for example "reach".
@@ -116,7 +116,7 @@ class Protocol:
         )
 
     def declared_scenario(self, part: str) -> Scenario:
-        """Return the settings from which a controller is designed that will run in a part (task).
+        """Return the settings from which a controller is designed that will run in a part (task) of the benchmark.
 
         They differ from the simulated ones: the machine lacks undeclared effects, and the full state is observed.
 
@@ -134,10 +134,10 @@ class Protocol:
         )
 
     def compute_digest(self) -> str:
-        """Compute a hash of the settings and of all draws (starts, goals, parameters); this takes about a second.
+        """Compute a hash of the settings and of all episodes (starts, goals, parameters); this takes about a second.
 
         Returns:
-            16 hexadecimal digits, equal to `digest` unless the installed packages give other settings or draws.
+            16 hexadecimal digits, equal to `digest` unless the installed packages give other settings or episodes.
         """
         settings = {
             field.name: getattr(self, field.name)
@@ -151,10 +151,10 @@ class Protocol:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def check(self) -> None:
-        """Check that this installation gives the same settings and draws, so that its scores are comparable.
+        """Check that this installation gives the protocol's settings and episodes, so that scores are comparable.
 
         Raises:
-            InputError: If the digest (hash) of settings and draws differs from the one that the protocol declares.
+            InputError: If the hash of settings and episodes differs from `digest`, which the protocol declares.
         """
         digest = self.compute_digest()
         if digest != self.digest:
@@ -207,7 +207,7 @@ def get_protocol(name: str) -> Protocol:
         name: Name with the version, for example "reach-v1".
 
     Returns:
-        The protocol.
+        The protocol (a fixed benchmark).
 
     Raises:
         InputError: If there is no such protocol.
@@ -245,7 +245,7 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
 
     Raises:
         InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges, or the
-            installed packages give other draws than those of the protocol.
+            installed packages give other draws (episodes) than the protocol declares.
     """
     protocol.check()
     load_plugins()
@@ -321,13 +321,13 @@ def _hash(files: tuple[Path, ...]) -> str:
 
 
 def draw_values(episodes: Episodes) -> Draws:
-    """Compute the metrics of each draw (episode), from which the scores of a part follow.
+    """Compute the metrics of every episode of one task of a protocol (fixed benchmark); its scores follow from them.
 
     Args:
-        episodes: B recorded episodes of a part.
+        episodes: The B recorded episodes of the task.
 
     Returns:
-        List of B values for each metric, rounded to 6 decimals. For moves to a point: `settling_s.1mm`,
+        By name of the metric, a list of B values, rounded to 6 decimals. For moves to a point: `settling_s.1mm`,
         `settling_s.0.2mm` and `settling_s.0.05mm`, time until the tool stays this close to the goal, s, None if it does
         not; and `final_error_mm`, mm. For paths: `contour_rms_mm`, `contour_max_mm` and `tracking_rms_mm`, mm.
     """

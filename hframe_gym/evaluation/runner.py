@@ -59,7 +59,7 @@ def evaluate(
 
     Args:
         controllers: Names of controllers (such as "pid"), agents or folders; or controllers by the names in results.
-        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
+        machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further arguments.
         task: "reach", "track", the name of another registered task, or a task object.
         randomize: Preset name or list of randomization rules for the machine's parameters.
         sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor suite.

@@ -90,7 +90,7 @@ class Scenario:
 
     @cached_property
     def declared_machine(self) -> Machine:
-        """Machine with its nominal parameters, before randomization. A preset name or a path is loaded at first use."""
+        """Machine with its nominal parameters, before randomization; loaded at first use if given by name or path."""
         return as_machine(self.machine)
 
     @property
@@ -105,9 +105,9 @@ class Scenario:
 
     @property
     def controller_task(self) -> Task:
-        """Copy of the task that previews the goal at the end of each of the next control periods, for controllers.
+        """Copy of the task for controllers, which preview the goals at the ends of the next control periods.
 
-        The length of the preview, s, is that of the task. A task without a preview is returned unchanged.
+        The length of the preview, s, stays the same. A task without a preview is returned unchanged.
         """
         task = as_task(self.task)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
@@ -276,7 +276,7 @@ def make_controller(
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
             or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent.
-        machine: Machine, preset name or path of a machine.json; or a `Scenario`, which replaces all further arguments.
+        machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further arguments.
         task: Task (name or object) for which the controller is needed; selects among the agents in the package.
         sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
             suite.

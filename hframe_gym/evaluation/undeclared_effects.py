@@ -66,8 +66,11 @@ class Sometimes(Distribution):
     def quantile(self, u: Array) -> Array:
         """Compute quantiles: the values below which a sample lies with the probabilities u.
 
-        They increase with u: the constant `otherwise` comes after the log-uniform numbers if it is larger, else before
-        them; with `signed` it is 0 and comes between the negative and the positive ones.
+        As quantiles, they increase with u. With increasing u, samples are:
+
+        - `signed` is set: negative log-uniform numbers, 0, positive log-uniform numbers;
+        - the constant `otherwise` exceeds the log-uniform numbers: these numbers, then the constant;
+        - in all other cases: the constant, then the log-uniform numbers.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
@@ -117,11 +120,11 @@ class EffectFamily:
         """Return the distributions of the effect's random parameters other than its size, such as a wavelength.
 
         Args:
-            site: Place where the effect acts, a key of `ranges`, for example "motor1".
+            site: Coordinate, drive, belt or sensor on which the effect acts, a key of `ranges`, for example "motor1".
 
         Returns:
-            Distributions by name of the parameter, in SI units: the attribute `rotary`, if it is not empty, for a site
-            whose name begins with "phi" (angle of a pulley), else the attribute `others`.
+            Distributions by name of the parameter, in SI units. For a pulley angle (its name begins with "phi"), these
+            are the attribute `rotary` if it is not empty. In all other cases, they are the attribute `others`.
         """
         return self.rotary if self.rotary and site.startswith("phi") else self.others
 
@@ -172,17 +175,17 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
 
 
 def with_absent_effects(machine: Machine) -> Machine:
-    """Return a copy of a machine with 21 kinds of effects (of friction, drives, belts, ...), switched off.
+    """Add 21 kinds of effects (of friction, drives, belts, ...) to a copy of the H-frame, all of them switched off.
 
-    An effect that is switched off has parameters with which it has no influence, for example an amplitude of 0. The
-    only exception is `current_limit`, which limits currents to 12 A as the drives "rig" do.
+    An effect that is switched off has parameter values with which it has no influence, for example an amplitude of 0.
+    Randomization rules (`effect_rules`) can change these values and thus switch it on. One effect is never off:
+    `current_limit` limits the motor currents, here to 12 A.
 
     Args:
-        machine: The H-frame without these effects.
+        machine: The H-frame; it must not have these effects and is not changed.
 
     Returns:
-        Copy with the effects. It moves like `machine` with limited currents. The randomization rules of `effect_rules`
-        switch effects on.
+        Copy with the effects. It moves like `machine` would with motor currents limited to 12 A.
     """
     effects = []
     for family in EFFECT_FAMILIES:
@@ -198,11 +201,11 @@ def with_absent_effects(machine: Machine) -> Machine:
 def effect_rules() -> tuple[RandomizeParameter, ...]:
     """Return the randomization rules that switch on effects at random in every episode, two on average.
 
-    The machine is one that `with_absent_effects` returned: it has these effects, switched off.
+    The rules are for a machine that `with_absent_effects` returned: it has these effects, switched off.
 
     Returns:
-        For each effect at each of its sites, one rule for its size with the distribution `Sometimes`, which leaves most
-        effects off, and one rule for each other parameter that varies, such as a phase or a period.
+        For each effect on each of its components, one rule for its size, which leaves it off in most episodes (the
+        distribution is `Sometimes`), and one rule for each other parameter that varies, such as a phase or a period.
     """
     rules = []
     for family in EFFECT_FAMILIES:
@@ -224,8 +227,8 @@ def acting_effects(machine: Machine, parameters: Array) -> Machine:
         parameters: Values of the P `Machine.parameters` in the episode, SI, shape (P,).
 
     Returns:
-        Machine that moves exactly as the one in the episode. It keeps `current_limit`, which acts in every episode:
-        with the sampled limit, or 12 A.
+        Machine that moves exactly as the machine in the episode. It keeps the effect `current_limit`, which is never
+        off, with the sampled limit or 12 A.
     """
     values = dict(zip(machine.parameters, np.asarray(parameters, np.float64).tolist(), strict=True))
     sampled = machine.replace(values)

@@ -51,7 +51,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name of the effect (deviation from the nominal model) and of its site, such as "stribeck_friction@x"."""
+        """Name of the effect (deviation from the nominal model) and its component, such as "stribeck_friction@x"."""
         return f"{self.effect.name}@{self.site}"
 
     @property
@@ -69,7 +69,7 @@ class Candidate:
                 ignored.
 
         Returns:
-            Effect at the candidate's site, with its parameters, SI, clipped to their bounds.
+            Effect on the candidate's component, with its parameters, SI, clipped to their bounds.
         """
         values = dict(self.columns[0])
         phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
@@ -99,17 +99,17 @@ def candidates(
     Args:
         machine: Machine with the effects that have been selected so far.
         data: Prepared recordings (times, voltages, measurements).
-        scales: Typical sizes of force, speed and so on. The library states starting values as multiples of them.
+        scales: Typical sizes of force, speed, ...; the library states starting values as multiples of them.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
-            velocity and missing force (the force that the model lacks), in the coordinate's units. Effects that are
+            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm. Effects that are
             periodic in position start from the strongest spatial periods of the missing force.
         slow_friction: Whether friction that is periodic in position also starts from long periods: 0.5 to 6 periods
             over the range of the positions.
 
     Returns:
-        One candidate per effect, site and set of starting values, at most 64 per effect and site. Left out are effects
-        that the machine has already, effects that require another one which the machine lacks (`Effect.requires`),
-        effects that a refit of the machine's parameters can represent, and effects that replace a part of the model
+        One candidate per effect, site (component) and set of starting values, at most 64 per effect and site. Left out
+        are effects that the machine has already, effects that require another effect which the machine lacks, effects
+        that a refit of the machine's parameters can represent, and effects that replace a part of the model
         (they add coordinates or replace dry friction), which `screening.screen_structures` tries.
     """
     present = {e.label for e in machine.effects}
@@ -131,10 +131,10 @@ def is_required(machine: Machine, label: str) -> bool:
 
     Args:
         machine: Machine with effects (deviations from the nominal model).
-        label: Label (name@site) of the effect that may be required.
+        label: Label (name@component) of the effect that may be required.
 
     Returns:
-        True if an effect at the same site names it in `Effect.requires`.
+        True if an effect on the same component names it in `Effect.requires`.
     """
     return any(f"{e.definition.requires}@{e.site}" == label for e in machine.effects)
 
@@ -220,7 +220,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
         scales: Typical sizes of force, speed and so on, by the unit of the parameter.
 
     Returns:
-        One free parameter for every parameter of the effect, except those that its definition declares as fixed.
+        One free parameter for every parameter of the effect, except parameters that its definition declares as fixed.
     """
     at_site = _scales_at(effect.definition, effect.site, machine, scales)
     free = []

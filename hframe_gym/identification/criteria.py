@@ -154,6 +154,6 @@ class SelectionCriteria:
         """Convert the thresholds to a dictionary, which report.json contains as `criteria`.
 
         Returns:
-            Value of each threshold by its attribute name, dimensionless or in the unit that the class docstring states.
+            Value of each threshold by its attribute name, for example "min_gain_simulation"; all are dimensionless.
         """
         return dataclasses.asdict(self)

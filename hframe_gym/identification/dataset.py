@@ -29,10 +29,10 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus the sensors' zeros (readings at position 0), in the sensors' units, shape
+        outputs: Measurements minus the sensors' zeros (readings at position 0), m or rad, shape
             (n, sensors); NaN where not measured.
         initial: Measured initial state.
-        noise: Standard deviation of each measurement, in the sensors' units, shape (n, sensors): the sensor's noise and
+        noise: Standard deviation of each measurement, m or rad, shape (n, sensors): the sensor's noise and
             the jitter of the clock times the speed.
         weights: Number of independent values that each measurement counts as, at most 1, shape (n, sensors), see
             `independent_values`; 0 where not measured.
@@ -50,12 +50,12 @@ class PreparedRecording:
 
     @property
     def counted(self) -> Array:
-        """Weights of squared errors, shape (n, sensors): 1, 1 / N if a rounded value repeats N times, 0 if not used."""
+        """Weights of squared errors, shape (n, sensors): 1; 1 / N for N repeats of a rounded value; 0 if not used."""
         return self.weights if self.rows is None else self.weights * self.rows[:, None]
 
     @property
     def count(self) -> float:
-        """Number of independent measured values that enter the residual, dimensionless; repeated ones count once."""
+        """Effective number of measured values in the fit, dimensionless; N repeats of a rounded value count as one."""
         return float(self.counted.sum())
 
     def initial_state(self, machine: Machine) -> Array:
@@ -68,8 +68,8 @@ class PreparedRecording:
             machine: Machine with its effects (deviations from the nominal model), which may add coordinates.
 
         Returns:
-            Positions, velocities (zero at rest) and states of the effects (zero unless estimated), in their units,
-            shape (2 * coordinates + effect states,).
+            Positions (m, rad), velocities (m/s, rad/s; zero at rest) and states of the effects (SI; zero unless
+            estimated), shape (2 * coordinates + effect states,).
         """
         return dataclasses.replace(self.initial, state=model_initial_state(machine, self.initial)).start(machine)
 
@@ -80,8 +80,8 @@ class Dataset:
 
     Attributes:
         runs: The recordings.
-        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
-        quantum: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+        quantum: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
         behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
         zeros: Zeros (measurements at position 0) of the encoders that kept them in all runs. None: unknown.
     """
@@ -94,7 +94,7 @@ class Dataset:
 
     @property
     def count(self) -> float:
-        """Number of independent measured values (dimensionless) of all runs that enter the residual."""
+        """Effective number of measured values of all runs in the fit, dimensionless (sum of the runs' `count`)."""
         return sum(run.count for run in self.runs)
 
     @property
@@ -170,7 +170,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Leave out the runs whose initial position no sensor determines, so that they cannot be simulated.
+    """Copy a data set without the runs that cannot be simulated, because no sensor determines the initial position.
 
     Args:
         data: Data set of prepared runs (times, voltages, measurements, SI).
@@ -205,7 +205,7 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Seq
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Restore the saturated measurements (at the ends of a sensor's range) that a fit leaves out, for an evaluation.
+    """Copy a data set, with the saturated measurements (at the ends of a sensor's range) that a fit leaves out.
 
     Args:
         data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
@@ -230,7 +230,7 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
 
 
 def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Correct the estimated zeros (measurements at position 0) of the encoders with a fitted machine.
+    """Copy a data set, with zeros (measurements at position 0) of the encoders corrected by a fitted machine.
 
     `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
     forces that stretch the belts at rest; this stretch is the error of the zeros.
@@ -238,7 +238,7 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
         machine: Fitted machine with its effects (deviations from the nominal model).
-        reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
+        reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
             Default: `data`.
 
     Returns:
@@ -259,17 +259,16 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
 
 
 def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
-    """Write the zeros of the encoders (measurements at position 0) to the sensors of a machine.
+    """Return a copy of a machine whose sensors have the zeros of the encoders (measurements at position 0).
 
-    The zeros are estimated from all runs together. With the zeros in the machine,
-    `recording_simulation.simulate_recording` determines the same initial state from a single run.
+    The zeros are estimated from all runs together. A simulation of a single run then has the same initial state.
 
     Args:
         machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
         data: Data set with the runs (times, voltages, measurements, SI).
 
     Returns:
-        Copy with the known zeros, and without a zero for all other sensors; the machine itself if `data.zeros` is None.
+        Copy with the known zeros; a zero that another sensor had is removed. `machine` itself if `data.zeros` is None.
     """
     zeros = refine_encoder_zeros(data, machine).zeros
     return machine if zeros is None else zeros.in_machine(machine)
@@ -283,7 +282,7 @@ class TypicalScales:
     "drag" (force / speed^2) and "stiffness" (force / position) of a coordinate, "voltage" of its drive, or an SI unit.
 
     Attributes:
-        by_coordinate: Sizes by coordinate and by key, in the coordinate's units (N, m/s, m or Nm, rad/s, rad).
+        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad.
         general: Sizes of quantities that belong to no coordinate, SI, by key.
     """
 
@@ -291,14 +290,14 @@ class TypicalScales:
     general: Mapping[str, float]
 
     def of(self, coordinate: str) -> Mapping[str, float]:
-        """Return the typical sizes at a coordinate together with those that belong to no coordinate.
+        """Return the typical sizes at a coordinate together with the sizes that belong to no coordinate.
 
         Args:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Typical size by key. Keys such as "force" and "speed" (see the class) are in the coordinate's units (N, m/s,
-            m or Nm, rad/s, rad); a key that is a unit, such as "A", is in this unit.
+            Typical size, SI, by key: "force", "speed", "position", "viscous" (force / speed), "drag" (force / speed^2),
+            "stiffness" (force / position), "voltage", "A" (current), for belts "m", "N" and "1/m^2" (extension, force).
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -306,9 +305,7 @@ class TypicalScales:
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
     """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
-    Starting values and scales of effect parameters are multiples of these sizes. Speed and belt extension are 99th
-    percentiles of the magnitude, a position is its range, a voltage or current its largest magnitude. A force is a
-    tenth of the force of all drives together at rated voltage.
+    Starting values of effect parameters are multiples of these sizes.
 
     Args:
         machine: Machine that moved.
@@ -317,7 +314,10 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        Typical sizes, all positive for a machine that moved, by the keys that `TypicalScales` documents.
+        by_coordinate: By coordinate and key: "force" (a tenth of the force of all drives at rated voltage, N, Nm),
+            "speed" (99th percentile, m/s, rad/s), "position" (largest - smallest, m, rad), "viscous" (force / speed),
+            "drag" (force / speed^2), "stiffness" (force / position); if driven, largest "voltage" (V), current "A".
+        general: With belts: their extension "m" (99th percentile), largest force "N", and "1/m^2" (1 / extension^2).
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)

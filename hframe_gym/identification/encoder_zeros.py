@@ -38,8 +38,8 @@ class EncoderZeros(NamedTuple):
     """Zeros (measurements at position 0) of the encoders that kept them from run to run.
 
     Attributes:
-        offset: Zero of each sensor in its unit, NaN where it is unknown, shape (sensors,).
-        spread: Standard deviation of the measured zero from run to run, in the sensor's unit, shape (sensors,). Its
+        offset: Zero of each sensor, m or rad, NaN where it is unknown, shape (sensors,).
+        spread: Standard deviation of the measured zero from run to run, m or rad, shape (sensors,). Its
             cause is the stretch of the belts at rest, which differs from run to run; 0 where the encoder does not
             resolve this stretch.
     """
@@ -54,7 +54,7 @@ class EncoderZeros(NamedTuple):
 
     @property
     def resolves_stretch(self) -> NDArray[np.bool_]:
-        """Mask of encoders with a known zero and a positive `spread`: they measure belt stretch, shape (sensors,)."""
+        """Mask of encoders with a known zero that varies from run to run (with the belt stretch), shape (sensors,)."""
         # The stretch at rest differs from run to run, and with it the measured zero.
         return self.known & (self.spread > 0.0)
 
@@ -74,14 +74,15 @@ class EncoderZeros(NamedTuple):
         )
 
     def in_machine(self, machine: Machine) -> Machine:
-        """Write the zeros (measurements at position 0) to the sensors of a machine.
+        """Return a copy of a machine whose sensors have these zeros (measurements at position 0).
 
         Args:
-            machine: Machine with these sensors.
+            machine: Machine to copy; it is not changed. It has one sensor per zero, in the same order.
 
         Returns:
-            Copy whose sensors have these zeros and, where `spread` is positive, their standard deviations. Sensors
-            whose zero is unknown have neither.
+            Copy of the machine. A sensor with a known zero has this zero (m or rad) and, if the zero varies from run to
+            run (attribute `spread` > 0), its standard deviation. A zero that another sensor had in `machine` is
+            removed, and its standard deviation with it.
         """
         return machine.replace(
             sensors=tuple(
@@ -95,13 +96,13 @@ class EncoderZeros(NamedTuple):
         )
 
     def without(self, sensors: NDArray[np.bool_]) -> EncoderZeros:
-        """Mark the zeros (measurements at position 0) of some sensors as unknown.
+        """Return a copy in which the zeros (measurements at position 0) of some sensors are unknown.
 
         Args:
-            sensors: Mask of the sensors, shape (sensors,).
+            sensors: True for the sensors whose zeros become unknown, shape (sensors,).
 
         Returns:
-            Copy in which the zeros (m or rad, shape (sensors,)) of these sensors are unknown (NaN).
+            Copy with the zeros, m or rad, shape (sensors,); NaN for these sensors.
         """
         return EncoderZeros(np.where(sensors, np.nan, self.offset), np.where(sensors, 0.0, self.spread))
 
@@ -116,7 +117,7 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.
         machine: Machine as declared.
-        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
+        quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
 
     Returns:
         Median over the runs of the zero of each such encoder, m or rad, shape (sensors,), NaN for all other sensors,
@@ -169,10 +170,10 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
     Args:
         machine: Machine with belts.
         zeros: Zeros of the session, with their standard deviations from run to run.
-        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
+        quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
 
     Returns:
-        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of four standard deviations, two
+        Largest permitted differences, m or rad, shape (sensors,): the sum of four standard deviations, two
         quantization steps, and twice the angle by which friction can hold the pulley away from unstretched belts.
     """
     # Friction can hold the pulley in one direction in this run, and in the other one in those that gave the zeros.
@@ -182,8 +183,8 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
 def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
     """Return the angle by which the stretch of the belts typically turns each pulley at the start of a run.
 
-    The angle is measured from that with unstretched belts and serves as the standard deviation of the unknown initial
-    angle. It is a typical torque divided by the rotational stiffness of the belts at the pulley.
+    The angle is 0 with unstretched belts. The result serves as the standard deviation of the unknown initial angle. It
+    is a typical torque divided by the rotational stiffness of the belts at the pulley.
 
     Args:
         machine: Machine; without belts the result is empty.

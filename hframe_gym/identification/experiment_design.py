@@ -50,7 +50,7 @@ class ExperimentDesign:
     """Voltages of the proposed run and the expected difference between the two models' predictions.
 
     Attributes:
-        separates: Labels (name@site) of the two effects between which the run decides.
+        separates: Labels (name@component) of the two effects between which the run decides.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives); the run starts at rest at zero.
         sigma: Root of the sum of squared differences of all predicted values, in standard deviations of the noise.
@@ -79,7 +79,7 @@ class ExperimentDesign:
         """Convert the design, without its voltages, to a dictionary, the entry `next_experiment` of report.json.
 
         Returns:
-            "separates": labels (name@site) of the two effects; "file": name of the file with the voltages; "why":
+            "separates": labels (name@component) of the two effects; "file": name of the file with the voltages; "why":
             purpose of the run.
         """
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
@@ -111,7 +111,7 @@ def design_discriminating_experiment(
     Args:
         current: Fit of the machine with all selected effects, among them the identified one.
         corrected: The same machine with the covariance of its parameters.
-        label: Label (name@site) of the identified effect.
+        label: Label (name@component) of the identified effect.
         rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects) and those
             that the machine already has are not considered.
         data: Runs that were fitted (times, voltages, measurements, SI).
@@ -143,7 +143,7 @@ def separate_machines(
         first: One machine.
         second: The other machine, with its uncertainty. The machines may differ in their effects (deviations from the
             nominal model), but not in their sensors and drives.
-        labels: Labels (name@site) of the effects that distinguish the first and the second machine.
+        labels: Labels (name@component) of the effects that distinguish the first and the second machine.
         data: Recordings that both were fitted to (times, voltages, measurements, SI). They supply the sensors' noise,
             the sampling period and, for a coordinate without a declared range, the permitted travel.
 

@@ -64,20 +64,20 @@ class ProposedFormula:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Ratio of rms error to sensor noise on the held-out runs, mean over the channels; NaN if not simulated.
+        """Mean over the channels of rms error / sensor noise, dimensionless, on the held-out runs; NaN if unknown.
 
         `PredictionErrors.noise_ratio` is the root mean square over the channels instead.
         """
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the formula to an entry of the list `formulas` of its table in report.json.
+        """Convert the formula to a dictionary, as report.json lists it among the formulas for the same table.
 
         Returns:
-            "table": label (name@site) of the table; "terms": names of the terms; "formula": the equation as text;
-            "parameters": values by name, SI; "complexity": number of parameters; "curve_error": cross-validated error
-            at the table's values, in their standard deviations; "fitted" and "held_out": errors on runs, in units of
-            the sensor noise; "recommended": whether this formula is the recommended one.
+            "table": label (name@component) of the table; "terms": names of the terms; "formula": the equation as text;
+            "parameters": values by name, SI; "complexity": number of parameters; "curve_error": rms error at values of
+            the table that were left out of the fit, in their standard deviations; "fitted", "held_out" (by channel):
+            rms errors on runs, in units of the sensor noise; "recommended": whether it is the recommended formula.
         """
         effect, formula = self.effect, self.effect.formula
         return {
@@ -139,15 +139,15 @@ class TableComparison:
 
     @property
     def mean_noise_ratio(self) -> float:
-        """Ratio of rms error to sensor noise on the held-out runs with the table, mean over the channels."""
+        """Mean over the channels of rms error / sensor noise, dimensionless, on the held-out runs, with the table."""
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the comparison to an entry of the list `proposed_formulas` in report.json.
+        """Convert the comparison to a dictionary, an entry of the list `proposed_formulas` in report.json.
 
         Returns:
-            "table": label (name@site) of the table; "complexity": number of its values; "fitted" and "held_out": errors
-            with the table on runs, in units of the sensor noise; "formulas": equation, values and errors of each.
+            "table": label (name@component) of the table; "complexity": number of its values; "fitted", "held_out" (by
+            channel): rms errors with the table, in units of the sensor noise; "formulas": list of the formulas.
         """
         return {
             "table": self.table.label,
@@ -192,7 +192,7 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
 def compare_formulas(
     result: IdentificationResult, log: Callable[[str], None] = lambda line: None
 ) -> tuple[TableComparison, ...]:
-    """Propose formulas for each table of an identified machine and compare their errors with that of the table.
+    """Propose formulas for each table of an identified machine and compare their errors with the table's error.
 
     A table is a force or friction level interpolated over one variable. Each formula takes its place, and all
     parameters of the machine are fitted again. A formula with which the machine diverges is left out.
@@ -202,7 +202,7 @@ def compare_formulas(
         log: Called with a line of text for every table and formula.
 
     Returns:
-        One comparison for each of `tables_of(result.after.machine)`, in their order.
+        One comparison for each table of the identified machine, in the order of the machine's effects.
 
     Raises:
         ImportError: If the machine has a table and scikit-learn is not installed; the message names the extra

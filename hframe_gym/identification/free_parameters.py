@@ -59,7 +59,11 @@ class FreeParameter:
 
     @property
     def theta_limits(self) -> tuple[float, float]:
-        """Smallest and largest theta in a fit: +-4 prior standard deviations of a logarithm, or the value's bounds."""
+        """Smallest and largest theta (dimensionless variable of the optimizer) that a fit may reach.
+
+        They are +-4 standard deviations of the prior for a parameter that is fitted as a logarithm. For any other
+        parameter, the bounds of its value determine them.
+        """
         if self.scale is None:
             return -_MAXIMUM_DEVIATION * self.prior, _MAXIMUM_DEVIATION * self.prior
         low, high = sorted((self.theta(self.lower), self.theta(self.upper)))
@@ -72,8 +76,8 @@ class FreeParameter:
             theta: Dimensionless optimizer variable that the fit returned.
 
         Returns:
-            True if theta has passed 99 % of the way from 0 to one of `theta_limits`. A limit at 0 does not count:
-            friction that is declared as zero may remain zero.
+            True if theta has passed 99 % of the way from 0 to its smallest or largest permitted value (`theta_limits`).
+            A limit at 0 does not count: friction that is declared as zero may remain zero.
         """
         low, high = ((1.0 - _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
         return theta < low < 0.0 or 0.0 < high < theta
@@ -85,7 +89,7 @@ class FreeParameter:
             theta: Dimensionless optimizer variable, any shape.
 
         Returns:
-            Values of the same shape, SI, within the bounds.
+            Values of the parameter, SI, within its bounds, in the shape of theta.
         """
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
         return np.clip(raw, self.lower, self.upper)
@@ -94,21 +98,22 @@ class FreeParameter:
         """Convert a value of the parameter to theta, the dimensionless variable of the optimizer.
 
         Args:
-            value: Value of the parameter, SI; of the sign of `center` if the parameter is fitted as a logarithm.
+            value: Value of the parameter, SI. If the parameter is fitted as a logarithm, the value must have the sign
+                of the attribute `center`.
 
         Returns:
             Theta, dimensionless.
 
         Raises:
-            ValueError: If the parameter is fitted as a logarithm and the value is zero or of the other sign.
+            ValueError: If the parameter is fitted as a logarithm and the value is zero or has the opposite sign.
         """
         return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
 
     def slope(self, theta: float) -> float:
-        """Return the derivative of the value with respect to theta.
+        """Return the derivative of the parameter's value with respect to theta, the optimizer's dimensionless variable.
 
         Args:
-            theta: Dimensionless optimizer variable.
+            theta: Theta at which the derivative is computed.
 
         Returns:
             d value / d theta, in the SI unit of the value. The bounds are not considered.

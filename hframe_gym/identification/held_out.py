@@ -50,8 +50,8 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
 def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
     """Return the fraction of the squared error of the held-out runs that one of several effects removes.
 
-    The machine with all effects is compared with the same machine without this effect and otherwise equal parameters;
-    if the effect added coordinates, with the machine as it was fitted before the effect.
+    The machine with all effects is compared with a copy without this effect, whose other parameters are equal. If the
+    effect added coordinates, it is compared with the machine that was fitted before the effect was added.
 
     Args:
         selected: Effect (deviation from the nominal model) that the search selected.
@@ -60,7 +60,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fraction (`error_reduction`), dimensionless, at most 1; negative if the effect increases the error.
+        Fraction, dimensionless, at most 1; negative if the effect increases the error, as `error_reduction` defines it.
     """
     return error_reduction(_machine_without(selected, machine), machine, validation, bandwidth)
 
@@ -73,7 +73,7 @@ def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
 
 
 def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
-    """Return by which fraction the squared error of a machine is smaller than that of another machine.
+    """Return by which fraction the squared error of a machine is smaller than another machine's.
 
     The error is the prediction error in units of the sensors' noise. With the widest observer (60 rad/s), for machines
     without belts and with a drive and a sensor for each coordinate, it is the error of the drives' force instead:

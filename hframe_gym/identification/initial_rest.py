@@ -59,13 +59,13 @@ class InitialVelocity(NamedTuple):
 
     @classmethod
     def at_rest(cls, machine: Machine) -> InitialVelocity:
-        """Return the velocity, zero, of a run that begins at rest.
+        """Return the initial velocity of a run that begins at rest: zero, and certain.
 
         Args:
             machine: Machine with the coordinates.
 
         Returns:
-            Zeros, shape (coordinates,), without errors.
+            Velocities, all zero, shape (coordinates,), and no errors of them, shape (0, coordinates).
         """
         count = len(machine.coordinates)
         return cls(np.zeros(count), np.zeros((0, count)))
@@ -152,7 +152,7 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
 
 
 def without_moving_start(recording: Recording, machine: Machine) -> Recording:
-    """Remove the measurements before the machine comes to rest, if it still moves when the run begins.
+    """Copy a recording without the measurements before the machine comes to rest, if it moves when the run begins.
 
     The rest that follows gives the initial state. A simulation that begins with this state and without input remains at
     rest until the first input, so times and inputs are kept.
@@ -195,12 +195,12 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
     """Estimate the noise of some measurements: the largest of measured scatter, declared noise and rounding error.
 
     Args:
-        values: The measurements, in the sensor's unit, NaN where there is none, shape (rows,).
-        run_values: All measurements of the run, which show the quantization step, shape (n,).
+        values: The measurements, m or rad, NaN where there is none, shape (rows,).
+        run_values: All measurements of the sensor in the run, m or rad, for its quantization step, shape (n,).
         sensor: The sensor with its declared noise and resolution.
 
     Returns:
-        Standard deviation, in the sensor's unit.
+        Standard deviation of the noise, m or rad.
     """
     rounding = sensor_quantum([run_values], sensor.resolution) / np.sqrt(12)
     return max(difference_noise([values]), rounding, sensor.noise)
@@ -257,13 +257,13 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
         machine: Machine with the sensors.
-        rigid: Basis of the rigid motions, in the coordinates' units, shape (coordinates, motions).
+        rigid: Rigid motions, one per column: displacements of the coordinates, m or rad, shape (coordinates, motions).
 
     Returns:
         Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, each of the
-        size of one standard deviation, shape (errors, coordinates). The variance is that of the slopes (noise and
-        vibration of the belts) plus the square of 20 % of the speed or of the distance to the farthest possible start,
-        whichever is larger. Zeros and no errors if only rest is possible, or no velocity is significantly measured.
+        size of one standard deviation, shape (errors, coordinates). Their variance is the variance of the slopes (noise
+        and vibration of the belts) plus the square of 20 % of the speed or of the distance to the farthest possible
+        start, whichever is larger. Zeros and no errors if only rest is possible, or no velocity is significant.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:

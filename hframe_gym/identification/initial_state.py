@@ -40,7 +40,7 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
         machine: Machine with the rig's coordinates, belts and sensors, and its effects (deviations from the nominal
             model).
         zeros: Zeros of the encoders in the session.
-        quanta: Quantization steps of the sensors, in their units, shape (sensors,).
+        quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
 
     Returns:
         Initial state: positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad, shape
@@ -68,7 +68,7 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
         machine: Machine with belts.
         alone: Initial state that was estimated without these zeros.
         zeros: Zeros of the encoders in the session.
-        quanta: Quanta of the sensors, in their units, shape (sensors,).
+        quanta: Quanta of the sensors, m or rad, shape (sensors,).
     """
     moved = np.zeros(len(machine.sensors), np.bool_)
     fixed = np.array([not s.incremental for s in machine.sensors])
@@ -101,11 +101,11 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
-        position: Positions, m or rad, shape (coordinates,); only those of the linear coordinates (carriages) are used.
+        position: Positions, m or rad, shape (coordinates,); only linear coordinates (carriages) are used.
             Coordinates that structural effects added, the last ones, may be missing.
 
     Returns:
-        Positions of all coordinates, m or rad, shape (coordinates,): those of the carriages as given.
+        Positions of all coordinates, m or rad, shape (coordinates,); for the carriages, the values in `position`.
     """
     names = machine.coordinate_names
     linear = np.array([c.kind == "linear" for c in machine.coordinates])
@@ -148,8 +148,8 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
         initial: Measured initial state (positions at rest, zeros of the sensors).
 
     Returns:
-        Positions, then velocities, in the coordinates' units, shape (2 * coordinates,). The velocities are those of
-        `initial`, zero unless the run begins in motion. Without belts, added coordinates start at 0.
+        Positions (m, rad), then velocities (m/s, rad/s), shape (2 * coordinates,). The velocities are copied from
+        `initial`: zero unless the run begins in motion. Without belts, added coordinates start at 0.
     """
     added = len(machine.coordinates) - len(initial.position)  # coordinates of structural effects, at rest at 0
     if not machine.belts:
@@ -190,7 +190,7 @@ def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
 
 
 def concentric_angle(machine: Machine, index: int, angle: float) -> float:
-    """Convert the angle of an eccentric pulley at rest to that of a concentric pulley with the same belt travel.
+    """Convert the angle of an eccentric pulley at rest to the angle of a concentric one with the same belt travel.
 
     A simulation starts from the angles of concentric pulleys, whose belt travel is radius * angle. The conversion is
     accurate to first order in the eccentricity.
@@ -201,7 +201,7 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
         angle: Measured angle of the pulley, rad.
 
     Returns:
-        Angle of the concentric pulley, rad; the given one for a pulley without eccentricity.
+        Angle of the concentric pulley, rad; `angle` itself if the pulley is not eccentric.
     """
     converted = angle
     # The formula of eccentricity gives the difference of the two angles, rad.
@@ -224,7 +224,7 @@ def position_from_measurements(machine: Machine, initial: InitialState) -> Array
         initial: Measured initial state.
 
     Returns:
-        Positions in the coordinates' units, shape (coordinates,).
+        Positions of the coordinates, m or rad, shape (coordinates,).
     """
     if initial.lasers_measured or not machine.effects:
         return _without_measurement_effects(machine, initial, initial.position.copy())
@@ -285,7 +285,7 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
         initial: Measured initial states, one per run.
 
     Returns:
-        Values to add to the assumed zeros, in the sensors' units, shape (sensors,); 0 where the zero is not known.
+        Values to add to the assumed zeros, m or rad, shape (sensors,); 0 where the zero is not known.
     """
     errors = np.zeros(len(machine.sensors))
     if not machine.belts:
@@ -305,12 +305,12 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
 
 
 def correct_encoder_zeros(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
-    """Correct the encoder zeros (measurements at position 0) of an initial state, and the positions that use them.
+    """Copy an initial state, with corrected encoder zeros (measurements at position 0) and resulting positions.
 
     Args:
         initial: Measured initial state.
         machine: Machine with the sensors and coordinates of that state.
-        errors: Values to add to the zeros, in the sensors' units, shape (sensors,); 0 for zeros that are kept.
+        errors: Values to add to the zeros, m or rad, shape (sensors,); 0 for zeros that are kept.
 
     Returns:
         Copy with corrected zeros, m or rad, shape (sensors,), and corrected positions; its `zeros_refined` is True.

@@ -85,7 +85,7 @@ class NormalEquations:
             count: Number of independent measured values, dimensionless. Default: the number of rows.
 
         Returns:
-            Inner products of J, E and r, dimensionless, as the class lists them: J^T J, shape (k, k), J^T r, and so on.
+            Products J^T J, shape (k, k), J^T r (k,), r^T r, J^T E (k, m), E^T E (m, m), E^T r (m,), and `count`.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -110,7 +110,7 @@ class NormalEquations:
             parts: Normal equations of at least one run.
 
         Returns:
-            Products in the same shapes, and numbers of values, each summed over the parts.
+            Sums over the runs: J^T J, shape (k, k), J^T r (k,), all other products, and numbers of measured values.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))
@@ -134,7 +134,7 @@ class NormalEquations:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
-            Copy with k = 0, reduced `response_information`, shape (m, m), and `response_gradient`, shape (m,).
+            Copy with k = 0; what remains of E^T E, shape (m, m), and E^T r, (m,), for responses E and residual r.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])
@@ -174,7 +174,7 @@ class Start(NamedTuple):
     """Where the prediction of a run starts.
 
     Attributes:
-        state: Positions, velocities, states of the effects, in their units, shape (2 * coordinates + effect states,).
+        state: Positions (m, rad), velocities (m/s, rad/s), effect states, shape (2 * coordinates + effect states,).
         projection: Removes from residuals what an error of this state explains; None if it explains nothing.
     """
 
@@ -222,11 +222,11 @@ class ResidualModel:
 
         Args:
             run: Measured run of n samples.
-            predicted: Predicted measurements of a batch, in the sensors' units, shape (batch, n, sensors).
+            predicted: Predicted measurements of a batch, m or rad, shape (batch, n, sensors).
 
         Returns:
-            (measured - predicted) / noise, dimensionless, as `prediction.residuals` computes it with blocks of
-            `rows_per_block` samples, shape (batch, rows).
+            (measured - predicted) / noise, dimensionless, shape (batch, rows): one row per sensor and block of
+            `rows_per_block` samples. Errors of the sensors' zeros are subtracted first (`prediction.residuals`).
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
 
@@ -274,7 +274,7 @@ class ResidualModel:
                 as candidate forces, shape (m, rows). Default: none.
 
         Returns:
-            By run: products of the linearized residual (J^T J, shape (k, k), J^T r, ...) and the initial state.
+            For each run: `NormalEquations` with the Jacobian J (J^T J, shape (k, k), J^T r, (k,), ...), initial state.
         """
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:

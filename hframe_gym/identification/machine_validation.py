@@ -52,7 +52,7 @@ def stable_under_rated_voltage(machine: Machine) -> bool:
     """Check that 2 s of random rated voltage move a machine within bounds.
 
     Every voltage switches between the positive and the negative rated one at random times (random telegraph signal).
-    The top speed must not exceed five times that of the same machine without its effects. Only the time before the
+    The top speed must not exceed five times the top speed of the machine without its effects. Only the time before the
     machine without effects leaves its workspace is evaluated.
 
     Args:

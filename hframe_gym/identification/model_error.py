@@ -95,7 +95,7 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) at the next smaller bandwidth, rad/s; 0 is a simulation.
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared), bandwidth, rad/s (0: none).
     """
     return at_bandwidth(fitted, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1], data)
 
@@ -121,7 +121,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     """Fit again at the observer bandwidth that maximizes the likelihood of the data.
 
     An observer corrects the prediction by the measurements; the larger the error of the model, the larger the bandwidth
-    must be. Starting from the bandwidth of the given fit, smaller ones are tried as long as the likelihood increases.
+    must be. Starting from the bandwidth of `fitted`, smaller ones are tried as long as the likelihood increases.
     The simulation (no observer) is always tried, because the likelihood may have a second maximum there: an observer
     disturbs phases in which friction holds the machine at rest, a simulation does not.
 
@@ -130,7 +130,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Most likely fit: machine, parameters theta, shape (k,), cost and bandwidth, rad/s.
+        Most likely fit: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared), bandwidth, rad/s.
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
@@ -153,7 +153,7 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) at the same observer bandwidth.
+        Fit, bandwidth as in `fitted`: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared).
     """
     small, model = _CONVERGED_COST / data.count, (fitted.machine, fitted.free, data, fitted.bandwidth)
     return fit(*model, theta=fitted.theta, tolerance=small, longest_step=POLISH_STEP)
@@ -164,18 +164,18 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
     The final machine is used in simulation, whereas an observer (feedback of the measurements) hides slow errors of a
     fit, and with them information about the parameters. Fits at all smaller bandwidths are therefore compared by the
-    product of two costs (sums of squared residuals): that of the simulation, and that of the prediction at the given
-    bandwidth. The second one is needed because wrong parameters may simulate best by chance, if small differences of
-    the parameters grow without limit. A fit in simulation adapts to errors of the model; its cost in simulation is
-    therefore that of cross-validation.
+    product of two costs (sums of squared residuals): of the simulation, and of the prediction with the bandwidth of
+    `fitted`. The second one is needed because wrong parameters may simulate best by chance, if small differences of the
+    parameters grow without limit. The cost of a fit in simulation is computed by cross-validation, because such a fit
+    adapts to errors of the model.
 
     Args:
         fitted: Final fit at any observer bandwidth.
         data: Runs that were fitted.
 
     Returns:
-        Fit of the same k parameters (theta of shape (k,)) with the smallest product, polished. The given fit if none is
-        better, if it is one in simulation, or if there is only one run, which permits no cross-validation.
+        Fit of the same k parameters (theta, shape (k,)) with the smallest product, polished. `fitted` itself if no fit
+        is better, if it is a simulation, or if there is only one run, which permits no cross-validation.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
         return fitted
@@ -246,7 +246,7 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
         data: Runs that were fitted.
 
     Returns:
-        Name of the run with the largest ratio of its chi-squared per sample to that of the other runs, both for
+        Name of the run with the largest ratio of its chi-squared per sample to the other runs', both for
         parameters that are fitted to the other runs. None if this ratio is at most 10, or for fewer than three runs.
     """
     if len(data.runs) < _MIN_AGREEING + 1:
@@ -321,8 +321,8 @@ def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) at this bandwidth; the given one if it has that bandwidth
-        already.
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise
+        variances), at this bandwidth; `fitted` itself if it has this bandwidth already.
     """
     if fitted.bandwidth == bandwidth:
         return fitted

@@ -43,7 +43,8 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
     motion is so slow that a period has at least four rows and passes at less than `MISSING_FORCE_CUTOFF` (40 Hz).
 
     Args:
-        motion: Position, velocity and missing force of one coordinate, in its units, one column each, shape (n, 3).
+        motion: Columns position, velocity and missing force of one coordinate, m, m/s, N or rad, rad/s, Nm, shape
+            (n, 3).
         sampling_period: Time from one row to the next, s.
         friction: True for a periodic friction level, whose force changes sign with the velocity; False for a periodic
             force.
@@ -83,7 +84,7 @@ def slow_rates(position: Array) -> Array:
     a variation can nevertheless predict the positions better.
 
     Args:
-        position: Positions of one coordinate over all rows of all runs, in its unit, shape (n,).
+        position: Positions of one coordinate over all rows of all runs, m or rad, shape (n,).
 
     Returns:
         Rates, rad per unit of position, shape (rates,); empty if the position does not change.

@@ -87,11 +87,11 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     Args:
         machine: Machine whose sensors are fed back.
         period: Sampling period, s.
-        bandwidth: Observer bandwidth of encoders, rad/s; that of lasers beside encoders is 5/12 of it.
+        bandwidth: Observer bandwidth of the encoders, rad/s. Lasers get 5/12 of it; without encoders, they get all.
 
     Returns:
-        Corrections of positions (first half of the rows) and velocities (second half) at each sample, in the
-        coordinates' units, per unit of measured minus predicted value, shape (2 * coordinates, sensors).
+        Corrections at each sample per m or rad of measured minus predicted value: of the positions (first half of the
+        rows), m or rad, and of the velocities (second half), m/s or rad/s, shape (2 * coordinates, sensors).
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
@@ -129,16 +129,16 @@ def predict(
             Default: those of the machine.
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
             (batch, n, coordinates). Default: none.
-        extra_measurement: Value added to the sensors' output, in their units, shape (batch, n, sensors). Default: none.
-        initial_state: Positions, velocities and states of the effects (default: zero), in their units, shape
+        extra_measurement: Value added to the sensors' output, m or rad, shape (batch, n, sensors). Default: none.
+        initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero), shape
             (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
             observer shifts the measurements of encoders so that they agree with the (first) initial state.
         longest_step: Maximum integration step, s; stiff belts may need shorter ones (`resolved_step`).
         states: Whether to return positions and velocities too.
 
     Returns:
-        Predicted measurements `readings`, in the sensors' units, shape (batch, n, sensors), not finite if it diverges,
-        and if `states`, `positions` and `velocities`, in the coordinates' units, shape (batch, n, coordinates).
+        `readings`: predicted measurements, m or rad, shape (batch, n, sensors), not finite if the prediction diverges.
+        With `states` also `positions`, m or rad, and `velocities`, m/s or rad/s, shape (batch, n, coordinates) each.
     """
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     measured = gains = None
@@ -168,7 +168,7 @@ def predict(
 
 
 def noise_floor(bandwidth: float, criteria: SelectionCriteria) -> float:
-    """Return chi-squared per sample of predictions by a correct model.
+    """Return chi-squared per sample (mean squared error / noise variance) of predictions by a correct model.
 
     Args:
         bandwidth: Bandwidth of the observer that corrects the predictions, rad/s; 0 for a simulation.
@@ -207,7 +207,7 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
         data: Data set, for the sampling period.
 
     Returns:
-        Number of values (rows times sensors), at least those of one row.
+        Number of values (rows times sensors), at least one row of them.
     """
     return max(1, round(seconds / data.period)) * len(machine.sensors)
 
@@ -228,7 +228,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
             (`run.weights`). False for an evaluation: equal weights.
 
     Returns:
-        Errors in the sensors' units, shape (batch, n, sensors); meaningless numbers where nothing was measured.
+        Errors, m or rad, shape (batch, n, sensors); meaningless numbers where nothing was measured.
     """
     measured = np.isfinite(run.outputs)
     error: Array = run.outputs - measurements

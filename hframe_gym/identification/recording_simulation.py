@@ -43,7 +43,7 @@ class SimulatedRecording(NamedTuple):
     Attributes:
         trajectory: Positions, velocities and sensor readings. The readings include the zeros of the sensors (their
             measurements at position 0), so that they can be compared with the recording.
-        error: Measured minus simulated values, in the sensors' units, shape (n, sensors); NaN where nothing or an
+        error: Measured minus simulated values, m or rad, shape (n, sensors); NaN where nothing or an
             outlier was measured, in repetitions of slow sensors, and before the machine came to rest.
         initial: Initial state and zeros of the sensors; its `warnings` list what could not be determined.
     """
@@ -54,7 +54,7 @@ class SimulatedRecording(NamedTuple):
 
     @property
     def outputs(self) -> Array:
-        """Simulated measurements, in the sensors' units, shape (n, sensors)."""
+        """Simulated measurements, m or rad, shape (n, sensors)."""
         return self.trajectory.outputs
 
 
@@ -112,7 +112,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         Initial state for `simulate(..., initial.start(machine), offset=initial.offset)`, the simulation whose errors
         identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `offset` the
         zeros of the sensors, m or rad, shape (sensors,), with which this simulation fits the recording best. If the
-        simulation diverges, the zeros are those of the measurements at rest. `warnings` lists what could not be
+        simulation diverges, the zeros follow from the measurements at rest. `warnings` lists what could not be
         determined.
     """
     return _initial_state(machine, _cleaned(recording, machine))

@@ -68,7 +68,7 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Errors in the sensors' units, NaN where not measured, shape (n, sensors).
+        Errors, m or rad, NaN where not measured, shape (n, sensors).
     """
     start = most_probable_initial_state(machine, run, data)
     motion = predict(machine, run, SIMULATION, period=data.period, initial_state=start, longest_step=POLISH_STEP)
@@ -96,9 +96,9 @@ def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -
     """Return the root mean square of given simulation errors over all runs, for every output channel.
 
     Args:
-        by_run: Errors by run, in the sensors' units, NaN where not measured, shape (n, sensors) each.
+        by_run: Errors by run, m or rad, NaN where not measured, shape (n, sensors) each.
         machine: Machine with the sensors.
-        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
 
     Returns:
         By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the

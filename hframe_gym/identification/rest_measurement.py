@@ -35,7 +35,7 @@ class InitialState:
     """The measured initial state of one run.
 
     Attributes:
-        state: Positions and velocities at the first row, in the coordinates' units, shape (2 * coordinates,). The
+        state: Positions (m, rad), then velocities (m/s, rad/s), at the first row, shape (2 * coordinates,). The
             velocities are zero unless the run begins in motion.
         offset: Zeros of the sensors (measurements at position 0), which `simulate` adds to the readings, in the
             sensors' units, shape (sensors,).
@@ -47,13 +47,13 @@ class InitialState:
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
         position_known: Whether sensors with a known zero determine the position at rest; where none measures at rest,
             by later measurements.
-        reading: Measurements at rest minus the known zeros, in the sensors' units, NaN where there is none, shape
+        reading: Measurements at rest minus the known zeros, m or rad, NaN where there is none, shape
             (sensors,).
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
         position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
             of NaN), shape (coordinates, sensors).
         velocity_deviations: Independent errors of the velocities, one per row, each of the size of one standard
-            deviation, in the coordinates' units, shape (errors, coordinates); no rows if the run begins at rest.
+            deviation, m/s or rad/s, shape (errors, coordinates); no rows if the run begins at rest.
         effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by label and
             component of the effect; an effect without an entry starts at zero.
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -75,28 +75,28 @@ class InitialState:
     warnings: tuple[str, ...] = field(default=())
 
     def start(self, machine: Machine) -> Array:
-        """Return the state vector from which `simulate` starts: this state, then the states of the effects.
+        """Return the complete initial state, as `simulate` takes it: positions, velocities and states of the effects.
 
         Args:
             machine: Machine with its effects (deviations from the nominal model).
 
         Returns:
-            Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect states,).
+            Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect states,).
         """
         states = [self.effect_states.get((i.effect.label, i.component), 0.0) for i in instances_with_state(machine)]
         return np.concatenate([self.state, states])
 
     def with_start(self, machine: Machine, start: Array) -> InitialState:
-        """Return a copy that starts from another state (inverse of `start`).
+        """Return a copy with another complete initial state, in the format that the method `start` returns.
 
         Args:
             machine: Machine with its effects (deviations from the nominal model), which name the last entries of
                 `start`.
-            start: Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect
+            start: Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect
                 states,).
 
         Returns:
-            Copy whose `state`, shape (2 * coordinates,), and `effect_states` are those of `start`.
+            Copy whose `state`, shape (2 * coordinates,), and `effect_states` hold the values of the argument `start`.
         """
         names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
         state, states = np.split(start, [len(start) - len(names)])
@@ -109,7 +109,7 @@ class InitialState:
 
     @property
     def velocity(self) -> Array:
-        """Velocities at the first row, in the coordinates' units, shape (coordinates,); zero at rest."""
+        """Velocities at the run's first row, m/s or rad/s, shape (coordinates,); zero if the run begins at rest."""
         return self.state[len(self.state) // 2 :]
 
 
@@ -120,7 +120,7 @@ def settled_rows(resting_rows: int) -> slice:
         resting_rows: Number of rows at rest at the beginning of a run, at least 1.
 
     Returns:
-        Slice along the rows of the run.
+        Slice of row indices; its rows are the later half of the rows at rest.
     """
     return slice(resting_rows // 2, resting_rows)
 
@@ -210,7 +210,7 @@ def rigid_basis(machine: Machine) -> Array:
         machine: Machine with coordinates and belts.
 
     Returns:
-        Displacements in the coordinates' units, one per column, shape (coordinates, rigid motions).
+        Displacements of the coordinates, m or rad, one rigid motion per column, shape (coordinates, rigid motions).
     """
     if not machine.belts:
         return np.eye(len(machine.coordinates))
@@ -271,21 +271,22 @@ def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDA
 def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
-    The estimate is the mean error over the complete run, if it differs from the mean error over the later half of the
-    rows at rest by at most `max_mean`; otherwise it differs from the latter by `max_mean`. The limit is needed because
-    a constant force may also cause a mean error. For a sensor without quantization, the first five rows of the run
-    replace a single row at rest, which has the noise of one measurement.
+    The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean error over
+    the later half of the rows at rest. The limit is needed because a constant force may also cause a mean error. For a
+    sensor without quantization, the first five rows of the run replace a single row at rest, which has the noise of one
+    measurement.
 
     Args:
-        error: Measured minus predicted values of a batch of predictions over n samples, in the sensors' units, 0 where
+        error: Measured minus predicted values of a batch of predictions over n samples, m or rad, 0 where
             not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Limit of this difference, in the sensors' units, shape (sensors,); infinite for none.
-        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+        max_mean: Largest difference between estimate and mean error at rest, m or rad, shape (sensors,); infinite for
+            no limit.
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
 
     Returns:
-        Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
+        Errors of the zeros, m or rad, shape (batch, 1, sensors), to be subtracted from `error`.
     """
 
     def mean(rows: slice) -> Array:  # (batch, sensors)
@@ -298,7 +299,7 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
 
 
 def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
-    """Return how far the zero of each sensor may differ from the one that the rows at rest give.
+    """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
 
     The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
     encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up to these limits,
@@ -306,16 +307,16 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
 
     Args:
         behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step.
+        Limits, m or rad, shape (sensors,): infinite behind belts, otherwise half a quantization step.
     """
     return np.where(behind, np.inf, quanta / 2)
 
 
 def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
-    """Return how far, in a fit, the zero of each sensor may differ from the one that the rows at rest give.
+    """Return how far, in a fit, the zero of each sensor may differ from its estimate by the rows at rest.
 
     The zero is the measurement at position 0. The limits differ from those of `max_zero_means` for a sensor without
     quantization. It gives the initial position, and the noise of its few measurements at rest makes this position wrong
@@ -324,19 +325,19 @@ def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDA
 
     Args:
         behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
-        at_rest: True for sensors that measured at rest, shape (sensors,). For all others the limits do not differ,
-            because their later measurements determine the initial position.
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+        at_rest: True for sensors that measured at rest, shape (sensors,). The limits of all other sensors are those of
+            `max_zero_means`, because later measurements of these sensors determine the initial position.
 
     Returns:
-        Limits, in the sensors' units, shape (sensors,): infinite behind belts and for sensors without quantization that
+        Limits, m or rad, shape (sensors,): infinite behind belts and for sensors without quantization that
         measured at rest, otherwise half a quantization step.
     """
     return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
 
 
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:
-    """Mark the encoders on pulleys, which elastic belts separate from the tool.
+    """Return which sensors are encoders on pulleys, which elastic belts separate from the tool.
 
     Args:
         machine: Machine with the sensors.

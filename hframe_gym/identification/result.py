@@ -74,7 +74,7 @@ class ModelEvaluation:
     Attributes:
         machine: The machine.
         held_out: Errors on the held-out runs.
-        errors: Simulation errors by name of the held-out run, in the sensors' units, NaN where not measured, shape
+        errors: Simulation errors by name of the held-out run, m or rad, NaN where not measured, shape
             (n, sensors) each.
         warnings: Name of a run and sentence about what could not be determined about its initial state, each.
         diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
@@ -202,11 +202,11 @@ class IdentificationResult:
         return (*self.excluded, *merge_run_warnings([*fitted, *self.after.warnings]))
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of report.json, schema 1, without warnings and formulas.
+        """Return the content of report.json (schema 1), to which `write_result` adds warnings and formulas.
 
         Returns:
-            Verdict, names of the runs, errors of the three machines, effects, residual and so on, by key, as
-            dictionaries, lists, text and numbers.
+            By key: "verdict", "runs" (names), "declared", "before", "after" (errors of the three machines), "effects",
+            "residual", "considered" (rejected effects) and others, as dictionaries, lists, text and numbers.
         """
         return {
             "schema": SCHEMA,
@@ -259,16 +259,17 @@ def write_result(
     warnings: Sequence[str] = (),
     formulas: Sequence[TableComparison] = (),
 ) -> None:
-    """Write all files of a result except the plots and report.html, which `build_report` adds.
+    """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
 
-    All files appear together or not at all; within a `with output_batch(folder)` block, at the end of the block.
+    The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted, and with
+    effects); evidence.npz (`plot_data`); next_experiment.csv, if a run is proposed. They appear together or not at all.
 
     Args:
         result: Result of an identification: machines, selected effects and fitted runs.
         folder: Folder to write to; created if it does not exist.
-        warnings: Findings about the recordings, one line of text each, which report.json repeats.
-        formulas: For each table (force interpolated over one variable) of the machine, formulas that may replace it,
-            with their errors.
+        warnings: Findings about the recordings, one line of text each, for `warnings` in report.json.
+        formulas: Formulas that may replace each table (force interpolated over one variable) of the machine, with their
+            errors, for `proposed_formulas` in report.json.
 
     Raises:
         InputError: If another process writes to the folder.
@@ -303,9 +304,9 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         Arrays by name, where RUN is the name of a held-out run (not fitted) with n samples.
 
         - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
-        - ``RUN/measured``: its measurements minus the sensors' zeros, in the sensors' units, shape (n, sensors).
+        - ``RUN/measured``: its measurements minus the sensors' zeros, m or rad, shape (n, sensors).
         - ``RUN/declared``, ``RUN/before``, ``RUN/after``: simulation errors of the declared, refitted and corrected
-          machine, in the sensors' units, shape (n, sensors).
+          machine, m or rad, shape (n, sensors).
         - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
           SI, shape (m,); absent if there is none.
         - ``force/before``, ``force/after``: residual force of the refitted and of the corrected machine at these

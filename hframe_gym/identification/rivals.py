@@ -40,8 +40,8 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        First the fits that are as good as the best one, those with the fewest parameters (theta, shape (k,)) first;
-        then all others, lowest cost first.
+        First the fits that are as good as the best one, by their number of free parameters theta, shape (k,)
+        (fewest first); then all other fits, lowest cost first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -59,13 +59,13 @@ def close_rivals(
     per measured value, or by less than 3 % of the reduction that the selected effect brings if this is more.
 
     Args:
-        trials: Fits with one candidate effect (deviation from the model) each, that of the selected effect first.
+        trials: Fits with one candidate effect (deviation from the model) each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         data: Prepared recordings (times, voltages, measurements, SI).
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        Rivals with their fitted parameters, each effect and site once, in the order of the trials.
+        Rivals with their fitted parameters, each effect once per component, in the order of the trials.
     """
     best = trials[0]
     margin = _margin(current, best.cost, data, criteria)
@@ -101,15 +101,16 @@ def compare_rivals(
 
     Args:
         current: Fit of the machine with all effects (deviations from the model).
-        label: Label (name@site) of the effect to compare.
+        label: Label (name@component) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
             not tried; none is if another effect requires the effect to compare.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) with the most likely rival, None if no rival is more likely
-        than the effect; and the rivals that remain, those that were not tried among them.
+        best: Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (squared residuals / noise
+            variances, summed) with the most likely rival in place of the effect; None if no rival is more likely.
+        rivals: The rivals that remain, including those that were not tried.
     """
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]

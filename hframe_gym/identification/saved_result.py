@@ -186,7 +186,7 @@ def load_result(folder: Path) -> SavedResult:
         (n, sensors)).
 
     Raises:
-        InputError: If a file is missing, damaged or inconsistent with the others; the message names the file.
+        InputError: If a file is missing, damaged or inconsistent with another file; the message names the file.
     """
     complete_commit(folder)
     if not newest(folder / "report.json").is_file():
@@ -295,7 +295,7 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
         folder: Folder of the result.
 
     Returns:
-        Command line that evaluates a controller on the machine; for the verdict "unexplained", the one that opens the
+        Command line that evaluates a controller on the machine; for the verdict "unexplained", a command that opens the
         report, which shows what the residual depends on and what to record next.
     """
     if verdict == "unexplained":

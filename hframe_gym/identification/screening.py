@@ -52,7 +52,7 @@ class Perturbation(NamedTuple):
 
     Attributes:
         force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
-        measurement: Change of the sensors' output, in their units, shape (columns, n, sensors).
+        measurement: Change of the sensors' output, m or rad, shape (columns, n, sensors).
     """
 
     force: Array
@@ -86,9 +86,9 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Scored candidates, largest reduction of chi-squared (summed over all samples, dimensionless) first. The
-        reduction is 0 if only an amplitude outside its bounds would cause one, or if the machine's free parameters can
-        represent the candidate.
+        Candidates with the weights of their basis functions and the reduction of chi-squared (summed over all samples,
+        dimensionless), in the order of decreasing reduction. It is 0 if only an amplitude outside its bounds would
+        reduce chi-squared, or if the machine's free parameters can represent the candidate.
     """
     if not candidates:
         return []
@@ -117,7 +117,7 @@ def candidate_perturbations(
 ) -> Perturbation:
     """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
 
-    `screen` linearizes the residual with them. They are approximate in three respects: the motion is that of the
+    `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed for the
     machine without the candidate, the candidate does not interact with other effects, and forces are constant from each
     sample to the next.
 
@@ -245,7 +245,7 @@ def replaces_model_part(effect: Effect) -> bool:
         effect: Definition of the effect (deviation from the nominal model).
 
     Returns:
-        True for structural effects (they add coordinates) and those that replace dry friction.
+        True for effects that add coordinates (structural effects) and for effects that replace dry friction.
     """
     return bool(effect.structure or effect.friction)
 

@@ -36,7 +36,7 @@ def quantum_of(values: Array) -> float:
         values: Measurements, m or rad, shape (n,), NaN where not measured.
 
     Returns:
-        Quantum in the unit of the values; 0 where the channel shows none.
+        Quantum, m or rad; 0 if the channel shows none.
     """
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     steps = steps[steps > 0]
@@ -51,11 +51,11 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
     """Estimate the quantization step (quantum) of a sensor from all runs.
 
     Args:
-        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
-        resolution: Declared resolution, in the sensor's unit, 0 if there is none.
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+        resolution: Declared resolution, m or rad, 0 if there is none.
 
     Returns:
-        Median over the runs that show a quantum, in the sensor's unit; the declared resolution if no run shows one, for
+        Median over the runs that show a quantum, m or rad; the declared resolution if no run shows one, for
         example because the sensor hardly moves.
     """
     quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
@@ -66,11 +66,11 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
     """Estimate the standard deviation of a sensor's noise from the rows at rest of all runs.
 
     Args:
-        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
 
     Returns:
-        Standard deviation in the sensor's unit; None if less than about 30 rows are at rest, in runs with at least 10.
+        Standard deviation, m or rad; None if less than about 30 rows are at rest, in runs with at least 10.
     """
     squares, rows = 0.0, 0
     for values, count in zip(channel, resting_rows, strict=True):
@@ -85,18 +85,18 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
 
 
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
-    """Estimate the standard deviation of a sensor's noise, at least that of the rounding error, quantum / sqrt(12).
+    """Estimate the standard deviation of a sensor's noise; it is at least the rounding error, quantum / sqrt(12).
 
     With fewer than 30 rows at rest it is the declared value or, if there is none, comes from third differences.
 
     Args:
-        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
-        quantum: Quantization step of the sensor, in its unit.
-        declared: Declared standard deviation, in the sensor's unit; 0 where none is declared.
+        quantum: Quantization step of the sensor, m or rad.
+        declared: Declared standard deviation, m or rad; 0 where none is declared.
 
     Returns:
-        Standard deviation in the sensor's unit.
+        Standard deviation, m or rad.
     """
     rounding, at_rest = quantum / np.sqrt(12), noise_at_rest(channel, resting_rows)
     # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
@@ -117,8 +117,8 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
 
     Args:
         time_s: Sample times, s, shape (n,).
-        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
-        quanta: Quantization steps of the sensors, in their units, 0 where there is none, shape (sensors,).
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
 
     Returns:
         Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N for N equal measurements in succession
@@ -146,10 +146,10 @@ def difference_noise(channel: Sequence[Array]) -> float:
     """Estimate a sensor's noise from third differences, which smooth motion hardly changes (von Neumann 1941).
 
     Args:
-        channel: Measurements of the sensor by run, in its unit, each of shape (n,), NaN where not measured.
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
 
     Returns:
-        Standard deviation in the sensor's unit, at least 1e-12; 1 if no run has four measurements.
+        Standard deviation, m or rad, at least 1e-12; 1 if no run has four measurements.
     """
     differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
     if len(differences) == 0:
@@ -166,11 +166,11 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
 
     Args:
         times: Sample times by run, s, shape (n,) each.
-        channel: Measurements of the sensor by run, in its unit, shape (n,) each, NaN where not measured.
-        noise: Standard deviation of the sensor's noise at rest, in its unit.
+        channel: Measurements of the sensor by run, m or rad, shape (n,) each, NaN where not measured.
+        noise: Standard deviation of the sensor's noise at rest, m or rad.
 
     Returns:
-        Standard deviation of the sampling time, s; 0 below the variance of the noise, which vibrations may cause.
+        Standard deviation of the sampling time, s; 0 if the variance is below 2 noise^2: vibrations may cause it.
     """
     squares, speeds, travels = [], [], []
     for time_s, values in zip(times, channel, strict=True):
@@ -199,12 +199,12 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
 
     Args:
         time_s: Sample times, s, shape (n,).
-        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
-        noise: Standard deviations of the sensors' noise at rest, in their units, shape (sensors,).
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
+        noise: Standard deviations of the sensors' noise at rest, m or rad, shape (sensors,).
         jitter: Standard deviation of the sampling time, s.
 
     Returns:
-        sqrt(noise^2 + (jitter * speed)^2), in the sensors' units, shape (n, sensors).
+        sqrt(noise^2 + (jitter * speed)^2), m or rad, shape (n, sensors).
     """
     by_row = np.tile(noise, (len(time_s), 1))
     for j, values in enumerate(outputs.T):
@@ -219,10 +219,10 @@ def smooth_speed(time_s: Array, values: Array) -> Array:
 
     Args:
         time_s: Sample times, s, shape (n,), n at least 11.
-        values: Measurements, in the sensor's unit, shape (n,), without NaN.
+        values: Measurements, m or rad, shape (n,), without NaN.
 
     Returns:
-        Speed, unit/s, shape (n,).
+        Speed, m/s or rad/s, shape (n,).
 
     References:
         Savitzky and Golay (1964), "Smoothing and differentiation of data by simplified least squares procedures".
@@ -242,11 +242,11 @@ def saturation_ranges(
     Args:
         recordings: All runs of the rig (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
-        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         criteria: Decision thresholds.
 
     Returns:
-        Lower and upper end of the range by channel name, in the sensor's unit, for the sensors that saturate. An end
+        Lower and upper end of the range by channel name, m or rad, for the sensors that saturate. An end
         that was never reached is set to ten times the largest magnitude of a measurement.
     """
     ranges: dict[str, Range] = {}
@@ -310,13 +310,13 @@ def _end(
 def blank_saturated(
     recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> Recording:
-    """Replace saturated measurements by NaN: those beyond or within four noise deviations of the end of a range.
+    """Copy a recording, with NaN for saturated measurements: beyond the end of a range, or within 4 noise deviations.
 
     Args:
         recording: One run (times, s; voltages, V; measurements, m or rad).
-        ranges: Lower and upper end by channel name, in the sensor's unit.
+        ranges: Lower and upper end by channel name, m or rad.
         machine: Machine that was recorded.
-        noise: Standard deviations of the sensors' noise, in their units, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         criteria: Decision thresholds.
 
     Returns:

@@ -79,7 +79,7 @@ def initial_state_projection(
         run: Run to predict.
         data: Data set of the run.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
-        initial_state: Positions, velocities and states of the effects, in their units, shape (2 * coordinates + effect
+        initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect
             states,). Default: `run.initial_state(machine)`.
         longest_step: Maximum integration step, s.
         rows_per_block: Number of consecutive rows that are combined into one (sum / square root of the number).
@@ -169,9 +169,8 @@ def start_displacements(machine: Machine, initial: InitialState) -> Array:
         initial: Measured initial state of the run.
 
     Returns:
-        Displacements of the state (positions, velocities, states of the effects), one per row, each of the size of one
-        standard deviation, in the coordinates' and the effects' units, shape (displacements, 2 * coordinates + effect
-        states).
+        Displacements, one per row, each of the size of one standard deviation: positions (m, rad), velocities (m/s,
+        rad/s), states of the effects (SI), shape (displacements, 2 * coordinates + effect states).
     """
     held_angles = stretch_angles(machine, moving=len(initial.velocity_deviations) > 0)
     velocities = _velocity_displacements(machine, initial)
@@ -239,7 +238,7 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Positions, velocities, and the states of the effects, in their units, shape (2 * coordinates + effect states,).
+        Positions (m, rad), velocities (m/s, rad/s) and effect states (SI), shape (2 * coordinates + effect states,).
     """
 
     def errors(states: Array) -> Array:
@@ -252,7 +251,7 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 
 
 def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Correct the encoder zeros and the initial states of effects of all runs with a fitted machine.
+    """Copy a data set, with encoder zeros and initial states of effects corrected by a fitted machine.
 
     The zeros are the measurements at position 0; forces that stretch the belts at rest falsify their first estimate.
     The corrected states are those of effects that remember motion before the recording, such as hysteresis. They must
@@ -261,7 +260,7 @@ def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = N
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
         machine: Fitted machine with its effects (deviations from the nominal model).
-        reference: Data set from which the errors of the zeros are estimated: the one that the machine was fitted to.
+        reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
             Default: `data`.
 
     Returns:
@@ -292,13 +291,13 @@ def most_probable_start(
     Args:
         machine: Machine to simulate.
         initial: Measured initial state of the run.
-        state: State that follows from the measurements at rest, in the coordinates' units, shape (2 * coordinates,).
+        state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest, shape (2 * coordinates,).
         errors: Function that simulates from states, shape (B, 2 * coordinates + effect states), and returns measured
             minus simulated values in units of the noise, shape (B, values), not finite where the simulation diverges.
 
     Returns:
-        Positions, velocities, and the states of the effects, in their units, shape (2 * coordinates + effect
-        states,). If nothing is uncertain or the simulation diverges: the given state, with effect states of zero.
+        Positions (m, rad), velocities (m/s, rad/s) and effect states (SI), shape (2 * coordinates + effect
+        states,). If nothing is uncertain or the simulation diverges: `state` itself, with effect states of zero.
 
     References:
         Nocedal and Wright (2006), "Numerical optimization", chapter 10 (Gauss-Newton method with a line search).

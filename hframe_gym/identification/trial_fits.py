@@ -46,8 +46,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         criteria: Decision thresholds.
 
     Returns:
-        One fit (machine, parameters theta, shape (k,), cost) per effect and component, or two where they are also
-        fitted from the declared parameters, after few iterations, in no given order.
+        Fits, not fully converged, in any order: machine, k parameters (theta, dimensionless, shape (k,)) and cost
+        (chi-squared). One per effect and component, two where effects are also fitted from the declared parameters.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
     nothing_promising = not trials and current.chi2 > criteria.explained_chi2
@@ -108,8 +108,8 @@ def structural_trial_fits(
         criteria: Decision thresholds.
 
     Returns:
-        One fit (machine, parameters theta, shape (k,), cost) per candidate, after few iterations, best linearized gain
-        first.
+        One fit per candidate, after few iterations, best linearized gain first: machine, k parameters (theta,
+        dimensionless, shape (k,)) and cost (chi-squared: sum of squared residuals / noise variances).
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
@@ -161,13 +161,13 @@ def replacement_fit(
     Args:
         current: Fit with all selected effects (deviations from the nominal model).
         reduced: Fit without the effect to replace, at the same observer bandwidth.
-        replaced: Label (name@site) of the effect to replace.
+        replaced: Label (name@component) of the effect to replace.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
     Returns:
-        Converged fit (machine, parameters theta, shape (k,), cost) with the other effect. None if no other effect
-        promises (linearized) at least 60 % of the cost reduction by the replaced effect.
+        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared). None if no other
+        effect promises (linearized) at least 60 % of the cost reduction by the replaced effect.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
@@ -178,17 +178,17 @@ def replacement_fit(
 
 
 def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
-    """Fit the machine again with a rival effect (deviation from the nominal model) in place of another one.
+    """Fit a machine again in which a rival effect (deviation from the nominal model) replaces another effect.
 
     Args:
-        current: Fit of the machine with all selected effects, among them the one to replace.
-        label: Label (name@site) of the effect to replace.
+        current: Fit of the machine with all selected effects, among them the effect to replace.
+        label: Label (name@component) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
         data: Runs to fit (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) at the bandwidth of the given one; its cost is infinite if the
-        machine diverges.
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise
+        variances; infinite if the machine diverges), with the observer bandwidth of `current`.
     """
     remaining = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
@@ -236,11 +236,11 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
     Args:
         current: Fit without the effect; the new one has the same observer bandwidth.
         scored: Screened candidate with the amounts (weights) of its basis functions.
-        scales: Typical forces, speeds and travels on this machine, which scale the new parameters.
+        scales: Typical forces, speeds and travels on this machine; the new parameters are multiples of them.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost), not fully converged.
+        Fit, not fully converged: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
     """
     machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
     added = effect_parameters(machine.effects[-1], machine, scales)
@@ -290,7 +290,7 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
             parameters of the trial were first fitted without the effect and compensate for it.
 
     Returns:
-        Converged fit (machine, parameters theta, shape (k,), cost).
+        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
     """
     # The second start keeps the parameters of effects (label name@site) and resets all others to theta = 0.
     of_effects = np.array(["@" in f.name for f in trial.free])
@@ -311,8 +311,8 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit (machine, parameters theta, shape (k,), cost) without the effect. None if another effect requires it or acts
-        on a coordinate that it adds.
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise
+        variances). None if another effect requires the effect or acts on a coordinate that the effect adds.
     """
     if is_required(current.machine, label):
         return None
@@ -340,7 +340,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
-        Typical sizes by coordinate ("force", "speed", ... in its units) and, for belts, in general ("m", "N", ..., SI).
+        Sizes by coordinate, such as "force" (N, Nm) and "speed" (m/s, rad/s), and for belts, such as extension "m".
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)

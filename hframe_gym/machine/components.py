@@ -268,7 +268,7 @@ class Sensor:
 
     @property
     def coordinate(self) -> str:
-        """Name of the coordinate that the sensor mainly measures: the one with the largest coefficient in `row`.
+        """Name of the coordinate that the sensor mainly measures: it has the largest coefficient in `row`.
 
         The sign of a coefficient does not matter, and products of coordinates ("y*yaw") are ignored.
         """
@@ -278,8 +278,7 @@ class Sensor:
     def device_parameters(self) -> dict[str, float]:
         """Noise and resolution of the sensor by name; they do not enter the equations of motion.
 
-        They are `noise`, its standard deviation, and `resolution`, its quantization step (0: continuous), in the
-        channel's unit.
+        They are `noise`, its standard deviation, and `resolution`, its quantization step (0: continuous), m or rad.
         """
         return {"noise": self.noise, "resolution": self.resolution}
 

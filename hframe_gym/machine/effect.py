@@ -187,7 +187,7 @@ class Effect:
         raise KeyError(f"effect {self.name!r} has no parameter {name!r}")
 
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
-        """List the sites of a machine that have the kind which the effect requires (attribute `site`).
+        """List the components of a machine on which the effect can act, by the kind of component (attribute `site`).
 
         The further conditions `fits` and `fits_site` are not checked.
 
@@ -215,7 +215,7 @@ class Effect:
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
-        """Return the effect (deviation from the nominal model) at a site, with parameter values.
+        """Return the effect (deviation from the nominal model) on a component, with parameter values.
 
         Args:
             site: Name of the coordinate, drive, belt or sensor channel on which the effect acts; or "drives" or "belts"
@@ -223,7 +223,7 @@ class Effect:
             **parameters: Value of every parameter of the effect, SI, within its bounds.
 
         Returns:
-            The effect at the site, for `Machine.with_effects`.
+            The effect on this component, for `Machine.with_effects`.
 
         Raises:
             ValueError: If a parameter is missing, unknown or outside its bounds; the message names it.
@@ -256,12 +256,12 @@ class AppliedEffect:
 
     @property
     def name(self) -> str:
-        """Name of the effect without its site, for example "stribeck_friction"."""
+        """Name of the effect without the component on which it acts, for example "stribeck_friction"."""
         return self.definition.name
 
     @property
     def label(self) -> str:
-        """Name and site, for example "stribeck_friction@x"; it begins the full names of the effect's parameters."""
+        """Name and component, e.g. "stribeck_friction@x"; full names of the effect's parameters begin with it."""
         return f"{self.definition.name}@{self.site}"
 
     def components(self, machine: Machine) -> tuple[str, ...]:
@@ -292,12 +292,12 @@ class AppliedEffect:
             parameters: Values of all parameters by name, SI. Names and bounds are not checked.
 
         Returns:
-            The effect with these values at the same site.
+            Copy with these values, on the same component.
         """
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Raise an error if a machine lacks the effect's site, or has the effect there already.
+        """Raise an error if a machine lacks the component on which the effect acts, or has the effect there already.
 
         Args:
             machine: Machine without the effect.

@@ -64,7 +64,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """Hashable structure (components, coefficients, effects); simulations of equal shapes share compiled code."""
+        """Components, coefficients and effects, without parameter values; equal shapes share compiled code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -152,8 +152,8 @@ class Machine:
             kind: Kind of the site (`Effect.site`). It is needed because different components may have the same name.
 
         Returns:
-            Its name: the site itself, the coordinate that the drive moves, or the one that the sensor mainly measures.
-            None for belts, for the sites "drives" and "machine", which have several, and for unknown sites.
+            Name of the coordinate: the site itself, or what the drive moves, or what the sensor mainly measures. None
+            for a belt, for "drives", "belts" and "machine" (several coordinates), and for unknown sites.
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
@@ -167,7 +167,7 @@ class Machine:
     def tool_axes(self) -> tuple[str, ...]:
         """Names of the linear coordinates that give the tool position, in the order of its axes.
 
-        With at most two linear coordinates, all of them; with more, ("x", "y") if both names exist, otherwise ().
+        With one or two linear coordinates: all of them. With more: ("x", "y"), or () if one of these names is missing.
         """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
         if len(linear) > 2:
@@ -180,13 +180,13 @@ class Machine:
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
-        """Return the linear coordinate other than the given one, such as y for x, if there is exactly one.
+        """Return the linear coordinate that remains if a coordinate is left out, such as y for x.
 
         Args:
-            coordinate: Name of a coordinate, linear or rotary.
+            coordinate: Name of the coordinate that is left out, linear or rotary.
 
         Returns:
-            Name of the other linear coordinate. None if there is none or more than one.
+            Name of the remaining linear coordinate; None if none or more than one remains.
         """
         others = [c.name for c in self.coordinates if c.kind == "linear" and c.name != coordinate]
         return others[0] if len(others) == 1 else None
@@ -244,10 +244,10 @@ class Machine:
         return FIXED_UNITS[key]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
-        """Return the unit of a parameter of an effect (deviation from the nominal model) at its site.
+        """Return the unit of a parameter of an effect (deviation from the nominal model) on its component.
 
         Args:
-            effect: Effect at a site of this machine. It need not be one of the machine's effects.
+            effect: Effect on a component of this machine. The machine need not have it.
             parameter: Name of the effect's parameter, for example "A".
 
         Returns:
@@ -261,7 +261,7 @@ class Machine:
         return (FIXED_UNITS | (UNITS[self.coordinate(coordinate).kind] if coordinate else {})).get(unit, unit)
 
     def replace(self, values: Mapping[str, float] | None = None, **fields: object) -> Machine:
-        """Return a copy with other parameter values, or with other fields.
+        """Return a copy of the machine with other parameter values, or with other values of its attributes.
 
         Args:
             values: New values by full name in `parameters` or `device_parameters`, SI. Tied parameters (`ties`) change

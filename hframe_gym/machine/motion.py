@@ -163,9 +163,9 @@ def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
         machine: Machine; its effects (deviations from the nominal model) are ignored.
 
     Returns:
-        By name of the coordinate that leads the motion, which the others follow: moving inertia, kg or kg m^2; force of
-        the drives at standstill minus Coulomb friction, at least 0, N or Nm; steady speed, m/s or rad/s, infinite
-        without viscous friction and back-EMF. All refer to this coordinate.
+        For each motion, by name of the coordinate that leads it (x or y on an H-frame, whose pulleys follow): moving
+        inertia, kg or kg m^2; force of the drives at standstill minus Coulomb friction, at least 0, N or Nm; steady
+        speed, m/s or rad/s, infinite without viscous friction and back-EMF. All refer to the leading coordinate.
     """
     limits = {}
     for name, motion in rigid_motions(machine).items():

@@ -158,7 +158,7 @@ class BeltGeometry(StageGeometry):
 
         Args:
             x: Tool position along x, m.
-            y: Tool position along y, m. Of x and y, only the one along which the bridge moves has an influence.
+            y: Tool position along y, m. Only the position along the motion of the bridge, x or y, has an influence.
 
         Returns:
             Centers (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this
@@ -244,7 +244,7 @@ class CoreXYGeometry(StageGeometry):
 
         Returns:
             Centers (x, y), m, in this order: left and right motor; left and right idler at the rear of the first belt
-            (that of the left motor), then of the second belt; on the bridge: left and right in front, left and right
+            (on the left motor), then of the second belt; on the bridge: left and right in front, left and right
             behind.
         """
         return [self._swap(point) for point in self._pulleys(self._swap((x, y))[1])]
@@ -257,8 +257,8 @@ class CoreXYGeometry(StageGeometry):
             y: Tool position along y, m.
 
         Returns:
-            Vertices (x, y), m, of the line of each section: "front1" and "rear1" from the left motor to the carriage,
-            directly and around the rear of the frame; "front2" and "rear2" likewise from the right motor.
+            Vertices (x, y), m, of the line of each section from a motor to the carriage: "front1" directly and "rear1"
+            around the rear of the frame, both from the left motor; "front2" and "rear2" likewise from the right motor.
         """
         carriage, bridge = self._swap((x, y))  # positions along the bridge, and along its motion
         motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(bridge)

@@ -41,7 +41,7 @@ _EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sam
 
 
 def fill_gaps(recording: Recording) -> Recording:
-    """Insert rows into each gap of a recording, a time step of more than 1.5 median sampling periods.
+    """Copy a recording and insert rows into each gap, a time step of more than 1.5 median sampling periods.
 
     A simulation holds each voltage until the next row, hence over a complete gap. The inserted rows avoid this: their
     voltages are linearly interpolated, and their measurements are NaN.
@@ -73,7 +73,7 @@ def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
     """Return a time over which the motion of all channels can be compared, at least an interval between measurements.
 
     Args:
-        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
         shortest: Window for sensors that measure in every row, s.
 
@@ -92,12 +92,12 @@ def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
 
 
 def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
-    """Interpolate over the rows in which a sensor did not measure, so that channels can be compared row by row.
+    """Copy measurements and interpolate where a sensor did not measure, to compare channels row by row.
 
     Only such comparisons use the result; fits and estimates of the noise use the measured cells alone.
 
     Args:
-        outputs: Measurements in the sensors' units, shape (n, sensors), NaN where not measured.
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
         longest_gap: Longest time between successive measurements of a sensor over which values are interpolated, s.
 
@@ -125,7 +125,7 @@ def repetitions(values: Array) -> int:
     all in the next. A sensor that measures in every row does not do this during a motion.
 
     Args:
-        values: Measurements of one channel, in the sensor's unit, shape (n,), NaN where not measured.
+        values: Measurements of one channel, m or rad, shape (n,), NaN where not measured.
 
     Returns:
         Median number of rows per measurement during motion; 1 for a sensor that measures in every row, or with fewer
@@ -142,7 +142,7 @@ def repetitions(values: Array) -> int:
 
 
 def without_repetitions(recording: Recording) -> Recording:
-    """Replace the values that a log repeats between the measurements of a slow sensor by NaN (not measured).
+    """Copy a recording, with NaN (not measured) for values that repeat the last measurement of a slow sensor.
 
     A slow sensor measures less often than a row is logged. `repetitions` detects it and estimates its number of rows
     per measurement.
@@ -198,7 +198,7 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 
 
 def only_measurements(recording: Recording, machine: Machine) -> Recording:
-    """Replace repeated values of slow sensors, then outliers, by NaN (not measured).
+    """Copy a recording, with NaN (not measured) for repeated values of slow sensors and for outliers.
 
     A slow sensor measures less often than a row is logged, so that rows repeat its value. Outliers are up to five
     samples that leave the motion around them and return to it. `repetitions` and `outlier_mask` state the criteria.
@@ -214,7 +214,7 @@ def only_measurements(recording: Recording, machine: Machine) -> Recording:
 
 
 def without_outliers(recording: Recording, machine: Machine) -> Recording:
-    """Replace the outliers of a recording by NaN (not measured).
+    """Copy a recording, with NaN (not measured) for its outliers.
 
     Outliers are up to five consecutive samples of a sensor that leave the motion around them and return to it, by much
     more than noise, resolution and the changes of speed explain. Kinks and steps of a real motion are kept.
@@ -319,7 +319,7 @@ def peak_to_peak(outputs: Array) -> Array:
     """Compute the difference between the largest and the smallest measurement of each channel.
 
     Args:
-        outputs: Measurements, in the sensors' units, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
+        outputs: Measurements, m or rad, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
 
     Returns:
         Differences in the same units, 0 where nothing was measured, shape (sensors,), or a scalar for one sensor.

@@ -95,8 +95,8 @@ class Log:
             reference: "#3" for the third column, a header, or a name without its unit.
 
         Returns:
-            The column with this number; otherwise those with this header; otherwise those with this header in any case;
-            otherwise those with this name in any case. Empty if there are none.
+            Columns by the first criterion that any column meets: the reference is its number; its header; its header in
+            upper or lower case; its name without unit, in upper or lower case. Empty if no column meets any of these.
         """
         if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
             return [self.columns[int(reference[1:]) - 1]]

@@ -104,7 +104,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     Args:
         like: Template: "hframe", "axis" or "corexy".
         name: Name of the new machine.
-        options: Values that replace those of the template.
+        options: Values of the new machine, each None where the template's value is kept.
 
     Returns:
         The machine.

@@ -16,7 +16,7 @@ from scipy import io
 
 
 def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield all numeric vectors in a variable of a MATLAB file, also those of fields and cells; skip scalars and texts.
+    """Yield all numeric vectors in a variable of a MATLAB file, also in its fields and cells; skip scalars and texts.
 
     A matrix gives its columns if it has more rows than columns, else its rows.
 

@@ -243,7 +243,8 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        Conversions by unit: first the units of the channel's quantity, SI first, then those of the other quantities.
+        Conversions by unit: first the units of the channel's quantity, beginning with the SI unit, then units of the
+        other quantities: speeds, angle and speed of the motor, duty cycles.
     """
     dimension = channel_dimension(machine, channel)
     conversions: dict[str, UnitConversion] = {}
@@ -276,7 +277,7 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
     Args:
         machine: Machine with its drives and sensors.
         channel: Name of a channel of this machine, or "time_s".
-        unit: The unit.
+        unit: Unit of the column, which the channel cannot have.
 
     Returns:
         Message without file and column. It proposes the options --unit, with the possible units, and --scale; for the

@@ -124,7 +124,7 @@ def refuse_decreasing_times(path: Path, time_s: Array) -> None:
         time_s: Times, s, shape (rows,).
 
     Raises:
-        InputError: If a time is not greater than the one before. The message names file and row.
+        InputError: If a time is not greater than the time before. The message names file and row.
     """
     backward = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(backward):

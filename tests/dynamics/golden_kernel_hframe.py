@@ -344,7 +344,7 @@ def parabola(time, i: int, delay: float) -> tuple:
         delay: Time before the present sample, s; times before the first sample count as that sample.
 
     Returns:
-        Index k of the middle sample, and the dimensionless weights a of k - 1 and b of k + 1; that of k is 1 - a - b.
+        Index k of the middle sample, weight a of sample k - 1 and weight b of sample k + 1; sample k has 1 - a - b.
     """
     if i == 0:
         return 0, 0.0, 0.0

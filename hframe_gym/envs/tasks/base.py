@@ -77,13 +77,13 @@ class Task(ABC):
 
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws), `draws` being the attribute of the task.
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws) with the task's attribute `draws`.
             parameters: Values in the k episodes of all parameters that the attribute `parameters` declares, SI, by
                 name, shape (k,) each. Default: nominal values.
 
         Returns:
             start: Start positions of the tool, m, shape (k, axes).
-            plan: Plans, in the format of the task, shape (k, plan_size), `plan_size` being the attribute of the task.
+            plan: Numbers that define the goals, in the format of the task, shape (k, plan_size) with its `plan_size`.
         """
 
     @abstractmethod

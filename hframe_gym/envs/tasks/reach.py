@@ -56,7 +56,7 @@ class Reach(Task):
     ) -> tuple[Array, Array]:
         """Choose start and target positions of k episodes.
 
-        Both are uniform at least `margin` inside the workspace, or those of the attributes `start` and `target`.
+        Both are random, at least `margin` inside the workspace, unless the attributes `start` and `target` fix them.
 
         Args:
             workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
