@@ -78,8 +78,8 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
     The gain is the reduction of the cost (sum of squared residuals in units of the noise). The factor is the ratio of
     the residual's long-run variance to the variance of white noise, in the direction in which the effect changes the
     predictions. The long-run variance follows from sums of the residual over blocks that count as independent. Blocks
-    of 50 ms, of 0.5 s and complete runs are tried. For a small number of blocks, the ratio is multiplied by that of the
-    quantiles of the F and the chi-squared distribution.
+    of 50 ms, of 0.5 s and complete runs are tried. Few blocks estimate a variance inaccurately; the factor is then
+    larger by the ratio of the quantiles of the F and the chi-squared distribution.
 
     Args:
         fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
@@ -129,7 +129,7 @@ def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: Sel
     without it is below `criteria.explained_chi2` (1.5 by default).
 
     Args:
-        current: Fit (machine, parameters theta, shape (k,), cost) without the effect.
+        current: Fit of the machine without the effect.
         trial: Fit with the effect (deviation from the nominal model), which is the last in its machine's list, with the
             same observer to correct predictions by the measurements.
         data: Runs that were fitted (times, voltages, measurements, SI).
@@ -150,7 +150,7 @@ def doubt_beside_others(
     """Return a reason why an effect of a machine may not exist, given all other effects, or "" if it passes all tests.
 
     Args:
-        reduced: Fit (machine, parameters theta, shape (k,), cost) with all other effects.
+        reduced: Fit of the machine with all other effects.
         complete: Fit with all effects, with the same observer to correct predictions by the measurements.
         effect: Effect (deviation from the nominal model) in question.
         data: Runs that were fitted (times, voltages, measurements, SI).

@@ -39,8 +39,8 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
         data: Runs (times, voltages, measurements) over which the machine is predicted.
 
     Returns:
-        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
-        pulley radius), N; infinite for an effect that adds coordinates or changes a measurement: no force describes it.
+        Size of the force vector with one component per coordinate, root mean square over time, as a force at the belt
+        (torque / pulley radius), N; infinite for an effect that adds coordinates or changes a measurement: no force describes it.
     """
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
@@ -60,8 +60,8 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
         data: Runs over which the motion is predicted (times, voltages, measurements, SI).
 
     Returns:
-        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
-        pulley radius), N.
+        Size of the force vector with one component per coordinate, root mean square over time, as a force at the belt
+        (torque / pulley radius), N.
     """
 
     def of_run(run: PreparedRecording) -> Array:
@@ -81,8 +81,8 @@ def drive_force(machine: Machine, data: Dataset) -> float:
         data: Runs with the voltages.
 
     Returns:
-        Root mean square over all rows of the root sum of squares over the drives, as a force at the belt (torque /
-        pulley radius), N.
+        Size of the force vector with one component per drive, root mean square over time, as a force at the belt
+        (torque / pulley radius), N.
     """
     gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
     return force_size(np.concatenate([run.inputs for run in data.runs]) * gains)
@@ -111,8 +111,8 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Root mean square over all rows of the root sum of squares over the coordinates, as a force at the belt (torque /
-        pulley radius), N.
+        Size of the force vector with one component per coordinate, root mean square over time, as a force at the belt
+        (torque / pulley radius), N.
     """
     machine = fitted.machine
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed

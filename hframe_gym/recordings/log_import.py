@@ -122,13 +122,14 @@ def import_logs(
 def read_mapping_file(path: str | Path) -> MappingOptions:
     """Read a mapping file, which assigns a column of a log and its unit to each channel of the machine.
 
-    It has up to three tables: `map` (column of each channel), `unit` (unit of the column) and `scale` (factor).
+    It has up to three tables, each by channel: `map` (name of the column in the log), `unit` (unit of the values there)
+    and `scale` (factor; the values, converted from `unit` where it is given, are multiplied by it).
 
     Args:
         path: File ending in .toml or .json.
 
     Returns:
-        Columns, units and factors by channel, for `map_columns`.
+        The three tables, as `import_logs` takes them.
 
     Raises:
         InputError: If the file cannot be read or has other tables or values. The message names file and field.
