@@ -40,7 +40,7 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
     Returns:
         Size of the force vector with one component per coordinate, root mean square over time, as a force at the belt
-        (torque / pulley radius), N; infinite for an effect that adds coordinates or changes a measurement: no force describes it.
+        (torque / pulley radius), N; infinite for an effect that adds coordinates or changes a measurement.
     """
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
