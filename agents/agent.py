@@ -144,9 +144,9 @@ class Agent(Controller):
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Replace the stored last action, for a caller that applied other actions than `act` returned.
+        """Replace the stored last action with the action that was actually applied.
 
-        The policy may observe the last action in the next period.
+        Call it if the result of `act` was changed. The policy may observe the last action in the next period.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of

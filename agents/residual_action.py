@@ -284,21 +284,26 @@ class ResidualAction:
     def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, laws: Any = None) -> Any:
         """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
 
-        It works on arrays and on torch tensors, so that training can differentiate it. A feedback law gives the first
-        voltage of a motion to rest at the goal; the policy can weight the first voltages of several motions.
+        Actions are voltages as fractions of the rated voltages. The policy's part is the sum of:
+
+        - held * last action. The last action is limited to +-0.12; `Authority.held` computes held, 0 to 1.
+        - authority * output of each drive. `Authority` computes the authority from distance and speed: the action that
+          an output of 1 represents.
+        - With laws, the mean of their voltages, each limited to +-1.2, with the weights softmax(5 * outputs for the
+          laws). A feedback law is the first voltage of a motion that brings the tool to rest at the goal.
+
+        It works on arrays and on torch tensors, so that training can differentiate it.
 
         Args:
-            output: Policy outputs, shape (batch, drives); with K laws (batch, drives + K), those for the weights last.
+            output: Policy outputs, dimensionless, shape (batch, drives), or (batch, drives + K) with K laws. First one
+                column per drive, then one per law.
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
-            last_action: Actions of the previous period, shape (batch, drives).
-            laws: Voltages of the K feedback laws in `bank`, divided by the rated voltages, shape (batch, K, drives).
-                Default: no laws.
+            last_action: Actions of the previous period, fractions of the rated voltages, shape (batch, drives).
+            laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives). Default: none.
 
         Returns:
-            held * last action + authority * output + weighted mean of the laws' voltages, as fractions of the rated
-            voltages, of the type of `output`, shape (batch, drives). `Authority` computes `held` and authority. The
-            last action is limited to +-0.12 and each law to +-1.2; weights increase exponentially with their outputs.
+            The policy's part, fractions of the rated voltages, of the type of `output`, shape (batch, drives).
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
         action = held + self.authority(distance, speed) * output[:, : self._drives]
@@ -310,9 +315,10 @@ class ResidualAction:
         return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored last action, for a caller that applied other actions than `action` returned.
+        """Replace the stored last action with the action that was actually applied.
 
-        The next observation of the policy contains it, and the base controller receives it.
+        Call it if the result of `action` was changed. The next observation contains the replacement, and the base
+        controller receives it.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of

@@ -66,7 +66,10 @@ OutOption = Annotated[Path, typer.Option(help="Folder for the results; created i
 MaxRowsOption = Annotated[
     int,
     typer.Option(
-        "--max-rows", min=1000, help="Number of rows of all runs together; each run is used up to an equal part of it."
+        "--max-rows",
+        min=1000,
+        help="Largest number of rows of all runs together. Of each of N runs, the first max-rows / N rows are used, "
+        "but at least 20,000.",
     ),
 ]
 TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]

@@ -149,7 +149,7 @@ class AdaptiveController(FullStateController):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored actions of this control period by the actions that were applied instead.
+        """Replace the stored actions of this control period with the actions that were actually applied.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

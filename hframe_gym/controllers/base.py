@@ -111,7 +111,7 @@ class Controller(ABC):
         return None
 
     def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
-        """Replace the stored actions of this control period by the actions that were applied instead.
+        """Replace the stored actions of this control period with the actions that were actually applied.
 
         Call it after `act` if something changes the actions, for example a learned policy that corrects them: observers
         and the compensation of a dead time need the applied voltages.
@@ -274,7 +274,7 @@ class Estimator(Protocol):
         """
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that the last call of `send` stored by the voltages that were applied instead.
+        """Replace the voltages that `send` stored last with the voltages that were actually applied.
 
         Args:
             volts: Applied voltages, V, shape (B, drives) for B simulated machines.
@@ -336,7 +336,7 @@ class OutputFeedbackController(Controller):
         return actions
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored actions of this control period by the actions that were applied instead.
+        """Replace the stored actions of this control period with the actions that were actually applied.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

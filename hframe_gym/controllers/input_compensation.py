@@ -63,7 +63,7 @@ class DeadTime:
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that the last call of `send` stored by the voltages that were applied instead.
+        """Replace the voltages that `send` stored last with the voltages that were actually applied.
 
         Args:
             volts: Applied voltages of B simulated machines, V, shape (B, drives).

@@ -94,7 +94,11 @@ class ParameterEstimator(ABC):
         self.estimates = np.zeros((0, self.size))
 
     def update(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
-        """Update the estimates with the measured states of the control period that has ended.
+        """Update the attribute `estimates` with the measured states of the control period that has ended.
+
+        Estimated are Coulomb friction and masses of coordinates, stiffnesses EA and lengths of belts, as far as
+        `prior_std` names them, each as ln(actual / declared value). With `prior_offset_std`, missing voltages follow:
+        voltages at the drives that the simulation lacks, as fractions of the rated voltages.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
@@ -102,8 +106,8 @@ class ParameterEstimator(ABC):
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives). With a dead
                 time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period, shape (B, 2, drives).
-            starts: True for machines whose episode starts with `after`, shape (B,); their estimates become zero, that
-                is, the declared values.
+            starts: True for machines whose episode starts with `after`, shape (B,). Their estimates become zero. All
+                parameters then have their declared values, because ln(1) = 0, and no voltage is missing.
         """
         if len(self.estimates) != len(starts):
             self._resize(len(starts))

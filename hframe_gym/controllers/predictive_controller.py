@@ -125,7 +125,7 @@ class PredictiveController(FullStateController):
         return volts / self.model.rated
 
     def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored actions of this control period by the actions that were applied instead.
+        """Replace the stored actions of this control period with the actions that were actually applied.
 
         Args:
             actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.

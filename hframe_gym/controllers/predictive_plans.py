@@ -41,7 +41,8 @@ class ArrivalPlan(NamedTuple):
     """Plans of B machines.
 
     Attributes:
-        volts: Motor voltages of the periods from now on, V, shape (B, periods, drives); zero after the end of a plan.
+        volts: Motor voltages of the control periods from now on, V, shape (B, periods, drives), where periods is the
+            length of the longest plan that the planner can make; zero after the end of a shorter plan.
         error: Largest predicted distance of the tool to its goal from its arrival on, m, shape (B,).
     """
 
@@ -90,17 +91,20 @@ class ArrivalPlanner:
         self._pushed = np.cumsum(np.stack(pushes, axis=1), axis=1)  # sum of A^i E f for i < j
 
     def plan(self, arrival: Indices) -> ArrivalPlan:
-        """Compute the voltages that bring the tool to its goal by the end of period K and keep it there.
+        """Compute voltages that bring the tools of B machines to their goals in K control periods and keep them there.
 
-        The motion starts from the state that was passed to `predict`.
+        The motion starts from the state that was passed to `predict`. The plan has K + H control periods: it ends H
+        periods after the arrival. H covers 1.2 periods of the slowest vibration of the belts, and is at least 3.
 
         Args:
-            arrival: Number K of periods until the arrival, 1 or more, shape (B,).
+            arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
 
         Returns:
-            Motor voltages within the rated ones, V, shape (B, periods, drives), zero after the end of the plan; and the
-            largest predicted distance of the tool from its goal from the end of period K on, m, shape (B,). A large
-            distance means that the tool cannot arrive so early.
+            volts: Motor voltages within the rated ones, V, shape (B, periods, drives). The second axis has H periods
+                more than the largest K for which the planner was made (`longest`); after the K + H periods of a
+                machine's plan, its voltages are zero.
+            error: Largest predicted distance of the tool from its goal at the ends of periods K to K + H - 1, m, shape
+                (B,). A large distance means that the tool cannot arrive so early.
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].
@@ -218,7 +222,8 @@ class PlanSimulation:
             volts: Commanded voltages of each period, V, shape (B, periods, drives).
 
         Returns:
-            Tool positions at SAMPLES = 4 equidistant times per period, its end included, m, shape (B, samples, axes).
+            Tool positions at equidistant times, m, shape (B, samples, axes). There are SAMPLES = 4 times per period,
+            so that samples = 4 * periods; the fourth time of a period is its end.
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
         positions = rollout(

@@ -121,7 +121,7 @@ class StateEstimator:
         self._dead_time.send(volts)
 
     def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that the last call of `send` stored by the voltages that were applied instead.
+        """Replace the voltages that `send` stored last with the voltages that were actually applied.
 
         Args:
             volts: Applied voltages of the drives, V, shape (B, drives) for B simulated machines.

@@ -72,7 +72,7 @@ _LOOPS = (
 
 @dataclass(frozen=True)
 class Kernel:
-    """Compiled simulation functions (generated code) for all machines of one shape (`Machine.shape`).
+    """Simulation functions (generated code, compiled at the first call) for all machines of one `Machine.shape`.
 
     The module `time_loops` describes the arguments of the functions. A block is a group of `LANES` machines that are
     simulated side by side.
@@ -88,7 +88,7 @@ class Kernel:
         delayed: Whether the voltage of a drive has a delay.
         lagged: Whether a sensor has a delay.
         states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
-        forced: Whether `rollout` takes an external force on every coordinate.
+        forced: Whether `rollout` takes, besides the voltages, an external force on every coordinate.
         source: Path of the file with the generated source.
     """
 
@@ -225,17 +225,19 @@ def _load(text: str) -> ModuleType:
 
 
 def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
-    """Return the compiled simulation functions for a machine; generate their source code at the first request.
+    """Return the functions that simulate a machine; generate their source code at the first request.
 
-    Machines that differ only in parameter values get the same functions. Numba compiles each function at its first call
-    and caches the result on disk.
+    Machines that differ only in parameter values get the same functions. Numba compiles each function when it is first
+    called, not here, and caches the result on disk.
 
     Args:
         machine: The machine.
-        forced: Whether `rollout` takes an external force on every coordinate.
+        forced: Whether the function that simulates a recording (`Kernel.rollout`) takes, besides the voltages, an
+            external force on every coordinate.
 
     Returns:
-        `Kernel`: the functions, and the row of each parameter in the arrays that they take.
+        `Kernel`: the functions, for example `rollout` and `read_blocks` (sensors), and the row of each parameter in the
+        arrays that they take.
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:

@@ -142,12 +142,15 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Measure at the end of a control period, for the observation that `write` fills; without sensors do nothing.
+        """Take the measurements of the sensors at the end of a control period, and store them in this object.
+
+        They are positions and angles with noise, quantization and limited range; `write` puts them and their rates of
+        change into observations. Nothing happens if the state is observed.
 
         Args:
             first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
             last: Index after the last block.
-            elapsed: Number of control periods since the last reset of each of the `count` environments, shape (count,).
+            elapsed: Control periods since the reset of each environment, shape (count,); it selects random numbers.
         """
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, self._rows(first, last), elapsed, fresh=False)
@@ -162,8 +165,7 @@ class ObservationBuilder:
         Returns:
             observation: Arrays `observation`, `achieved_goal` and, with the constructor's `privileged`, `privileged`;
                 float32, shape (count, entries of the key) for `count` environments.
-            tool: Array for true tool positions, m, float32, shape (count, axes); `achieved_goal` itself if the state
-                is observed.
+            tool: Array for true tool positions, m, float32, shape (count, axes), see `tool_array`.
         """
         observation = {key: np.empty(shape, _FLOAT32) for key, shape in self._shapes.items()}
         return observation, self.tool_array(observation) if self.measured else observation["achieved_goal"]
@@ -177,8 +179,7 @@ class ObservationBuilder:
             observation: Arrays by key, among them `achieved_goal`, m, shape (count, axes).
 
         Returns:
-            Array for positions, m, float32, shape (count, axes): `achieved_goal` itself if the state is observed, else
-            a new array.
+            Array for positions, m, float32, shape (count, axes): new, or `achieved_goal` if the state is observed.
         """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved

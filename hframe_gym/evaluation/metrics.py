@@ -1,7 +1,6 @@
 """Metrics of recorded episodes, with confidence intervals over the episodes, and the time-optimal bounds.
 
-A metric set is a function registered in `METRICS`; a task names its set by an attribute `metrics`. To give a new task
-other metrics, register a function with the signature of `reach_metrics`.
+A metric set is a function with the signature `MetricSet` in `METRICS`; a task names its set by an attribute `metrics`.
 """
 
 from __future__ import annotations
@@ -57,12 +56,15 @@ def score_episodes(
         metrics: "reach" (fixed goal), "track" (path) or another registered set. Default: "track" if there is a path.
 
     Returns:
-        The metrics of this set, and four further scores per episode, each with `mean` over the episodes and `ci95`, the
-        95 % confidence interval of the mean:
-        `energy_J`: electrical energy drawn minus energy fed back, J.
-        `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
-        `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
-        `peak_belt_force_N`: largest absolute difference between the tension of a belt and its pretension, N.
+        The metrics of the set and four scores, by name. Names, meaning and units of the metrics are documented at
+        `reach_metrics` (success, settling_s, over_bound, overshoot_mm, final_error_mm) and `track_metrics` (success,
+        contour_mm, tracking_mm, delay_ms). Each score is a dictionary of two entries: `mean` over the episodes and
+        `ci95`, [lower, upper limit] of its 95 % confidence interval. The scores:
+
+        - `energy_J`: electrical energy drawn minus energy fed back, J.
+        - `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
+        - `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
+        - `peak_belt_force_N`: largest absolute difference between the tension of a belt and its pretension, N.
 
     Raises:
         InputError: If no metric set has this name.
@@ -217,8 +219,7 @@ def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
         seed: Seed of the bootstrap resampling.
 
     Returns:
-        `mean`, and `ci95`: [lower limit, upper limit], in the unit of the values. Both limits are the mean if all
-        values are equal.
+        `mean`; `ci95`: [lower, upper limit], unit of the values; both limits are the mean if all values are equal.
     """
     from scipy.stats import bootstrap  # SciPy's statistics take long to import
 
@@ -326,8 +327,7 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
         scenario: Machine, task, randomization and seeds of the episodes.
 
     Returns:
-        times_s: Shortest possible settling time of each of B episodes to 0.2 mm, s, shape (B,), NaN where no bound is
-            stored; None if all are missing.
+        times_s: Shortest possible settling times of B episodes to 0.2 mm, s, shape (B,), NaN where missing; or None.
         reason: Why bounds are missing, one sentence; None if none is missing.
 
     Raises:

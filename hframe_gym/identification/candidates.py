@@ -63,10 +63,12 @@ class Candidate:
         """Return the effect (deviation from the model) with given weights of its basis functions (`columns`).
 
         Args:
-            amounts: Weight of each basis function, dimensionless, shape (basis functions,). There is one basis function
-                per amplitude, and a weight of 1 gives the amplitude its typical size. An effect with a phase has two,
-                sine and cosine, from whose weights amplitude and phase follow. Without an amplitude, the weight is
-                ignored.
+            amounts: Weight of each basis function, dimensionless, shape (basis functions,); a weight of 1 gives the
+                typical amplitude. The number of basis functions depends on the parameters of the effect:
+
+                - With a phase, there are two, sine and cosine; amplitude and phase follow from their weights.
+                - Without a phase, there is one per amplitude; the amplitude is its typical size * weight.
+                - With neither, there is one, the effect itself; its weight is ignored.
 
         Returns:
             Effect on the candidate's component, with its parameters, SI, clipped to their bounds.

@@ -29,8 +29,7 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus the sensors' zeros (readings at position 0), m or rad, shape
-            (n, sensors); NaN where not measured.
+        outputs: Measurements minus zeros (readings at position 0), m or rad, shape (n, sensors), NaN where missing.
         initial: Measured initial state.
         noise: Standard deviation of each measurement, m or rad, shape (n, sensors): the sensor's noise and
             the jitter of the clock times the speed.
@@ -278,12 +277,12 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
 class TypicalScales:
     """Typical sizes of physical quantities on a machine during its recordings.
 
-    The keys are the units that effect parameters declare: "force", "speed", "position", "viscous" (force / speed),
-    "drag" (force / speed^2) and "stiffness" (force / position) of a coordinate, "voltage" of its drive, or an SI unit.
+    The keys are the units that effect parameters declare; `scales_of_motion` documents how the sizes are computed.
 
     Attributes:
-        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad.
-        general: Sizes of quantities that belong to no coordinate, SI, by key.
+        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "force", "speed",
+            "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V) and "A" (its current, A).
+        general: Sizes that belong to no coordinate, by key: of belts, extension "m" (m), force "N" (N), "1/m^2".
     """
 
     by_coordinate: Mapping[str, Mapping[str, float]]
@@ -297,7 +296,7 @@ class TypicalScales:
 
         Returns:
             Typical size, SI, by key: "force", "speed", "position", "viscous" (force / speed), "drag" (force / speed^2),
-            "stiffness" (force / position), "voltage", "A" (current), for belts "m", "N" and "1/m^2" (extension, force).
+            "stiffness" (force / position), "voltage", "A" (current); of belts "m" (extension), "N" (force), "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -314,10 +313,17 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
 
     Returns:
-        by_coordinate: By coordinate and key: "force" (a tenth of the force of all drives at rated voltage, N, Nm),
-            "speed" (99th percentile, m/s, rad/s), "position" (largest - smallest, m, rad), "viscous" (force / speed),
-            "drag" (force / speed^2), "stiffness" (force / position); if driven, largest "voltage" (V), current "A".
-        general: With belts: their extension "m" (99th percentile), largest force "N", and "1/m^2" (1 / extension^2).
+        by_coordinate: By coordinate, sizes by key, in N, m/s and m (linear) or in Nm, rad/s and rad (rotary):
+
+            - "force": a tenth of the force of all drives together at standstill and rated voltage.
+            - "speed": 99th percentile of its magnitude. "position": largest minus smallest position.
+            - "viscous": force / speed. "drag": force / speed^2. "stiffness": force / position.
+            - With a drive, "voltage": largest magnitude of its voltage, V.
+            - With a drive, "A": largest magnitude of its current, A, which is (voltage - back-EMF) / resistance.
+        general: Empty without belts; with belts, sizes by key:
+
+            - "m": 99th percentile of the magnitude of the belts' extensions, m. "1/m^2": 1 / this size squared.
+            - "N": largest magnitude of a belt's force, N, which is extension * EA / rest length.
     """
     force = typical_force(machine)
     top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)
@@ -326,14 +332,8 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
     for i, c in enumerate(machine.coordinates):
         drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
         speed, distance = float(top_speed[i]), float(span[i])
-        by_coordinate[c.name] = {
-            "force": drive,
-            "speed": speed,
-            "position": distance,
-            "viscous": drive / speed,
-            "drag": drive / speed**2,
-            "stiffness": drive / distance,
-        }
+        by_coordinate[c.name] = {"force": drive, "speed": speed, "position": distance}
+        by_coordinate[c.name] |= {"viscous": drive / speed, "drag": drive / speed**2, "stiffness": drive / distance}
     for d, voltage in zip(machine.drives, np.concatenate(list(inputs)).T, strict=True):
         i = machine.coordinate_names.index(d.coordinate)
         # Ohm's law with the back-EMF of the motor, which turns gear_ratio times as fast as the coordinate.

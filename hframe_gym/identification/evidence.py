@@ -125,13 +125,23 @@ def _block_sums(rows: Array, size: int) -> Array:
 def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
     """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
 
-    Whether other runs confirm it, and whether chance explains its gain, is tested only if chi-squared per sample
-    without it is below `criteria.explained_chi2` (1.5 by default).
+    An effect is a deviation from the nominal model. Three tests are always made:
+
+    - The machine with the effect does not diverge under random rated voltages, and the tension of a belt does not fall
+      when the belt is extended.
+    - The force of the effect is larger than the force that remains unexplained.
+    - The effect is not a small correction to another effect that depends on the same variable.
+
+    Two more are made only if chi-squared per sample (mean squared residual / noise variance) without the effect is
+    below `criteria.explained_chi2`, 1.5 by default, because missing effects falsify them:
+
+    - Runs to which the effect was not fitted confirm it.
+    - Chance does not explain the reduction of the error.
 
     Args:
         current: Fit of the machine without the effect.
-        trial: Fit with the effect (deviation from the nominal model), which is the last in its machine's list, with the
-            same observer to correct predictions by the measurements.
+        trial: Fit of the machine with the effect as the last entry of `machine.effects`. Both fits have the same
+            observer bandwidth (the observer corrects predictions by the measurements).
         data: Runs that were fitted (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
@@ -149,9 +159,12 @@ def doubt_beside_others(
 ) -> str:
     """Return a reason why an effect of a machine may not exist, given all other effects, or "" if it passes all tests.
 
+    The effect must reduce the error by enough, and pass all five tests that `doubt_about_candidate` lists.
+
     Args:
         reduced: Fit of the machine with all other effects.
-        complete: Fit with all effects, with the same observer to correct predictions by the measurements.
+        complete: Fit of the machine with all effects. Both fits have the same observer bandwidth (the observer corrects
+            predictions by the measurements).
         effect: Effect (deviation from the nominal model) in question.
         data: Runs that were fitted (times, voltages, measurements, SI).
         criteria: Decision thresholds.

@@ -244,11 +244,15 @@ class EffectSearch:
         return None
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Compare effects (deviations from the model) with their rivals again, now beside all other effects.
+        """Compare each selected effect with its rivals again, in a machine that has all other selected effects.
 
-        An effect was selected while others were still missing. Predictions then needed an observer of wide bandwidth
-        (strong feedback of the measurements), which hid how the effect differs from its rivals. The most likely one is
-        kept; rivals that are clearly less likely are dropped.
+        An effect is a deviation from the model. Its rivals are other effects that explained the data about equally well
+        when it was selected. Further effects were still missing then, and predictions needed an observer of wide
+        bandwidth (strong feedback of the measurements), which hid how the effect differs from its rivals.
+
+        Each rival now takes the place of the effect, and the machine is fitted again. If a rival is more likely than
+        the effect by more than chance explains, the most likely rival replaces the effect, and the comparison starts
+        again. Rivals that are less likely than the effect by more than chance explains are dropped; the others remain.
 
         Args:
             current: Fit of the machine with all selected effects.

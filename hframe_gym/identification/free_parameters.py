@@ -237,11 +237,17 @@ def typical_force(machine: Machine) -> float:
 def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
     """Return the parameters that identification refits by default.
 
-    These are masses, viscous and dry friction, stiffnesses of belts, lengths of belt sections that change with the
-    position, torque constants, nonzero back-EMF constants, and the parameters of declared effects. Left out are:
+    These are:
 
-    - The torque constant of the first drive, because voltages determine forces only relative to it.
-    - Parameters that the machine ties to others.
+    - Mass, viscous friction and dry friction of every coordinate.
+    - The stiffness EA of every belt section. For a section whose length changes with the position of the machine, also
+      its constant part `rest_length`, the length at position 0.
+    - The torque constant Kt of every drive but the first, and nonzero back-EMF constants Ke.
+    - The parameters of declared effects.
+
+    Left out are parameters that the machine ties to others, and the torque constant of the first drive. If all torque
+    constants, masses, friction forces and stiffnesses are multiplied by the same factor, the same voltages cause the
+    same motion. Recordings therefore do not determine this factor; the first torque constant sets it.
 
     Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
     only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.

@@ -29,11 +29,17 @@ _STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the b
 
 
 def measured_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros, quanta: Array) -> InitialState:
-    """Estimate the initial state of a run from its measurements at rest and the encoder zeros of its session.
+    """Estimate the initial state of a run from its measurements at rest and the encoder zeros of all runs.
 
-    A zero is the measurement at position 0; a session is all runs of a rig together. An encoder may have been switched
-    on anew for this run. Therefore a zero of the session is not used if the pulley angle that results from it is
-    further away from static equilibrium than `zero_tolerance` permits (mainly by how far friction can hold the pulley).
+    The zero of an encoder is its measurement at position 0. A session is all runs of a rig together; an encoder that
+    stays on counts from the same zero in all of them. Positions follow from measurement minus zero:
+
+    - Lasers have a fixed zero and give the positions of the carriages, if they measured at rest.
+    - Encoders with a zero of the session give the angles of their pulleys and, without lasers, the positions.
+    - An encoder may have been switched on anew before this run. Its zero of the session is not used if it puts the
+      pulley further away from static equilibrium than `zero_tolerance` permits (mainly what friction can hold).
+      Instead, the pulley is assumed to be in equilibrium at rest, which gives a zero for this run.
+    - If no position is known without the zeros of the session, none of them is used if sensors contradict each other.
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
@@ -44,7 +50,7 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
 
     Returns:
         Initial state: positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad, shape
-        (sensors,). Its `warnings` name the encoders whose zero in the session was not used.
+        (sensors,). Its `warnings` name the encoders whose zero of the session was not used.
     """
     alone = estimate_initial_state(recording, machine)
     if not zeros.known.any() or not machine.belts:
@@ -275,17 +281,22 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
     """Estimate the errors of the encoders' zeros (measurements at position 0) from the equilibrium of a fitted machine.
 
     `common_encoder_zeros` assumes that the belts are unstretched on average over the runs. This is wrong if a force at
-    rest, from a cable or a tilt, always stretches them in the same direction. A machine with that force predicts the
-    stretch: the error of a zero is the median over the runs of measured angle minus angle in static equilibrium. The
-    median suppresses the influence of friction, which acts in both directions. Runs without a laser measurement at rest
-    do not show the zeros, because encoders gave their position; they are used only if there are no others.
+    rest, from a cable or a tilt, always stretches them in the same direction.
+
+    A machine with that force predicts the angle of each pulley in static equilibrium. The measured minus the predicted
+    angle is an estimate of the error. The median over the runs is used, because friction acts in both directions.
+
+    The prediction needs the positions of the carriages. In runs with a laser measurement at rest, they do not depend on
+    the encoders. In other runs they come from the encoders themselves. Such runs show only those errors by which the
+    encoders contradict each other, and are used only if there are no others.
 
     Args:
-        machine: Fitted machine.
+        machine: Fitted machine with its effects (deviations from the nominal model).
         initial: Measured initial states, one per run.
 
     Returns:
-        Values to add to the assumed zeros, m or rad, shape (sensors,); 0 where the zero is not known.
+        Values to add to the assumed zeros, in the unit of each sensor (encoder on a pulley: rad; others: m), shape
+        (sensors,); 0 where the zero is not known.
     """
     errors = np.zeros(len(machine.sensors))
     if not machine.belts:

@@ -1,13 +1,10 @@
 """Linearize the prediction residual of a data set around a machine's free parameters.
 
-All perturbed machines of a run are simulated in one batch, one SIMD lane per free parameter, and the products of the
-Jacobian's columns are summed over runs. The part of the residual and of every column that an unknown initial stretch of
-the belts explains is removed by projection.
+All perturbed machines of a run are simulated in one batch, one SIMD lane per free parameter. The part of the residual
+that an unknown initial stretch of the belts explains is removed by projection.
 
 Notation: theta (k,) are the optimizer's variables of the free parameters, r(theta) is the residual in units of the
-sensors' noise, J = dr/dtheta. E (m columns) are the changes of r by m perturbations, such as forces of candidate
-effects. A "row" is one element of r: one measured value, or the scaled sum of a block of consecutive ones. The
-expansion point is the theta at which J is taken.
+sensors' noise, J = dr/dtheta at the expansion point. E (m columns) are the changes of r by m perturbations.
 """
 
 from __future__ import annotations
@@ -43,15 +40,14 @@ def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
     Returns:
         Derivatives, in the unit of the values per unit of the variable, shape (k, ...).
     """
-    differences: Array = (values[1:] - values[0]) / step
-    return differences
+    return np.asarray((values[1:] - values[0]) / step)
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Products of the linearized residual r + J dtheta + E a, summed over rows and runs.
+    """Products of the linearized residual r + J dtheta + E a, summed over rows and runs; all are dimensionless.
 
-    J holds the derivatives with respect to k parameters, E the changes by m perturbations of unit amount; a: amounts.
+    J: derivatives by k parameters theta. E: changes by a unit amount of each of m perturbations. a (m,): amounts.
 
     Attributes:
         information: J^T J, shape (k, k); Fisher information of the parameters theta for white noise.
@@ -77,15 +73,18 @@ class NormalEquations:
     ) -> NormalEquations:
         """Form the normal equations of one run's linearized residual r + J dtheta + E a.
 
+        dtheta (k,) is a change of the dimensionless parameters theta; a (m,) are the amounts of m perturbations, such
+        as forces of candidate effects (deviations from the model), in multiples of a unit amount.
+
         Args:
-            jacobian: J transposed, derivatives of the residual with respect to k parameters, shape (k, rows).
-            residual: Residual r in units of the noise (dimensionless), shape (rows,).
-            responses: E transposed: change of the residual by each of m perturbations, for example the force of a
-                candidate effect, in units of the noise, shape (m, rows). Default: none.
+            jacobian: J transposed: derivatives of r with respect to theta, dimensionless, shape (k, rows).
+            residual: Residual r = (measured - predicted) / noise, dimensionless, shape (rows,).
+            responses: E transposed: change of r by a unit amount of each perturbation, dimensionless, shape (m, rows).
+                Default: none; then m = 0 and the products with E are empty.
             count: Number of independent measured values, dimensionless. Default: the number of rows.
 
         Returns:
-            Products J^T J, shape (k, k), J^T r (k,), r^T r, J^T E (k, m), E^T E (m, m), E^T r (m,), and `count`.
+            J^T J, shape (k, k), J^T r (k,), r^T r, J^T E (k, m), E^T E (m, m), E^T r (m,), dimensionless; `count`.
         """
         parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
         stacked = np.vstack(parts)
@@ -220,13 +219,17 @@ class ResidualModel:
     def residuals(self, run: PreparedRecording, predicted: Array) -> Array:
         """Compare a batch of predictions of a run with its measurements.
 
+        The residual of a sample is (measured - predicted) / standard deviation of the measurement's noise. The
+        constant error by a wrong zero of the sensor (measurement at position 0) is subtracted first. A block is
+        `rows_per_block` successive samples. Their residuals become one: their sum / sqrt(rows_per_block).
+
         Args:
             run: Measured run of n samples.
             predicted: Predicted measurements of a batch, m or rad, shape (batch, n, sensors).
 
         Returns:
-            (measured - predicted) / noise, dimensionless, shape (batch, rows): one row per sensor and block of
-            `rows_per_block` samples. Errors of the sensors' zeros are subtracted first (`prediction.residuals`).
+            Residuals, dimensionless, shape (batch, rows): one row per block and sensor, all sensors of a block before
+            the next block. 0 where not measured. N equal rounded values at rest count as one (factor 1 / sqrt(N)).
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
 
@@ -270,8 +273,7 @@ class ResidualModel:
 
         Args:
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function from a run and its predicted motion to the residual's changes by m perturbations, such
-                as candidate forces, shape (m, rows). Default: none.
+            responses: Function from run and motion to residual changes by m perturbations, (m, rows). Default: none.
 
         Returns:
             For each run: `NormalEquations` with the Jacobian J (J^T J, shape (k, k), J^T r, (k,), ...), initial state.
@@ -284,8 +286,7 @@ class ResidualModel:
 
         parts = list(map_runs(of_run, self.data))
         starts = {run.name: start for run, (_, start) in zip(self.data.runs, parts, strict=True)}
-        by_run = tuple(equations for equations, _ in parts)
-        return Linearization(self, self.machine_at(theta), by_run, starts)
+        return Linearization(self, self.machine_at(theta), tuple(equations for equations, _ in parts), starts)
 
     def _predict(
         self, machine: Machine, run: PreparedRecording, thetas: Array, initial_state: Array, *, states: bool = False
@@ -343,8 +344,7 @@ class Linearization:
             motion = self.model._predict(self.machine, run, thetas, start.state)
             residual = self.model.residuals(run, motion.readings)
             residual = residual if start.projection is None else start.projection(residual)
-            squares: Array = np.einsum("bi,bi->b", residual, residual)
-            return squares
+            return np.asarray(np.einsum("bi,bi->b", residual, residual))
 
         total = np.sum(list(map_runs(of_run, self.model.data)), axis=0)
         return np.where(np.isfinite(total), total, np.inf)

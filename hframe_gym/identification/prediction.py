@@ -247,7 +247,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
 def residuals(
     run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1, *, fitted: bool = True
 ) -> Array:
-    """Return measured minus predicted values, divided by the standard deviations of the sensors' noise.
+    """Return measured minus predicted values, divided by the standard deviations of the measurements' noise.
 
     The constant error that uncertain sensor zeros (measurements at position 0) cause is estimated and subtracted first.
 

@@ -1,9 +1,4 @@
-"""Hold the result of an identification and write it to a folder.
-
-The folder holds report.json, declared.json, before.json, machine.json, evidence.npz (the curves of the plots) and,
-where another run would distinguish the leading effect from a rival, next_experiment.csv. `report.build_report` adds
-plots and report.html.
-"""
+"""Hold the result of an identification and write it to a folder; `write_result` lists the files."""
 
 from __future__ import annotations
 
@@ -172,13 +167,17 @@ class IdentificationResult:
 
     @property
     def explained(self) -> float:
-        """Fraction of the squared error beyond noise, on held-out runs, that all effects remove; 0 without effects."""
+        """Fraction of the squared error beyond noise, on held-out runs, that the selected effects remove; 0 if none."""
         before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
         return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
 
     @property
     def left(self) -> float:
-        """Simulation error / sensor noise (rms over channels, dimensionless) with all effects, on the held-out runs."""
+        """Simulation error / sensor noise of the machine with the selected effects, on the held-out runs.
+
+        Root mean square over the measured channels, dimensionless; about 1 if only the sensors' noise remains. Held-out
+        runs are those to which nothing was fitted.
+        """
         return self.after.held_out.noise_ratio
 
     @property

@@ -40,8 +40,8 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
-        First the fits that are as good as the best one, by their number of free parameters theta, shape (k,)
-        (fewest first); then all other fits, lowest cost first.
+        The same fits in a new order. First those that are as good as the best one: the fit with the fewest free
+        parameters first (with k of them, its `theta` has shape (k,)). Then all others: lowest cost first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -108,9 +108,10 @@ def compare_rivals(
         criteria: Decision thresholds.
 
     Returns:
-        best: Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (squared residuals / noise
-            variances, summed) with the most likely rival in place of the effect; None if no rival is more likely.
-        rivals: The rivals that remain, including those that were not tried.
+        better: Fit of the machine with the most likely rival in place of the effect: machine, k fitted parameters
+            (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise variances); None if no rival
+            is more likely.
+        remaining: The rivals that are not excluded, including those that were not tried.
     """
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]

@@ -1,7 +1,7 @@
-"""Estimate properties of the sensors from the recordings alone: quantum, noise and the ends of their range.
+"""Estimate quantum (quantization step), noise and range of the sensors from the recordings alone.
 
-A quantum is a quantization step. A sensor saturates where many measurements lie together at the outermost value while
-the encoders show motion. A fit leaves these measurements out, and the machine gets the effect ``sensor_range``.
+A sensor saturates where many measurements lie together at the outermost value while the encoders show motion. A fit
+leaves these measurements out, and the machine gets the effect ``sensor_range``.
 """
 
 from __future__ import annotations
@@ -55,8 +55,7 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
         resolution: Declared resolution, m or rad, 0 if there is none.
 
     Returns:
-        Median over the runs that show a quantum, m or rad; the declared resolution if no run shows one, for
-        example because the sensor hardly moves.
+        Median over the runs that show a quantum, m or rad; the declared resolution if none does (hardly any motion).
     """
     quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
     return float(np.median(quanta)) if quanta else resolution
@@ -112,8 +111,7 @@ _REST_S = 0.02  # s; a quantized measurement that stays the same for longer show
 def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
     """Return the weight of each measurement in a sum of squared errors: 1 if it is independent of its neighbors.
 
-    While a machine rests, all measurements of a quantized sensor have the same rounding error. Together, they contain
-    no more information about the position than one of them, so their weights add up to 1.
+    At rest, all measurements of a quantized sensor have the same rounding error. Therefore their weights add up to 1.
 
     Args:
         time_s: Sample times, s, shape (n,).
@@ -137,8 +135,7 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
     return counts
 
 
-_SPEED_ROWS = 11  # samples that a speed is computed from
-_MIN_JITTER_ROWS = 50  # measured rows of a run
+_SPEED_ROWS, _MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; measured rows of a run
 _FIFTH_DIFFERENCE_VARIANCE = 252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
 
 
@@ -158,11 +155,13 @@ def difference_noise(channel: Sequence[Array]) -> float:
 
 
 def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float) -> float:
-    """Estimate the jitter of the clock from the noise of a channel during fast motion.
+    """Estimate the jitter of the clock, the random error of the sampling times, from a channel during fast motion.
 
-    A measurement that is late by dt has an error of dt * speed. Fifth differences show it and the sensor's noise, but
-    hardly any smooth motion. Their variance during fast motion, divided by that of white noise of variance 1, gives
-    jitter^2 = (variance - noise^2) / speed^2. Below a quantization step per row, rounding is no white noise.
+    A measurement that is late by dt has an error of dt * speed. During fast motion, the standard deviation s of the
+    measurements is therefore given by s^2 = noise^2 + jitter^2 * speed^2. It is computed from fifth differences, which
+    smooth motion hardly changes. Only fast rows are used: the fastest quarter, without rows in which the sensor moves
+    by less than sqrt(12) * noise (a quantization step, if the noise is rounding only). In slower rows, the rounding
+    errors of successive measurements are not independent.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
@@ -170,7 +169,8 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         noise: Standard deviation of the sensor's noise at rest, m or rad.
 
     Returns:
-        Standard deviation of the sampling time, s; 0 if the variance is below 2 noise^2: vibrations may cause it.
+        Standard deviation of the sampling time, s. 0 if there are no fast rows or no run of 50 measurements, or if s^2
+        is at most 2 * noise^2, because vibrations may cause such a value.
     """
     squares, speeds, travels = [], [], []
     for time_s, values in zip(times, channel, strict=True):
@@ -246,8 +246,8 @@ def saturation_ranges(
         criteria: Decision thresholds.
 
     Returns:
-        Lower and upper end of the range by channel name, m or rad, for the sensors that saturate. An end
-        that was never reached is set to ten times the largest magnitude of a measurement.
+        Lower and upper end of the range by channel of a saturating sensor, m or rad; ten times the largest magnitude of
+        a measurement for an end that was never reached.
     """
     ranges: dict[str, Range] = {}
     positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]

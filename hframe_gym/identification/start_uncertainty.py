@@ -228,17 +228,20 @@ def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: d
 
 
 def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Return the state from which a prepared run most probably began, given all of its measurements.
+    """Return the state from which a run most probably began, given all of its measurements.
 
     It is the state of maximum posterior density: it fits the measurements and is near the state measured at rest.
+    An effect is a deviation from the nominal model. Some effects, such as hysteresis and bristle friction, have states
+    of their own, which remember motion before the run.
 
     Args:
-        machine: Machine to simulate.
-        run: Measured run.
+        machine: Machine to simulate, with its effects.
+        run: Run as `prepare` returns it: times, voltages, measurements minus the sensors' zeros, initial state.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Positions (m, rad), velocities (m/s, rad/s) and effect states (SI), shape (2 * coordinates + effect states,).
+        Positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI), shape (2 * coordinates + effect
+        states,).
     """
 
     def errors(states: Array) -> Array:
@@ -289,7 +292,8 @@ def most_probable_start(
     squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
 
     Args:
-        machine: Machine to simulate.
+        machine: Machine to simulate. Its effects (deviations from the nominal model) may have states that remember
+            earlier motion, such as hysteresis.
         initial: Measured initial state of the run.
         state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest, shape (2 * coordinates,).
         errors: Function that simulates from states, shape (B, 2 * coordinates + effect states), and returns measured

@@ -91,11 +91,13 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
 
     Returns:
         Sources (column and conversion of units): first those of the times, then one per channel of the machine, inputs
-        before outputs; `column` is None for an output that was not measured. `time` of each channel is the column of
-        time of the same length (MATLAB) or, in a table, the nearest one to its left.
+        before outputs. `time` of each channel is the column of time of the same length (MATLAB) or, in a table, the
+        nearest one to its left. `column` is None for an output (sensor) that was not measured: the options assign
+        "none" to it (`--map NAME=none`), or no column has its name and only columns of text remain unassigned.
 
     Raises:
-        InputError: If a channel has no column or several, or its unit is unknown. The message proposes options.
+        InputError: If no column has the name of an output while columns other than text are unassigned; if an input or
+            the time has no column; if a channel has several; if a unit is unknown. The message proposes options.
     """
     return _LogMapping(log, machine, options).sources()
 
@@ -246,8 +248,7 @@ class _LogMapping:
             if channel == TIME:
                 return ChannelSource(channel, column, None, Conversion(), "time stamps to s")
             problem = f"contains dates or times of day; {channel} needs numbers. Map another column to it"
-            problem += self._if_not_measured(channel)
-            raise InputError(f"{self.log.path}, column {column.header}: {problem}")
+            raise InputError(f"{self.log.path}, column {column.header}: {problem}{self._if_not_measured(channel)}")
         set_by_user = channel in self.options.units or channel in self.options.scales
         is_assumed = self._stated_unit(channel, column) is None and channel not in self.options.scales
         conversion, integrate, remark = self._conversion(channel, column)

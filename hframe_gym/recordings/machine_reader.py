@@ -185,9 +185,8 @@ class MachineReader:
         field = f"belts.{entry.name}"
         values = self._values(field, entry, {key: FIXED_UNITS[key] for key in Belt.PARAMETERS})
         extension = self._row(f"{field}.extension", entry.extension)
-        return Belt(
-            entry.name, extension=extension, length=self._row(f"{field}.length", entry.length, empty=True), **values
-        )
+        length = self._row(f"{field}.length", entry.length, empty=True)
+        return Belt(entry.name, extension=extension, length=length, **values)
 
     def _drive(self, entry: DriveEntry) -> Drive:
         """Return a drive."""
@@ -205,9 +204,8 @@ class MachineReader:
         """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
         self._check_text("sensors.channel", entry.channel, column=True)
         field = f"sensors.{entry.channel}"
-        coordinate_kind = self._kinds[
-            Sensor(entry.channel, self._row(f"{field}.row", entry.row, products=True)).coordinate
-        ]
+        row = self._row(f"{field}.row", entry.row, products=True)
+        coordinate_kind = self._kinds[Sensor(entry.channel, row).coordinate]
         kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
         if kind not in SENSOR_KINDS:  # `SENSOR_KINDS.get` would import the module of a name such as "module:kind"
             choices = ", ".join(SENSOR_KINDS)
@@ -290,9 +288,12 @@ class MachineReader:
 def implausible_values(machine: Machine) -> list[tuple[str, str]]:
     """List values of a machine that are possible but probably mistakes, so that the user is warned of them.
 
-    They are: lengths in millimeters; factors of pulleys in a belt's extension that are no multiples of 1/2; belts whose
-    length would vanish within the travel; carriages that cannot move without stretching a belt; y listed before x; and
-    sensors whose names end in a unit other than m or rad.
+    - Lengths so large that they were probably entered in millimeters, such as a pulley radius of more than 1 m.
+    - Factors in `Belt.extension` (extension of the belt per radius * angle of a pulley) that are no multiple of 1/2.
+    - Belts that would have a length of zero or less at an end of the coordinates' ranges.
+    - Carriages (linear coordinates) that cannot move without stretching a belt.
+    - The coordinate y listed before x.
+    - Sensors whose names end in another unit than m or rad, such as x_mm.
 
     Args:
         machine: Machine as its file declares it.
