@@ -111,12 +111,15 @@ def _tool_error(session: Session, answer: IdentificationResult, machine: Machine
 
 
 def _parameter_error(case: Case, answer: IdentificationResult) -> dict[str, float]:
-    """Return the relative errors of parameters by name@site.parameter, for effects that were named by their label."""
+    """Return the relative errors of parameters by name@site.parameter, for effects that were named by their label.
+
+    A parameter whose true value is zero has no relative error.
+    """
     errors = {}
     for hidden in case.hidden_effects:
         estimates = _estimates(hidden, answer)
         for name, value in case.true_parameters(hidden).items():
-            if name in estimates:
+            if name in estimates and value != 0.0:
                 # A negative amplitude of a sine is a phase that differs by half a period.
                 errors[f"{hidden.label}.{name}"] = abs(abs(estimates[name]) / abs(value) - 1.0)
     return errors
