@@ -1,8 +1,4 @@
-"""Estimate quantum (quantization step), noise and range of the sensors from the recordings alone.
-
-A sensor saturates where many measurements lie together at the outermost value while the encoders show motion. A fit
-leaves these measurements out, and the machine gets the effect ``sensor_range``.
-"""
+"""Estimate quantum (quantization step), noise and range of the sensors from the recordings alone."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from ..effects import EFFECTS
 from ..machine import AppliedEffect, Machine
@@ -24,6 +20,8 @@ Range = tuple[float, float]
 
 UNLIMITED = 10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
 _MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
+_CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
+_ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.
 _MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
 
 
@@ -86,7 +84,8 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
     """Estimate the standard deviation of a sensor's noise; it is at least the rounding error, quantum / sqrt(12).
 
-    With fewer than 30 rows at rest it is the declared value or, if there is none, comes from third differences.
+    With fewer than 30 rows at rest it is the declared value. If there is none, it comes from third differences or, if
+    that is smaller, from the deviations from a smooth curve (Savitzky and Golay 1964).
 
     Args:
         channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
@@ -101,8 +100,11 @@ def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum:
     # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
     if at_rest is not None:
         return max(at_rest, rounding) or declared or difference_noise(channel)
-    estimate = declared or difference_noise(channel)  # up to 0.7 quanta for the steps of a slow motion without noise
-    return rounding if not declared and estimate < 0.7 * quantum else max(rounding, estimate)
+    if declared or not quantum:
+        return max(rounding, declared or difference_noise(channel))
+    # The steps of slow motion raise third differences, vibration the deviations from a curve; noise raises both.
+    estimate = min(difference_noise(channel), _curve_noise(channel))
+    return estimate if estimate > _ROUNDING_ACCURACY * rounding else rounding
 
 
 _REST_S = 0.02  # s; a quantized measurement that stays the same for longer shows that the sensor is at rest
@@ -154,14 +156,23 @@ def difference_noise(channel: Sequence[Array]) -> float:
     return max(1.4826 * float(np.median(np.abs(differences))) / np.sqrt(20.0), 1e-12)
 
 
+def _curve_noise(channel: Sequence[Array]) -> float:
+    """Estimate a sensor's noise, m or rad, from deviations from parabolas over 21 measurements; infinite if fewer."""
+    runs = [values[np.isfinite(values)] for values in channel]
+    deviations = [v - savgol_filter(v, _CURVE_ROWS, 2) for v in runs if len(v) >= _CURVE_ROWS]
+    if not deviations:
+        return math.inf
+    removed = savgol_coeffs(_CURVE_ROWS, 2)[_CURVE_ROWS // 2]  # fraction of the noise's variance
+    return float(np.sqrt(np.mean(np.concatenate(deviations) ** 2) / (1.0 - removed)))
+
+
 def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float) -> float:
     """Estimate the jitter of the clock, the random error of the sampling times, from a channel during fast motion.
 
     A measurement that is late by dt has an error of dt * speed. During fast motion, the standard deviation s of the
     measurements is therefore given by s^2 = noise^2 + jitter^2 * speed^2. It is computed from fifth differences, which
-    smooth motion hardly changes. Only fast rows are used: the fastest quarter, without rows in which the sensor moves
-    by less than sqrt(12) * noise (a quantization step, if the noise is rounding only). In slower rows, the rounding
-    errors of successive measurements are not independent.
+    smooth motion hardly changes. Used is the fastest quarter of the rows, without those in which the sensor moves by
+    less than sqrt(12) * noise: there, the rounding errors of successive measurements are not independent.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
@@ -177,7 +188,7 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         measured = np.isfinite(values)
         if np.count_nonzero(measured) < _MIN_JITTER_ROWS:
             continue
-        speed = smooth_speed(time_s[measured], values[measured])
+        speed = _smooth_speed(time_s[measured], values[measured])
         regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
         at_regular_times = values[measured] + speed * (regular - time_s[measured])
         squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)  # at the middle of six samples
@@ -210,23 +221,12 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
     for j, values in enumerate(outputs.T):
         measured = np.isfinite(values)
         if jitter > 0.0 and np.count_nonzero(measured) >= _SPEED_ROWS:
-            by_row[measured, j] = np.hypot(noise[j], jitter * smooth_speed(time_s[measured], values[measured]))
+            by_row[measured, j] = np.hypot(noise[j], jitter * _smooth_speed(time_s[measured], values[measured]))
     return by_row
 
 
-def smooth_speed(time_s: Array, values: Array) -> Array:
-    """Estimate the speed of a channel as the slope of a least-squares parabola over eleven samples.
-
-    Args:
-        time_s: Sample times, s, shape (n,), n at least 11.
-        values: Measurements, m or rad, shape (n,), without NaN.
-
-    Returns:
-        Speed, m/s or rad/s, shape (n,).
-
-    References:
-        Savitzky and Golay (1964), "Smoothing and differentiation of data by simplified least squares procedures".
-    """
+def _smooth_speed(time_s: Array, values: Array) -> Array:
+    """Return the speed of a channel, m/s or rad/s, shape (n,): the slope of a parabola over 11 samples."""
     period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     return np.asarray(savgol_filter(values, _SPEED_ROWS, 2, deriv=1, delta=period))
 

@@ -102,6 +102,10 @@ def test_the_steps_of_a_coarse_encoder_in_motion_are_no_noise(speed: float) -> N
     assert sensor_noise(channel, [1], 0.2, 0.0) == pytest.approx(0.2 / np.sqrt(12))
     noisy = [channel[0] + np.random.default_rng(3).normal(0.0, 0.5, 3000)]
     assert sensor_noise(noisy, [1], 0.2, 0.0) == pytest.approx(0.5, rel=0.1)
+    # Noise of half a step is larger than rounding, although third differences of the steps alone may be as large.
+    motion = speed * np.arange(3000) + 10 * np.sin(np.arange(3000) * 1e-3)
+    small = [np.rint(motion + np.random.default_rng(3).normal(0.0, 0.5, 3000)) * 0.2]
+    assert sensor_noise(small, [1], 0.2, 0.0) == pytest.approx(0.2 * np.hypot(0.5, 1 / np.sqrt(12)), rel=0.1)
 
 
 def moving_runs(limit: float = 0.1) -> list[Recording]:
