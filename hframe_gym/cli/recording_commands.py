@@ -156,7 +156,7 @@ def identify(
     ],
     out: OutOption,
     machine: MachineOption = "hframe",
-    hold_out: Annotated[list[str] | None, typer.Option(help="Run (file name) to hold out; repeat for more.")] = None,
+    hold_out: Annotated[list[str] | None, typer.Option(help="Run (file name without ending); repeatable.")] = None,
     jobs: Annotated[
         int | None,
         typer.Option(

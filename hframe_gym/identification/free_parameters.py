@@ -285,10 +285,9 @@ def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:
         }
         for key, scale in undeclared.items():
             value = getattr(c, key)
-            if value > 0 and key == "viscous":
-                free.append(_damping(f"{c.name}.{key}", value, _FRICTION_PRIOR))
-            elif value > 0:
-                free.append(FreeParameter(f"{c.name}.{key}", value, prior=_FRICTION_PRIOR))
+            if value > 0:
+                parameter = _damping if key == "viscous" else FreeParameter
+                free.append(parameter(f"{c.name}.{key}", value, _FRICTION_PRIOR))
             else:
                 free.append(FreeParameter(f"{c.name}.{key}", value, prior=1.0, scale=scale))
     return free

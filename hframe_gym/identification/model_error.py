@@ -155,8 +155,8 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Fit, bandwidth as in `fitted`: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared).
     """
-    small, model = _CONVERGED_COST / data.count, (fitted.machine, fitted.free, data, fitted.bandwidth)
-    return fit(*model, theta=fitted.theta, tolerance=small, longest_step=POLISH_STEP)
+    model, tolerance = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
+    return fit(*model, theta=fitted.theta, tolerance=tolerance, longest_step=POLISH_STEP)
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:

@@ -344,5 +344,5 @@ def log_name(path: Path) -> str:
 
 
 def _is_document(path: Path) -> bool:
-    """Return whether a file describes the logs and is none, by its name."""
-    return path.name.lower().partition(".")[0] in ("readme", "license", "licence", "notes", "changelog")
+    """Return whether a file describes the logs and is none itself: readme.txt, for example."""
+    return path.name.lower() in ("readme.txt", "license.txt", "licence.txt", "notes.txt", "changelog.txt")

@@ -96,7 +96,7 @@ def import_logs(
         raise InputError(f"--out {folder}: is a file, but must be a folder")
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     if other_files:
-        say(f"skipped (file ending is not that of a log): {', '.join(p.name for p in other_files)}")
+        say(f"skipped (by their names, no logs): {', '.join(p.name for p in other_files)}")
     # Each byte counts twice: once for reading, once for writing, which take about as long.
     total, done = 2 * sum(path.stat().st_size for path in paths), 0
 

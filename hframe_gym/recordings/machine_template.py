@@ -205,8 +205,7 @@ def _check(like: str, options: MachineOptions) -> None:
         value = getattr(options, info.name)
         numbers = value if isinstance(value, tuple) else (value,) if isinstance(value, int | float) else ()
         # The mass of an axis may include the rotor; the inertia of a pulley must be positive.
-        zero_allowed = info.name == "encoder_lines" or (info.name, like) == ("rotor_inertia", "axis")
-        zero_allowed = zero_allowed or isinstance(value, bool)
+        zero_allowed = (info.name, like) == ("rotor_inertia", "axis") or info.name in ("encoder_lines", "linear_sensor")
         for number in numbers:
             if not math.isfinite(number) or number < 0 or (number == 0 and not zero_allowed):
                 raise InputError(f"--{info.name.replace('_', '-')} {number:g}: must be positive")

@@ -297,12 +297,13 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
     for name, day in (("a.csv", 1), ("b.csv", 2)):
         stamps = [f"2024-05-0{day}T00:00:{float(row.split(',')[0]):06.3f},{row.partition(',')[2]}" for row in rows]
         (tmp_path / "logs" / name).write_text("\n".join([header, *stamps]))
-    (tmp_path / "logs" / "notes.md").write_text("notes")
+    for name in ("notes.md", "README.txt"):
+        (tmp_path / "logs" / name).write_text("Both logs were recorded in May.")
     lines: list[str] = []
     import_logs(tmp_path / "logs", tmp_path / "runs", hframe, say=lines.append)
     a, b = load_recordings(tmp_path / "runs", hframe)
     np.testing.assert_array_equal(b.time_s, np.round(a.time_s + 86400.0, 3))
-    assert "skipped (file ending is not that of a log): notes.md" in lines
+    assert "skipped (by their names, no logs): README.txt, notes.md" in lines
     assert "b.csv: same format and columns as the log before" in lines
 
 
