@@ -1,12 +1,12 @@
-"""Policy features: position errors and speeds on logarithmic scales from meters to micrometers.
+"""Inputs of a policy network (features): errors, speeds, belt stretch and voltages on logarithmic scales.
 
-A network that receives meters cannot resolve 0.1 mm. Each quantity v therefore enters as
+An error of 0.1 mm, in meters, is too small an input for a network to learn from. Each quantity v therefore enters as
 
     sign(v) * log(1 + |v| / scale)
 
-for several scales: linear well below a scale, logarithmic above it. Errors enter for the tool (x, y) and for each motor
-(as belt travel), now and extrapolated one control period ahead. Every v is linear in the observation z, so all
-features are one matrix product followed by one logarithm: gain * sign(z M) * log(1 + |z M|).
+for one or several scales: linear well below a scale, logarithmic above it. Errors enter for the tool (x, y) and for
+each motor (as belt travel), now and after 10 ms at the present speeds with an unchanged goal. Every v is linear in the
+observation z, so all features are one matrix product and one logarithm: factor * sign(z M) * log(1 + |z M|).
 
 A *transfer* is a motion of given duration that brings the machine to rest at its goal with the least sum of squared
 voltages. `TransferBank` and `PlanBank` compute the first voltages of several transfers; a policy can form a weighted
@@ -45,20 +45,20 @@ STRETCH_SCALES = (1e-3, 1e-4)  # m
 # Fractions of the rated voltage: full voltage, and about the voltage that overcomes Coulomb friction.
 ACTION_SCALES = (1.0, 0.03)
 FRICTION_VOLTAGE_SCALES = (0.03, 0.003)  # fractions of the rated voltage
-# Fractions of the rated voltage; far from the goal a short transfer would need far more than the rated voltage.
+# Fractions of the rated voltage; far from the goal, short transfers ask for up to 30 times the rated voltage.
 TRANSFER_SCALES, LARGEST_TRANSFER = (1.0, 0.05), 30.0
 ESTIMATE_SCALE, LARGEST_ESTIMATE = 0.2, 1.0  # relative deviations from the nominal parameters
 POSITION_SCALE = 0.2  # m
-EXTRAPOLATION_S = 0.01  # s, one control period
+EXTRAPOLATION_S = 0.01  # s; the default control period, also used with others
 # Values at which a feature reaches 1: about the largest that occur.
 LARGEST_ERROR = 0.5  # m
 LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
 
-# Factors (belt stiffness, masses) on the declared values for which transfers are designed, beside (1, 1).
-BANK = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
-BANK_TRANSFERS = 5  # number of the durations, the shortest ones, for which they are designed; they matter at the goal
-LARGEST_WEIGHTED = 1.2  # limit of a transfer's voltages, as a fraction of the rated voltage
+# Variants of the machine for which transfers are also designed: factors on its belt stiffness and on its masses.
+VARIANTS = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
+VARIANT_TRANSFERS = 5  # For variants, only so many transfers, the shortest: the parameters matter most near the goal.
+LARGEST_WEIGHTED = 1.2  # Fraction of the rated voltage; limit of the voltages before their mean is formed.
 
 # Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent
 # depend on this order.
@@ -86,8 +86,8 @@ def feature_parameters(
         period: Control period, s.
         transfers: For a fixed goal: durations of the minimum-energy transfers (motions to rest at the goal) whose first
             voltages are features, in control periods beyond the shortest transfer (0). Default: none.
-        preview: For a moving goal, if `transfers` is empty: number of future goals of a preview control. Its voltages
-            are features. Default: no preview control.
+        preview: For a moving goal: number of future goals that a preview control uses, whose voltages are features.
+            Ignored if `transfers` are given. Default: no preview control.
 
     Returns:
         `radii`: belt travel (radius * angle) per radian of each motor coordinate, m/rad, list of one per motor; a drive
@@ -98,17 +98,17 @@ def feature_parameters(
             voltages as fractions of the rated ones, transfer by transfer, nested list of shape (voltages, entries).
 
     Raises:
-        InputError: If the machine has no transfer of a duration.
+        InputError: If the machine has no transfer of one of these durations.
     """
     axes = machine.tool_axes
     linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
     # The tool's axes come first, then the motors.
-    driven = [machine.coordinate_names.index(name) for name in observed_coordinates(machine)[len(axes) :]]
+    motors = [machine.coordinate_names.index(name) for name in observed_coordinates(machine)[len(axes) :]]
     # Rest states for a displacement of 1 m along each axis.
     unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in axes]
     geometry = {
-        "radii": [float(machine.travel_per_unit[i]) for i in driven],
-        "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in driven],
+        "radii": [float(machine.travel_per_unit[i]) for i in motors],
+        "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in motors],
     }
     if transfers:
         return {**geometry, "gains": _transfer_gains(MotionModel(machine), period, transfers)}
@@ -171,11 +171,11 @@ def feature_matrix(
 ) -> tuple[Array, Array]:
     """Build the matrix M and the factors g of the inputs of a policy network, g * sign(z M) * log(1 + |z M|).
 
-    z is an observation, all its arrays joined. These inputs (features) resolve meters as well as micrometers.
+    z is an observation, all its arrays joined. The machine has as many drives as axes.
 
     Args:
         sizes: Number of entries of each array of the observation, by key, in the order in which z joins them.
-            `observation` and `desired_goal` are required; `preview`, `last_action` and others add features.
+            `observation` and `desired_goal` are required; the other keys of `OBSERVATION_KEYS` add features.
         radii: Belt travel (radius * angle) per radian of each motor coordinate, m/rad, shape (motors,).
         rest: Belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, shape
             (motors, axes).
@@ -183,9 +183,8 @@ def feature_matrix(
             over the keys, shape (voltages, entries of the key); see `feature_parameters`. Default: no such features.
 
     Returns:
-        M: Matrix from entries of z (m, rad, m/s, rad/s) to errors, speeds and voltages divided by their scales, so that
-            z M is dimensionless, shape (entries, features).
-        g: Factors, dimensionless, shape (features,). Features are 1 at the largest values in use (0.5 m, 1.5 m/s, ...).
+        M: Matrix from z to the quantities divided by their scales (z M: dimensionless), shape (entries, features).
+        g: Factors, dimensionless, shape (features,). A feature is 1 at a large value of its quantity, such as 0.5 m.
     """
     # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
     selectors = _selectors(sizes)
@@ -203,8 +202,8 @@ def feature_matrix(
         _scaled_columns(motor_speed - tool_speed @ rest.T, SPEED_SCALES[1:], LARGEST_SPEED),
     ]
     if "preview" in selectors:
-        future_goals = [selectors["preview"][:, i : i + axes] - goal for i in range(0, sizes["preview"], axes)]
-        blocks.append(_scaled_columns(np.hstack(future_goals), ERROR_SCALES[1:3], LARGEST_ERROR))
+        goal_changes = selectors["preview"] - np.tile(goal, sizes["preview"] // axes)
+        blocks.append(_scaled_columns(goal_changes, ERROR_SCALES[1:3], LARGEST_ERROR))
     if "last_observation" in selectors:
         last_speeds = np.hstack(_split_state(selectors["last_observation"], radii, axes)[2:])
         blocks.append(_scaled_columns(speeds - last_speeds, SPEED_SCALES, LARGEST_SPEED))
@@ -213,7 +212,7 @@ def feature_matrix(
             blocks.append(_scaled_columns(selectors[key], ACTION_SCALES, 1.0))
     if "expected_friction" in selectors:
         upcoming, recent = selectors["expected_friction"][:, :-drives], selectors["expected_friction"][:, -drives:]
-        # The change of the friction voltage along the path is what a controller that only integrates cannot anticipate.
+        # An integral action knows the recent (last) friction voltages, but does not anticipate their changes.
         change = upcoming - np.tile(recent, upcoming.shape[1] // drives)
         columns = np.hstack([upcoming[:, :drives], change])
         blocks.append(_scaled_columns(columns, FRICTION_VOLTAGE_SCALES, FRICTION_VOLTAGE_SCALES[0]))
@@ -222,7 +221,7 @@ def feature_matrix(
     if gains:
         volts = np.sum([selectors[key] @ np.transpose(values) for key, values in gains.items()], axis=0)
         blocks.append(_scaled_columns(volts, TRANSFER_SCALES, LARGEST_TRANSFER))
-    return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([gain for _, gain in blocks])
+    return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([factors for _, factors in blocks])
 
 
 def _selectors(sizes: Mapping[str, int]) -> dict[str, Array]:
@@ -239,17 +238,17 @@ def _split_state(state: Array, radii: Array, axes: int) -> tuple[Array, Array, A
 
 
 def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> tuple[Array, Array]:
-    """Return the columns divided by each scale, and the gains at which the value `largest` gives a feature of 1."""
-    gains = [np.full(columns.shape[1], 1.0 / np.log1p(largest / scale)) for scale in scales]
-    return np.hstack([columns / scale for scale in scales]), np.concatenate(gains)
+    """Return the columns divided by each scale, and the factors by which the value `largest` gives a feature of 1."""
+    factors = [np.full(columns.shape[1], 1.0 / np.log1p(largest / scale)) for scale in scales]
+    return np.hstack([columns / scale for scale in scales]), np.concatenate(factors)
 
 
 class FeedbackLaws(NamedTuple):
-    """Voltages of K feedback laws in the present state, and their derivatives.
+    """Voltages that K feedback laws give in the present state, and the derivatives of these voltages.
 
     Attributes:
         volts: Voltages divided by the rated voltages, not limited, shape (batch, K, drives).
-        gains: Derivatives of the voltages with respect to the entries of the full-state observation, per m, rad, m/s or
+        gains: Derivatives of `volts` with respect to the entries of the full-state observation, per m, rad, m/s or
             rad/s, shape (batch, K, drives, entries).
     """
 
@@ -260,8 +259,8 @@ class FeedbackLaws(NamedTuple):
 class TransferBank:
     """First voltages of K minimum-energy transfers (motions to rest at the goal) of several durations and designs.
 
-    The transfers are designed for the declared machine, and the five shortest ones also for 0.7 and 1.3 times its belt
-    stiffness with 0.95 and 1.15 times its masses (`BANK`).
+    The transfers are designed for the declared machine, the first five (`VARIANT_TRANSFERS`) also for each machine of
+    `VARIANTS`. There, durations count from the variant's shortest transfer and are limited to its longest.
 
     Args:
         machine: Machine for which the transfers are designed.
@@ -272,7 +271,7 @@ class TransferBank:
         size: Number K of transfers.
 
     Raises:
-        InputError: If the machine has no transfer of a duration, or the durations are not ascending.
+        InputError: If the machine has no transfer of one of the durations, or they are not ascending.
     """
 
     def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
@@ -283,24 +282,24 @@ class TransferBank:
         if any(second <= first for first, second in pairwise(transfers)):
             raise InputError(f"transfers are {list(transfers)}; list durations in ascending order, each once")
         gains = [designed.gains[:, list(transfers), 0]]
-        for stiffness, mass in BANK:
+        for stiffness, mass in VARIANTS:
             variant = MinimumEnergyTransfers(MotionModel(scaled_machine(machine, stiffness, mass)), period)
-            last = np.minimum(transfers[:BANK_TRANSFERS], variant.longest - variant.shortest)
-            gains.append(variant.gains[:, last, 0])
+            extra_periods = np.minimum(transfers[:VARIANT_TRANSFERS], variant.longest - variant.shortest)
+            gains.append(variant.gains[:, extra_periods, 0])
         self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)
         self._of_observation = _state_of_observation(self._model)
         self.size = self._gains.shape[1]
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
-        """Compute the first voltages of each transfer (motion to rest at the goal) from the present state.
+        """Compute the first voltages of each transfer from the present state, by the design nearest to the goal.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            `FeedbackLaws`: voltages / rated ones, shape (batch, K, drives), by duration, of the declared machine,
-            then of variants of it; their derivatives by the observation, shape (batch, K, drives, entries).
+            Voltages, shape (batch, K, drives), and their derivatives: the transfers of the declared machine in the
+            order of the durations, then those of each variant.
         """
         gains = self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
         at_rest = self._model.observation(self._model.goal_state(goal))
@@ -325,7 +324,7 @@ class PlanBank:
 
     def __init__(self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]) -> None:
         self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
-        self._ratios = ParameterRatios(machine, estimator.parameter_names)  # the estimator's machine has no dead time
+        self._ratios = ParameterRatios(machine, estimator.parameter_names)  # not its machine, which has no dead time
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = _state_of_observation(self._model)
 
@@ -338,7 +337,7 @@ class PlanBank:
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
 
         Returns:
-            Voltages / rated ones by duration, shape (batch, K, drives), and `gains`, shape (batch, K, drives, entries).
+            Voltages, shape (batch, K, drives), and their derivatives, in the order of the durations.
         """
         rated = self._model.rated
         planned = self._transfers.plan(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hframe_gym.agents.features import BANK
+from hframe_gym.agents.features import VARIANTS
 from hframe_gym.agents.residual_action import LARGEST_HELD, Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
@@ -79,7 +79,7 @@ def test_the_base_controller_of_an_agent_file_imports_no_module():
 def test_outputs_weight_the_voltages_of_transfers():
     mapping = ResidualAction(MACHINE, 0.01, least=0.0, full_at_m=np.inf, transfers=[0, 4, 20])
     outputs = mapping.action_space().shape[0]
-    assert outputs == 2 + 3 + 3 * len(BANK)
+    assert outputs == 2 + 3 + 3 * len(VARIANTS)
     observation = rest_observation(MACHINE, (0.1, 0.0), (0.095, 0.0))
     mapping.augment(observation)
     shortest, longer, longest = mapping.laws.volts[0, :3]
