@@ -112,7 +112,7 @@ def initial_state_projection(
         return None
     # The squared norm of the projected residual is the minimum over w of |residual - columns w|^2 + |w|^2.
     directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return InitialStateProjection(directions, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2))
+    return InitialStateProjection(directions, 1.0 - 1.0 / np.hypot(1.0, sizes))  # no overflow close to divergence
 
 
 def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array:

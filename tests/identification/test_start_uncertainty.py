@@ -50,6 +50,16 @@ def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> No
     np.testing.assert_allclose(projection(direction), direction * (1 - projection.weights[0]), atol=1e-9)
 
 
+def test_projection_of_a_machine_close_to_divergence_does_not_overflow(hframe: Machine) -> None:
+    """Fits try unstable parameters, with which the error of the start grows by more than 150 orders of magnitude in a run."""
+    data = prepare([moving_run(hframe, rest_state(hframe))], hframe)
+    unstable = hframe.replace({"x.viscous": -650.0 * hframe.coordinate("x").mass})
+    with np.errstate(over="raise"):
+        projection = initial_state_projection(unstable, data.runs[0], data, SIMULATION)
+    assert projection is not None
+    np.testing.assert_array_equal(projection.weights, 1.0)
+
+
 def test_no_projection_without_belts(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
     assert initial_state_projection(axis, data.runs[0], data, SIMULATION) is None
