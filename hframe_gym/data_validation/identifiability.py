@@ -150,8 +150,7 @@ def _inseparable_damping(bounds: Sequence[CramerRaoBound], machine: Machine) -> 
 def _first_rows(run: PreparedRecording, count: int) -> PreparedRecording:
     """Return a run without the rows after the first ones."""
     by_row = ("time_s", "inputs", "outputs", "noise", "weights")
-    rows = None if run.rows is None else run.rows[:count]
-    return dataclasses.replace(run, rows=rows, **{name: getattr(run, name)[:count] for name in by_row})
+    return dataclasses.replace(run, **{name: getattr(run, name)[:count] for name in by_row})
 
 
 def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direction: float) -> ResidualModel:

@@ -72,9 +72,10 @@ class SelectionCriteria:
         max_screened_tables: Number of screened tables that are cross-validated.
         max_tables_per_coordinate: Number of tables per coordinate that are screened, in addition to one over time and
             one over the coordinate's position.
-        max_table_cross_validation: Largest cost of the half of the data that a table was not fitted to, relative to the
-            cost without the table.
-        cross_validation_blocks: Number of blocks into which a single run is divided for cross-validation.
+        max_table_cross_validation: Largest cost of data to which a table was not fitted, relative to the cost without
+            the table.
+        cross_validation_blocks: Smallest number of parts of all runs, left out of the fit of a table in turn. Each run
+            has at least two.
         max_drift: Simulation error relative to the standard deviation of the signal above which formulas for a table
             are compared in one-step prediction instead of simulation.
         explained_chi2: Chi-squared per sample below which the model explains the data.

@@ -35,7 +35,6 @@ class PreparedRecording:
             the jitter of the clock times the speed.
         weights: Number of independent values that each measurement counts as, at most 1, shape (n, sensors), see
             `independent_values`; 0 where not measured.
-        rows: Mask of the rows that enter the residual, shape (n,). None: all.
     """
 
     name: str
@@ -45,17 +44,11 @@ class PreparedRecording:
     initial: InitialState
     noise: Array
     weights: Array
-    rows: NDArray[np.bool_] | None = None
-
-    @property
-    def counted(self) -> Array:
-        """Weights of squared errors, shape (n, sensors): 1; 1 / N for N repeats of a rounded value; 0 if not used."""
-        return self.weights if self.rows is None else self.weights * self.rows[:, None]
 
     @property
     def count(self) -> float:
         """Effective number of measured values in the fit, dimensionless; N repeats of a rounded value count as one."""
-        return float(self.counted.sum())
+        return float(self.weights.sum())
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.
@@ -111,21 +104,6 @@ class Dataset:
             Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
-
-    def with_rows(self, rows: Sequence[NDArray[np.bool_]]) -> Dataset:
-        """Return a copy whose residual contains only some rows; simulations still cover all rows.
-
-        Args:
-            rows: One mask per run in the order of `runs`, True for a row that enters the residual, shape (n,) each.
-
-        Returns:
-            Copy with these masks of shape (n,) instead of earlier ones; times, voltages and measurements are unchanged.
-
-        Raises:
-            ValueError: If the number of masks is not the number of runs.
-        """
-        pairs = zip(self.runs, rows, strict=True)
-        return dataclasses.replace(self, runs=tuple(dataclasses.replace(run, rows=counted) for run, counted in pairs))
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:

@@ -82,7 +82,7 @@ def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
     variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
-    counts = np.sum([run.counted.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
+    counts = np.sum([run.weights.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
     weights = counts / counts.sum()
     return float(weights @ variance), float(weights @ np.log(variance))
 
@@ -212,10 +212,8 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
 
-    For each run, the parameters of both models are fitted to the other runs, and the cost (sum of squared residuals in
-    units of the noise) of this run is evaluated. The models are linearized, so that each of these fits is one Newton
-    step. Fewer than four runs are divided into at least eight pieces in all, which are left out instead of runs: too
-    few other runs might not determine the parameters.
+    It is the difference of `left_out_cost` for whole runs. Fewer than four runs are divided into at least eight pieces
+    in all, which are left out instead of runs: too few other runs might not determine the parameters.
 
     Args:
         without: Fit without the effect (deviation from the nominal model).
@@ -226,12 +224,23 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
         fitted runs, and negative if the effect describes single runs rather than the machine.
     """
-    return _leave_one_out_cost(without, data) - _leave_one_out_cost(with_effect, data)
-
-
-def _leave_one_out_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the sum of the costs of all runs, each with the parameters that the other runs determine."""
     pieces = 1 if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))  # of each run
+    return left_out_cost(without, data, pieces) - left_out_cost(with_effect, data, pieces)
+
+
+def left_out_cost(fitted: Fit, data: Dataset, pieces: int) -> float:
+    """Return the cost of all runs, each piece with parameters that are fitted to all other pieces (cross-validation).
+
+    The model is linearized around the fit, where each of these fits is one Newton step within the limits of the fit.
+
+    Args:
+        fitted: Fit of a machine.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+        pieces: Number of pieces into which each run is divided; 1 for whole runs.
+
+    Returns:
+        Cost, dimensionless: sum of squared residuals in units of the noise; infinite if the machine diverges.
+    """
     return sum(cost for cost, _ in _left_out_costs(fitted, data, pieces))
 
 
@@ -261,16 +270,7 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 
 
 def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
-    """Return for each piece of the runs its cost and that of all others, with parameters fitted to the others.
-
-    The model is linearized around the fit, where leaving out a piece moves the parameters by one Newton step
-    within the limits of the fit.
-
-    Args:
-        fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
-        pieces: Number of pieces into which each run is divided.
-    """
+    """Return for each piece of the runs its cost and that of all others, with parameters fitted to the others."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
 
     def of_run(run: PreparedRecording) -> list[NormalEquations]:

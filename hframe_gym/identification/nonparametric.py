@@ -17,11 +17,12 @@ from ..machine import Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, TypicalScales
-from .estimation import Fit, fit, prediction_cost
+from .estimation import Fit, fit
 from .forward_selection import Log, SelectedEffect, Selection, describe_gain
+from .model_error import left_out_cost
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
-from .screening import ScoredCandidate, screen
+from .screening import screen
 from .trial_fits import fit_with_candidate, typical_scales
 
 Array = NDArray[np.float64]
@@ -177,9 +178,10 @@ def add_tables(
 ) -> Selection:
     """Add tables (forces or Coulomb friction forces over one variable) that reduce the residual of a fitted machine.
 
-    Each step adds the first of the tables with the largest linearized gain that passes cross-validation: it is fitted
-    to each half of the data and evaluated on the other half, and the sum of both costs must be below
-    `max_table_cross_validation` times the cost without the table. Its gain on all data must suffice as well.
+    Each step adds the first of the tables with the largest linearized gain that passes cross-validation: each half of
+    each run (or each of at least eight pieces in all) is predicted with parameters that are fitted to all others, and
+    the sum of these costs must be below `max_table_cross_validation` times that without the table. The gain on all data
+    must suffice as well.
 
     Args:
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
@@ -202,13 +204,11 @@ def add_tables(
         excess = current.chi2 - criteria.one_step_floor
         min_gain = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
         proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)
-        limit = criteria.max_table_cross_validation
-        chosen = next(
-            (s for s in proposed if _cross_validated_cost_ratio(current, s, scales, data, criteria) < limit), None
-        )
-        if chosen is None:
+        trials = (fit_with_candidate(current, s, scales, data) for s in proposed)
+        limit = criteria.max_table_cross_validation * _left_out_cost(current, data, criteria)
+        trial = next((t for t in trials if _left_out_cost(t, data, criteria) < limit), None)
+        if trial is None:
             break
-        trial = fit_with_candidate(current, chosen, scales, data)
         converged = fit(trial.machine, trial.free, data, current.bandwidth, theta=trial.theta)
         effect = converged.machine.effects[-1]
         gain = (current.cost - converged.cost) / data.count
@@ -220,33 +220,11 @@ def add_tables(
     return current, tuple(s.with_values(current.machine) for s in selected)
 
 
-def _cross_validated_cost_ratio(
-    current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, criteria: SelectionCriteria
-) -> float:
-    """Return the cost with a table, on data to which it was not fitted, divided by the cost without it.
+def _left_out_cost(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> float:
+    """Return the cost of all runs, each half of a run with the parameters that the other halves determine.
 
-    With two dozen values, a table can fit almost any residual; one over the wrong variable fails on other data. A table
-    over time is valid for times that it was fitted to only, so it is tested on other parts of the same runs.
+    With two dozen values, a table can fit almost any residual; one over the wrong variable fails on other data. Without
+    a whole run, values of the variable that only this run passes would not be determined.
     """
-    by_run = scored.candidate.effect.against != "time"
-    halves = _halves(data, by_run=by_run, blocks=criteria.cross_validation_blocks)
-    with_table = without_table = 0.0
-    for fitted, validation in (halves, halves[::-1]):
-        trial = fit_with_candidate(current, scored, scales, fitted)
-        with_table += prediction_cost(trial.machine, validation, current.bandwidth)
-        without_table += prediction_cost(current.machine, validation, current.bandwidth)
-    return with_table / without_table
-
-
-def _halves(data: Dataset, *, by_run: bool, blocks: int) -> tuple[Dataset, Dataset]:
-    """Divide the data in two halves.
-
-    With several runs and `by_run`, they are alternate runs. A single run is divided into alternate blocks. Otherwise,
-    every run is divided in the middle, and its first part belongs alternately to the first and to the second half.
-    """
-    if by_run and len(data.runs) > 1:
-        names = [run.name for run in data.runs]
-        return data.with_runs(names[0::2]), data.with_runs(names[1::2])
-    parts = 2 if len(data.runs) > 1 else blocks
-    first = [(np.arange(len(run.time_s)) * parts // len(run.time_s) + k) % 2 == 0 for k, run in enumerate(data.runs)]
-    return data.with_rows(first), data.with_rows([~rows for rows in first])
+    pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
+    return left_out_cost(fitted, data, pieces)

@@ -262,9 +262,9 @@ def residuals(
 
     Returns:
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors), all sensors of one row before the next;
-        zero where a value was not measured or `run.rows` excludes it.
+        zero where a value was not measured.
     """
-    scales = np.sqrt(run.counted if fitted else run.counted > 0.0) / run.noise
+    scales = np.sqrt(run.weights if fitted else run.weights > 0.0) / run.noise
     with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
         error = prediction_error(run, data, measurements, fitted=fitted) * scales
     batch, rows, sensors = error.shape

@@ -7,8 +7,6 @@ import pytest
 
 from hframe_gym.identification import prepare
 from hframe_gym.identification.dataset import scales_of_motion, with_all_measurements
-from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -44,18 +42,6 @@ def test_the_quantum_is_that_of_the_moving_runs(hframe: Machine) -> None:
         runs.append(resting(outputs, f"run_{k}"))
     data = prepare(runs, hframe)
     np.testing.assert_allclose(data.quantum[:2], QUANTUM)
-
-
-def test_only_the_rows_that_count_enter_the_cost(hframe: Machine) -> None:
-    outputs = np.tile([0.0, 0.0, 0.01, 0.02], (300, 1))
-    outputs[200:, 2] += 1e-3
-    data = prepare([resting(outputs, f"run_{i}") for i in range(2)], hframe)
-    late = np.arange(300) >= 200
-    parts = [data.with_rows([~late] * 2), data.with_rows([late] * 2)]
-    assert sum(part.count for part in parts) == data.count
-    costs = [prediction_cost(hframe, part, SIMULATION) for part in parts]
-    assert sum(costs) == pytest.approx(prediction_cost(hframe, data, SIMULATION))
-    assert min(costs) > 0.0
 
 
 def test_runs_are_chosen_by_name_and_all_measurements_return(hframe: Machine) -> None:

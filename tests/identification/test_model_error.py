@@ -166,7 +166,7 @@ def test_the_bandwidth_has_the_largest_likelihood(
 
 def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
     """Position gain K = 2 * bandwidth * period; innovations have 1 / (1 - K) times the variance of the noise."""
-    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(counted=np.ones((100, 1)))])
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(weights=np.ones((100, 1)))])
     variance = 1.0 / (1.0 - 2.0 * 30.0 * 1e-3)
     loss = model_error.likelihood_loss(fit_with(chi2=1.3, bandwidth=30.0), data)
     assert loss == pytest.approx(1.3 / variance + np.log(variance))
@@ -178,9 +178,9 @@ def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
 def test_sensors_count_by_their_number_of_measurements() -> None:
     """A laser beside encoders has 5/12 of their bandwidth."""
     machine = HFRAME
-    counted = np.zeros((90, 4))
-    counted[:, 0], counted[:30, 2] = 1.0, 1.0
-    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(counted=counted)])
+    weights = np.zeros((90, 4))
+    weights[:, 0], weights[:30, 2] = 1.0, 1.0
+    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(weights=weights)])
     fitted = dataclasses.replace(fit_with(chi2=1.0, bandwidth=60.0), machine=machine)
     encoder, laser = 1.0 / (1.0 - 0.12), 1.0 / (1.0 - 0.05)
     expected = 1.0 / (0.75 * encoder + 0.25 * laser) + 0.75 * np.log(encoder) + 0.25 * np.log(laser)
@@ -229,7 +229,7 @@ def test_left_out_costs_are_those_of_fits_to_the_others(monkeypatch: pytest.Monk
         expected.append((costs[left_out], sum(costs) - costs[left_out]))
     np.testing.assert_allclose(model_error._left_out_costs(fitted, data, pieces), expected, rtol=1e-9)
     total = sum(cost for cost, _ in expected)
-    assert model_error._leave_one_out_cost(fitted, data) == pytest.approx(total)
+    assert model_error.left_out_cost(fitted, data, pieces) == pytest.approx(total)
     better = dataclasses.replace(fitted, theta=fitted.theta)
     assert model_error.leave_one_out_gain(fitted, better, data) == pytest.approx(0.0, abs=1e-9)
 

@@ -51,7 +51,7 @@ def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> No
 
 
 def test_projection_of_a_machine_close_to_divergence_does_not_overflow(hframe: Machine) -> None:
-    """Fits try unstable parameters, with which the error of the start grows by more than 150 orders of magnitude in a run."""
+    """Fits try unstable parameters, with which an error of the start grows by more than 150 orders of magnitude."""
     data = prepare([moving_run(hframe, rest_state(hframe))], hframe)
     unstable = hframe.replace({"x.viscous": -650.0 * hframe.coordinate("x").mass})
     with np.errstate(over="raise"):
