@@ -32,6 +32,7 @@ _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 _RUNS = 3  # those with the largest changes of the voltages suffice
 _MAX_ROWS = 20_000  # of a run; fits of longer ones take too long for a check
 _ITERATIONS = 10  # of a fit that need not converge fully
+_SHIFT_TOLERANCE = 0.1  # rows; deviation of the best shift from one row
 _CERTAIN = 0.7  # fraction of chi-squared below which the earlier voltages certainly explain the motion better
 
 
@@ -191,9 +192,9 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
 
     Returns:
         A fault about all runs together if the second fit has less than 70 % of the chi-squared (sum of squared errors
-        divided by the noise variances) of the first, else an empty list. Empty also if all runs are longer, or if the
-        declared machine has a delay or an effect with a state (lag, hysteresis): too large a declared delay would make
-        the response seem early as well.
+        divided by the noise variances) of the first, and no other shift than one of 0.9 to 1.1 rows would be better;
+        else an empty list. Empty also if all runs are longer, or if the declared machine has a delay or an effect with
+        a state (lag, hysteresis): too large a declared delay would make the response seem early as well.
     """
     largest = sorted((run for run in data.runs if len(run.time_s) <= _MAX_ROWS), key=_input_changes)[-_RUNS:]
     if not largest or any(e.definition.delay or e.definition.next_state for e in machine.effects):
@@ -204,6 +205,12 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     logged = fit(machine, free, runs, SEARCH_BANDWIDTH, iterations=_ITERATIONS)
     shifted = fit(machine, free, earlier, SEARCH_BANDWIDTH, theta=logged.theta, iterations=_ITERATIONS)
     if not shifted.cost < _CERTAIN * logged.cost < np.inf:
+        return []
+    twice = dataclasses.replace(runs, runs=tuple(map(_with_earlier_inputs, earlier.runs)))
+    further = fit(machine, free, twice, SEARCH_BANDWIDTH, theta=logged.theta, iterations=_ITERATIONS)
+    # The minimum of a parabola through the three costs. A missing mass or force also makes other shifts better.
+    curvature = logged.cost - 2.0 * shifted.cost + further.cost
+    if not 0.5 * abs(logged.cost - further.cost) < _SHIFT_TOLERANCE * curvature < np.inf:
         return []
     channels = " and ".join(machine.input_channels)
     verb = "are" if len(machine.drives) > 1 else "is"

@@ -44,6 +44,8 @@ class SelectionCriteria:
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
+        min_drive_force_ratio: Smallest force of an effect relative to that of the drives. Amplifiers and numerical
+            integration have larger errors.
         max_form_error: Force that an effect adds, relative to that of an effect of another family which depends on the
             same variable of the same component, below which it counts as an error in the form of the other.
         max_effects: Largest number of effects that the forward selection adds.
@@ -79,6 +81,8 @@ class SelectionCriteria:
         max_drift: Simulation error relative to the standard deviation of the signal above which formulas for a table
             are compared in one-step prediction instead of simulation.
         explained_chi2: Chi-squared per sample below which the model explains the data.
+        max_residue_bandwidth: Largest bandwidth, rad/s, of the most likely observer at which a machine without effects
+            explains the data. Where the widest observer of 60 rad/s is needed, forces of unknown size are missing.
         explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data,
             where the initial value is large.
         max_table_cost_fraction: Cost relative to the best model of known effects below which a table is accepted
@@ -107,6 +111,7 @@ class SelectionCriteria:
     min_trial_gain: float = 0.5
     min_confirmed_fraction: float = 0.3
     min_force_ratio: float = 1.0
+    min_drive_force_ratio: float = 2e-5
     max_form_error: float = 0.2
     max_effects: int = 5
     max_full_fits: int = 5
@@ -128,6 +133,7 @@ class SelectionCriteria:
     cross_validation_blocks: int = 8
     max_drift: float = 0.3
     explained_chi2: float = 1.5
+    max_residue_bandwidth: float = 30.0
     explained_fraction: float = 1e-4
     max_table_cost_fraction: float = 0.1
     max_partial_excess: float = 0.25

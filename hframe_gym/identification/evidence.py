@@ -16,7 +16,7 @@ from ..machine import HOOKS, AppliedEffect, Machine, argument_names
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import BLOCK_S, Fit
-from .force_sizes import effect_force, force_difference, residue_force
+from .force_sizes import drive_force, effect_force, force_difference, residue_force
 from .free_parameters import prior_precision
 from .linearization import ResidualModel
 from .machine_validation import validation_fault
@@ -230,14 +230,18 @@ def _by_chance(
 def _too_small(
     without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
 ) -> str:
-    """Return that an effect is smaller than what remains unexplained beside it, "" if it is larger."""
+    """Return that an effect is smaller than what remains unexplained, or negligible beside the drives, else ""."""
     size, residue = _forces(without, with_effect, effect, data)
+    drives = drive_force(with_effect.machine, data)
+    if size < criteria.min_drive_force_ratio * drives and not effect.definition.structure:
+        return f"has a force of {size:.2g} N, {size / drives:.1g} of that of the drives"
     if criteria.min_promised_force_ratio * residue <= size < criteria.min_force_ratio * residue:
         # In doubt, what remains is measured by the observer that is then needed.
         size, residue = _forces(without, fit_with_model_error(with_effect, data), effect, data)
     if size >= criteria.min_force_ratio * residue:
         return ""
-    return f"has a force of {size:.2g} N, where {residue:.2g} N remain unexplained"
+    verb = "explains" if effect.definition.structure else "has"
+    return f"{verb} a force of {size:.2g} N, where {residue:.2g} N remain unexplained"
 
 
 def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> tuple[float, float]:

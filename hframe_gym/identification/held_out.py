@@ -14,7 +14,7 @@ from .estimation import Fit, prediction_cost
 from .force_sizes import force_error
 from .forward_selection import SelectedEffect
 from .model_error import CONTRADICTION
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs
 from .start_uncertainty import prediction_residuals
 
 _HOLD_OUT_EVERY = 4  # Every fourth run is held out.
@@ -93,6 +93,28 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
         return 1.0 - (forces[1] / forces[0]) ** 2
     costs = [prediction_cost(m, validation, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
     return 1.0 - costs[1] / costs[0]
+
+
+def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) -> bool:
+    """Check whether a machine with effects simulates the held-out runs worse than the refitted machine without them.
+
+    An observer hides slow errors, so that wrong effects may reduce the error of predictions and add up in a simulation.
+
+    Args:
+        without: Refitted machine without the effects (deviations from the nominal model).
+        machine: Machine with all effects.
+        validation: Held-out runs (times, voltages, measurements, SI).
+
+    Returns:
+        True if the squared errors of the simulations are larger with the effects in the geometric mean over the runs,
+        in which one run with a large error of another cause does not decide. False if both diverge.
+    """
+    changes = []
+    for run in validation.runs:
+        alone = validation.with_runs([run.name])
+        costs = [prediction_cost(m, alone, SIMULATION, longest_step=POLISH_STEP) for m in (without, machine)]
+        changes.append(np.log(costs[1]) - np.log(costs[0]) if np.isfinite(costs).any() else 0.0)
+    return bool(np.sum(changes) > 0.0)
 
 
 def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> bool:

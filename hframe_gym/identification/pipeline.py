@@ -22,7 +22,14 @@ from .estimation import Fit, with_uncertainty
 from .experiment_design import design_discriminating_experiment
 from .force_sizes import drive_force, effect_force
 from .forward_selection import ConsideredEffect, Log, SelectedEffect
-from .held_out import contradicting_held_out_runs, error_reduction, held_out_gain, hold_out, is_excited
+from .held_out import (
+    contradicting_held_out_runs,
+    error_reduction,
+    held_out_gain,
+    hold_out,
+    is_excited,
+    worsens_simulation,
+)
 from .initial_rest import without_moving_start
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
@@ -223,18 +230,20 @@ def _prepare(
 
 
 def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -> SearchOutcome:
-    """Remove effects that do not reduce the error of some held-out runs, weakest first.
+    """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
     The held-out runs can only remove an effect here, never add or change one. An effect that they do not excite is
-    kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it.
+    kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it. If each effect reduces their
+    error but all together make their simulation worse than without effects, the weakest is removed as well.
     """
     before, before_explains, _, verdict, after, selected, considered, data, _ = outcome
     while selected and validation.runs:
         runs = refine_starts(validation, after.machine, data)
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
-        refuted = [
-            s for s in selected if gains[s.effect.label] <= 0.0 and is_excited(s, after.machine, runs, after.bandwidth)
-        ]
+        excited = [s for s in selected if is_excited(s, after.machine, runs, after.bandwidth)]
+        refuted = [s for s in excited if gains[s.effect.label] <= 0.0]
+        if not refuted and worsens_simulation(before.machine, after.machine, runs):
+            refuted = excited
         refined = refine_starts(data, after.machine)
         ordered = sorted(refuted, key=lambda s: gains[s.effect.label])
         fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)

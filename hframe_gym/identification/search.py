@@ -250,7 +250,13 @@ class _Search:
         return wide < limit * wide_before or error < limit * error_before
 
     def _explains(self, after: Fit) -> bool:
-        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
+        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
+
+        A machine without effects that needs a wide observer explains nothing, although the observer leaves no error.
+        """
+        corrected = after.bandwidth > self._criteria.max_residue_bandwidth
+        if corrected and after.machine.effects == self.before.machine.effects:
+            return False
         return explains(after, self.base.chi2, self._criteria)
 
 

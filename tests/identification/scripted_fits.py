@@ -53,6 +53,7 @@ class Scripted:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.force: dict[str, float] = {}
         self.residue: dict[float, float] = {}  # by chi-squared of the fit
+        self.drives = 10.0
         self.confirmed, self.variance, self.fault, self.difference = 1.0, 1.0, "", 1.0
         self.trials: list[list[Fit]] = []
         self.structures: list[list[Fit]] = []
@@ -61,6 +62,7 @@ class Scripted:
         self.lines: list[str] = []
         replaced: Mapping[str, Callable[..., Any]] = {
             "effect_force": lambda machine, effect, data: self.force.get(effect.label, 1.0),
+            "drive_force": lambda machine, data: self.drives,
             "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
             "long_run_variance": lambda fitted, label, data: self.variance,

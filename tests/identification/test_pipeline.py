@@ -160,7 +160,7 @@ def test_every_fourth_run_is_held_out_and_impossible_choices_are_refused() -> No
 @pytest.mark.oracle
 def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
     machine = BUILTIN_MACHINES["hframe"]()
-    criteria = SelectionCriteria(max_effects=0, explained_chi2=1e9)
+    criteria = SelectionCriteria(max_effects=0, explained_chi2=1e9, max_residue_bandwidth=60.0)
     result = identify(load_recordings(EXAMPLES / "rig_a", machine)[:4], machine, criteria=criteria)
     assert result.verdict == "no_effect"
     assert result.as_json()["criteria"]["max_effects"] == 0
