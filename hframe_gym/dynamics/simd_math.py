@@ -2,17 +2,20 @@
 
 They are branch-free, accurate to a few units in the last place and equal on every processor. The system's mathematical
 library offers neither: it would cost one call per lane, and it differs between systems. Importing this module registers
-the functions of `elementwise` with Numba.
+the functions of `elementwise` with Numba. Some are registered for plain numbers too, so that a compiled formula can be
+used for registers and for numbers.
 """
 
 from __future__ import annotations
 
+import numpy as np
+from numba import types
 from numba.extending import overload
 
 from .elementwise import cos, exp, floor, fma, maximum, minimum, pow2, rint, sin, where
 from .simd import SimdVector, inlined
 
-__all__ = ["cos", "exp", "maximum", "minimum", "sin"]
+__all__ = ["cos", "exp", "floor", "maximum", "minimum", "sin", "where"]
 
 _LOG2E = 1.4426950408889634
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
@@ -89,4 +92,32 @@ def _sin_of_vector(x):  # type: ignore[no-untyped-def]
 def _cos_of_vector(x):  # type: ignore[no-untyped-def]
     if isinstance(x, SimdVector):
         return lambda x: _sin_shifted(x, 1.0)
+    return None
+
+
+@overload(floor)
+def _floor_of_number(x):  # type: ignore[no-untyped-def]
+    if isinstance(x, types.Float):
+        return lambda x: np.floor(x)
+    return None
+
+
+@overload(minimum)
+def _minimum_of_numbers(a, b):  # type: ignore[no-untyped-def]
+    if isinstance(a, types.Float) and isinstance(b, types.Float):
+        return lambda a, b: min(a, b)
+    return None
+
+
+@overload(maximum)
+def _maximum_of_numbers(a, b):  # type: ignore[no-untyped-def]
+    if isinstance(a, types.Float) and isinstance(b, types.Float):
+        return lambda a, b: max(a, b)
+    return None
+
+
+@overload(where)
+def _where_of_numbers(condition, yes, no):  # type: ignore[no-untyped-def]
+    if isinstance(condition, types.Boolean):
+        return lambda condition, yes, no: yes if condition else no
     return None

@@ -17,14 +17,14 @@ from ..dynamics import LANES
 from ..dynamics.simd import any_of, load, store, where
 from ..dynamics.simd_math import maximum, minimum
 from ..machine import Sensor
-from .batched_simulator import BatchedSimulator
+from .batched_simulator import BatchedSimulator, transpose_block
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
 from .random_numbers import compiled
 from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
-from .workspace import workspace_of
+from .workspace import tool_product, workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -62,7 +62,7 @@ class StateView(NamedTuple):
             i = names.index(signal.coordinate)
             row[:2] = i + len(names) * signal.velocity, i  # all positions come first in the state, then all velocities
             if not signal.velocity:
-                row[2:] = simulator.tool_product(signal.coordinate)
+                row[2:] = tool_product(simulator.machine, signal.coordinate)
         box = np.stack(bounds_of(signals)).astype(np.float32)
         return cls(rows, box.astype(np.float64))
 
@@ -300,7 +300,7 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
     environment whose state is not finite, or -1.
     """
     count = entries.shape[0]
-    values = np.empty((count + 1, LANES))
+    values, residues = np.empty((count, LANES), np.float32), np.empty((1, LANES))
     broken = -1
     for block in range(first, last):
         begin = block * LANES
@@ -314,15 +314,12 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
                 value = value + load(block_state, factor) * load(block_units, factor) * across
             residue = residue + (value - value)
             store(values, j, minimum(maximum(value, box[0, j]), box[1, j]))
-        for lane in range(min(LANES, out.shape[0] - begin)):
-            for j in range(count):
-                out[begin + lane, j] = values[j, lane]
-            for j in range(tool.shape[1]):
-                tool[begin + lane, j] = values[j, lane]
+        transpose_block(values, begin, count, out)
+        transpose_block(values, begin, tool.shape[1], tool)
         if any_of(where(residue == 0.0, 0.0, 1.0) > 0.0):
-            store(values, count, residue)
+            store(residues, 0, residue)
             for lane in range(LANES):
-                if broken < 0 and not math.isfinite(values[count, lane]):
+                if broken < 0 and not math.isfinite(residues[0, lane]):
                     broken = begin + lane
     return broken
 
