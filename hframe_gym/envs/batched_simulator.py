@@ -320,23 +320,3 @@ def _put(index: Any, rows: Any, repeats: int, table: Any) -> None:
         b = index[row] + i - row
         for j in range(rows.shape[1]):
             table[b // LANES, j, b % LANES] = rows[row, j]
-
-
-@compiled
-def transpose_block(block: Any, begin: int, count: int, out: Any) -> None:
-    """Write the first rows of a block of machines to the first columns of an array; callable in compiled code only.
-
-    Args:
-        block: Values of LANES (8 or 16) machines, any unit, shape (count or more, LANES).
-        begin: Row of `out` that receives the first machine of the block.
-        count: Number of values per machine.
-        out: Output, any unit, shape (n, count or more). Machines beyond its last row are ignored.
-    """
-    if begin + LANES <= out.shape[0]:  # the constant number of machines makes this loop several times as fast
-        for k in range(count):
-            for lane in range(LANES):
-                out[begin + lane, k] = block[k, lane]
-    else:
-        for k in range(count):
-            for lane in range(out.shape[0] - begin):
-                out[begin + lane, k] = block[k, lane]

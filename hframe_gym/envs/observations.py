@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..dynamics import LANES
 from ..dynamics.simd import any_of, load, store, where
-from ..dynamics.simd_math import maximum, minimum
+from ..dynamics.simd_math import maximum, minimum, write_block
 from ..machine import Sensor
-from .batched_simulator import BatchedSimulator, transpose_block
+from .batched_simulator import BatchedSimulator
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
 from .random_numbers import compiled
@@ -314,8 +314,8 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
                 value = value + load(block_state, factor) * load(block_units, factor) * across
             residue = residue + (value - value)
             store(values, j, minimum(maximum(value, box[0, j]), box[1, j]))
-        transpose_block(values, begin, count, out)
-        transpose_block(values, begin, tool.shape[1], tool)
+        write_block(values, begin, count, out)
+        write_block(values, begin, tool.shape[1], tool)
         if any_of(where(residue == 0.0, 0.0, 1.0) > 0.0):
             store(residues, 0, residue)
             for lane in range(LANES):

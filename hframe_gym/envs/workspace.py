@@ -173,11 +173,12 @@ def write_tool_positions(state: Any, units: Any, terms: Any, first: int, positio
         first: Index of the block whose first machine is the first of the k machines.
         positions: Output, tool positions, m, shape (k, axes).
     """
-    for i in range(positions.shape[0]):
-        block, lane = first + i // LANES, i % LANES
-        for axis in range(terms.shape[0]):
-            row, a, b = terms[axis]
-            value = state[block, row, lane]  # the axes are linear: their travel is the position
-            if a >= 0:
-                value += state[block, a, lane] * units[block, a, lane] * (state[block, b, lane] * units[block, b, lane])
-            positions[i, axis] = value
+    for axis in range(terms.shape[0]):
+        row, a, b = terms[axis]
+        for i in range(positions.shape[0]):  # the axes are linear: their travel is the position
+            positions[i, axis] = state[first + i // LANES, row, i % LANES]
+        if a >= 0:
+            for i in range(positions.shape[0]):
+                block, lane = first + i // LANES, i % LANES
+                factor = state[block, a, lane] * units[block, a, lane]
+                positions[i, axis] += factor * (state[block, b, lane] * units[block, b, lane])

@@ -16,8 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from ...dynamics import LANES
 from ...dynamics.simd import inlined, load, store
-from ...dynamics.simd_math import maximum, minimum, where
-from ..batched_simulator import transpose_block
+from ...dynamics.simd_math import maximum, minimum, where, write_block
 from ..random_numbers import compiled, cos_sin_of_turns
 
 Array = NDArray[np.float64]
@@ -120,7 +119,7 @@ def _write_points(s: Any, curve: Any, points: Any) -> None:
         x, y = points_at(load(rows, 0), curve, rows)
         store(rows, 0, x)
         store(rows, 1, y)
-        transpose_block(rows, first, 2, points)
+        write_block(rows, first, 2, points)
 
 
 @inlined

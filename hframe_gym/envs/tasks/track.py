@@ -14,16 +14,15 @@ from numpy.typing import NDArray
 
 from ...dynamics import LANES
 from ...dynamics.simd import load, store
+from ...dynamics.simd_math import read_block, write_block
 from ...errors import InputError
 from ...recordings import read_path
-from ..batched_simulator import transpose_block
 from ..random_numbers import compiled
 from .base import TASKS, Array, Metrics, Task
 from .curves import SHAPES, Curve, Polyline, points_at, traveled, write_distances
 
 # Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
 PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
-_TIME = 6  # row of the time since the reset, s, below the plans of a block of episodes
 
 
 @TASKS.register("track")
@@ -288,8 +287,7 @@ class Track(Task):
         if self._times is not None:
             return np.interp(elapsed_s, self._times, self._from_file[0].vertex_s)
         length = np.inf if curve.closed else curve.length
-        s: Array = arc_lengths(plan, elapsed_s, self.lead_s, length)
-        return s
+        return np.asarray(arc_lengths(plan, elapsed_s, self.lead_s, length))
 
 
 @compiled
@@ -320,22 +318,19 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
 def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any) -> None:
     """Write goals (n, 2) at times elapsed_s (n,), and previews (n, m, 2) ahead_s (m,) later, by plans (n, 6)."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
-    episodes, scratch = np.zeros((_TIME + 1, LANES)), np.empty((2, LANES))
+    plans, times, scratch = np.empty((6, LANES)), np.empty((1, LANES)), np.empty((2, LANES))
     points, future = np.empty((2 * len(ahead_s) + 2, LANES), np.float32), previews.reshape(len(plan), -1)
     for first in range(0, len(plan), LANES):
-        count = min(LANES, len(plan) - first)
-        for i in range(count):
-            for k in range(_TIME):
-                episodes[k, i] = plan[first + i, k]
-            episodes[_TIME, i] = elapsed_s[first + i]
+        read_block(plan, first, plans)
+        read_block(elapsed_s.reshape(-1, 1), first, times)
         for j in range(len(ahead_s) + 1):
-            t = load(episodes, _TIME) + (ahead_s[j - 1] if j > 0 else 0.0)
-            s = traveled(t, load(episodes, SPEED), lead_s, length) * load(episodes, DIRECTION) + load(episodes, START)
+            t = load(times, 0) + (ahead_s[j - 1] if j > 0 else 0.0)
+            s = traveled(t, load(plans, SPEED), lead_s, length) * load(plans, DIRECTION) + load(plans, START)
             x, y = points_at(s, curve, scratch)
-            store(points, 2 * j, x + load(episodes, CENTER.start))
-            store(points, 2 * j + 1, y + load(episodes, CENTER.start + 1))
-        transpose_block(points, first, 2, goals)
-        transpose_block(points[2:], first, 2 * len(ahead_s), future)
+            store(points, 2 * j, x + load(plans, 1))
+            store(points, 2 * j + 1, y + load(plans, 2))
+        write_block(points, first, 2, goals)
+        write_block(points[2:], first, 2 * len(ahead_s), future)
 
 
 @compiled
@@ -345,4 +340,7 @@ def _write_contours(plan: Any, points: Any, elapsed_s: Any, lead_s: float, curve
     if curve.radius == 0.0:  # the distance to a circle does not depend on the arc length
         length = math.inf if curve.closed else curve.vertex_s[-1]
         s = arc_lengths(plan, elapsed_s.reshape(-1, 1), lead_s, length).ravel()
-    write_distances(points - plan[:, CENTER], s, curve, distances)
+    relative = np.empty_like(points)
+    for i in range(len(plan)):
+        relative[i, 0], relative[i, 1] = points[i, 0] - plan[i, 1], points[i, 1] - plan[i, 2]
+    write_distances(relative, s, curve, distances)
