@@ -214,7 +214,7 @@ class ReferenceTrajectories:
     def __init__(self, task: Task, count: int, period: float, axes: int = 2) -> None:
         self._task, self._period = task, period
         self.elapsed = np.zeros(count, np.int64)
-        self._elapsed_s = np.zeros(count)
+        self._elapsed_s = np.zeros(count)  # the same in s; only for goals that move
         self.moving = bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
         self._fixed_goals = np.zeros((count, axes), np.float32)  # goals at reset; all there is if goals do not move
@@ -223,7 +223,8 @@ class ReferenceTrajectories:
     def advance(self) -> None:
         """Advance the time of all environments by one control period."""
         self.elapsed += 1
-        np.multiply(self.elapsed, self._period, out=self._elapsed_s)
+        if self.moving:
+            np.multiply(self.elapsed, self._period, out=self._elapsed_s)
 
     def begin(self, index: Index, plans: Array) -> None:
         """Store the plans of new episodes in k environments and set their elapsed time to zero.
