@@ -133,7 +133,7 @@ class EnvironmentBatch:
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
-        """Number of control periods since the reset of each of the `count` environments, shape (count,); not a copy."""
+        """Number of control periods since the reset of each of the `count` environments, shape (count,)."""
         return self.references.elapsed
 
     # -- reset -----------------------------------------------------------------------------------------------------

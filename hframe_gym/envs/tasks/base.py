@@ -208,21 +208,27 @@ class ReferenceTrajectories:
 
     Attributes:
         moving: Whether goals move during an episode.
-        elapsed: Number of control periods since the reset of each environment, shape (count,); changed in place.
     """
 
     def __init__(self, task: Task, count: int, period: float, axes: int = 2) -> None:
         self._task, self._period = task, period
-        self.elapsed = np.zeros(count, np.int64)
-        self._elapsed_s = np.zeros(count)  # the same in s; only for goals that move
+        # Time is counted once for all environments, in control periods; an episode remembers when it began.
+        self._now = 0
+        self._began = np.zeros(count, np.int64)
+        self._elapsed_s = np.zeros(count)  # only for goals that move
         self.moving = bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
         self._fixed_goals = np.zeros((count, axes), np.float32)  # goals at reset; all there is if goals do not move
         self._ahead_s = np.array(task.ahead_s)
 
+    @property
+    def elapsed(self) -> NDArray[np.int64]:
+        """Number of control periods since the reset of each of the `count` environments, shape (count,); a copy."""
+        return self._now - self._began
+
     def advance(self) -> None:
         """Advance the time of all environments by one control period."""
-        self.elapsed += 1
+        self._now += 1
         if self.moving:
             np.multiply(self.elapsed, self._period, out=self._elapsed_s)
 
@@ -236,7 +242,7 @@ class ReferenceTrajectories:
         if plans.shape[1] != self._plans.shape[1]:
             self._plans = np.zeros((len(self._plans), plans.shape[1]))
         self._plans[index] = plans
-        self.elapsed[index] = 0
+        self._began[index] = self._now
         self._elapsed_s[index] = 0.0
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
