@@ -274,7 +274,7 @@ def circle(size: float) -> Curve:
         size: Diameter, m, positive.
 
     Returns:
-        Closed curve.
+        Closed curve with a radius and no vertices, shape (0, 2).
     """
     radius = 0.5 * size
     return Curve(CurveData(radius, True, np.zeros((0, 2)), np.array([0.0, 2.0 * math.pi * radius])))
