@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from llvmlite import ir
 from llvmlite.binding import get_host_cpu_features
@@ -43,6 +43,7 @@ __all__ = [
     "where",
 ]
 
+Function = TypeVar("Function", bound=Callable[..., Any])
 # Decorators of functions that only compiled code calls; without wrappers for Python and C they compile faster.
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -51,7 +52,7 @@ _OPTIONS: dict[str, Any] = {
     "no_cfunc_wrapper": True,
 }
 helper: Any = njit(**_OPTIONS)
-inlined: Any = njit(forceinline=True, **_OPTIONS)
+inlined: Callable[[Function], Function] = njit(forceinline=True, **_OPTIONS)
 
 # With AVX-512 two registers of eight: one hides the latency of the other. Other processors have too few registers.
 LANES = 16 if get_host_cpu_features().get("avx512f") else 8
@@ -59,6 +60,7 @@ LANES = 16 if get_host_cpu_features().get("avx512f") else 8
 _F64 = ir.DoubleType()
 _I64 = ir.IntType(64)
 _VECTOR = ir.VectorType(_F64, LANES)
+_FLOAT32_VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _IVECTOR = ir.VectorType(_I64, LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
 # Rows of a scratch array start on 8-byte boundaries only; a larger claim would fault.
@@ -119,8 +121,8 @@ def store(rows: Any, k: Any, value: Any) -> None:
     """Write a SIMD register to a row of an array; callable in Numba-compiled code only.
 
     Args:
-        rows: Contiguous array of float64, any unit, shape (n, LANES): n quantities, one machine per column; changed in
-            place. LANES is the number of machines that one SIMD register holds.
+        rows: Contiguous array of float64 or float32 (values are rounded), any unit, shape (n, LANES): n quantities, one
+            machine per column; changed in place. LANES is the number of machines that one SIMD register holds.
         k: Index of the row, integer, 0 <= k < n (not checked).
         value: `SimdVector` (one SIMD register) to write, or one number for all columns.
 
@@ -277,28 +279,28 @@ def _lower_any_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
 
 
-def _is_rows(ty: types.Type) -> bool:
-    return isinstance(ty, types.Array) and ty.dtype == types.float64 and ty.ndim == 2 and ty.layout == "C"
+def _is_rows(ty: types.Type, *dtypes: types.Type) -> bool:
+    return isinstance(ty, types.Array) and ty.dtype in dtypes and ty.ndim == 2 and ty.layout == "C"
 
 
 @infer_global(load)
 class _Load(AbstractTemplate):
     def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
-        return signature(lane, *args) if len(args) == 2 and _is_rows(args[0]) else None
+        return signature(lane, *args) if len(args) == 2 and _is_rows(args[0], types.float64) else None
 
 
 @infer_global(store)
 class _Store(AbstractTemplate):
     def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
-        fits = len(args) == 3 and _is_rows(args[0]) and _is_operand(args[2])
+        fits = len(args) == 3 and _is_rows(args[0], types.float64, types.float32) and _is_operand(args[2])
         return signature(types.none, *args) if fits else None
 
 
-def _row_pointer(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _row_pointer(context: Any, builder: Any, sig: Any, args: Any, vector: Any = _VECTOR) -> Any:
     array = context.make_array(sig.args[0])(context, builder, args[0])
     row = context.cast(builder, args[1], sig.args[1], types.intp)
     offset = builder.mul(row, context.get_constant(types.intp, LANES))
-    return builder.bitcast(builder.gep(array.data, [offset]), _VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(array.data, [offset]), vector.as_pointer())
 
 
 @lower_builtin(load, types.Array, types.Integer)
@@ -309,7 +311,11 @@ def _lower_load(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 @lower_builtin(store, types.Array, types.Integer, types.Any)
 def _lower_store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     value = _as_vector(context, builder, args[2], sig.args[2])
-    builder.store(value, _row_pointer(context, builder, sig, args), align=_ALIGN)
+    if sig.args[0].dtype == types.float32:
+        rounded = builder.fptrunc(value, _FLOAT32_VECTOR)
+        builder.store(rounded, _row_pointer(context, builder, sig, args, _FLOAT32_VECTOR), align=_ALIGN // 2)
+    else:
+        builder.store(value, _row_pointer(context, builder, sig, args), align=_ALIGN)
     return context.get_dummy_value()
 
 

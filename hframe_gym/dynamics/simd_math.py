@@ -1,18 +1,25 @@
-"""Elementary functions of SIMD registers: exp, sin and cos.
+"""Elementary functions of SIMD registers (exp, sin and cos), and copies of blocks of machines.
 
-They are branch-free, accurate to a few units in the last place and equal on every processor. The system's mathematical
-library offers neither: it would cost one call per lane, and it differs between systems. Importing this module registers
-the functions of `elementwise` with Numba.
+The functions are branch-free, accurate to a few units in the last place and equal on every processor. The system's
+mathematical library offers neither: it would cost one call per lane, and it differs between systems. Importing this
+module registers the functions of `elementwise` with Numba. Some are registered for plain numbers too, so that a
+compiled formula can be used for registers and for numbers.
+
+A block has LANES machines, one per column; other arrays have one machine per row.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+from numba import types
 from numba.extending import overload
 
 from .elementwise import cos, exp, floor, fma, maximum, minimum, pow2, rint, sin, where
-from .simd import SimdVector, inlined
+from .simd import LANES, SimdVector, inlined
 
-__all__ = ["cos", "exp", "maximum", "minimum", "sin"]
+__all__ = ["cos", "exp", "floor", "maximum", "minimum", "read_block", "sin", "where", "write_block"]
 
 _LOG2E = 1.4426950408889634
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
@@ -90,3 +97,73 @@ def _cos_of_vector(x):  # type: ignore[no-untyped-def]
     if isinstance(x, SimdVector):
         return lambda x: _sin_shifted(x, 1.0)
     return None
+
+
+@overload(floor)
+def _floor_of_number(x):  # type: ignore[no-untyped-def]
+    if isinstance(x, types.Float):
+        return lambda x: np.floor(x)
+    return None
+
+
+@overload(minimum)
+def _minimum_of_numbers(a, b):  # type: ignore[no-untyped-def]
+    if isinstance(a, types.Float) and isinstance(b, types.Float):
+        return lambda a, b: min(a, b)
+    return None
+
+
+@overload(maximum)
+def _maximum_of_numbers(a, b):  # type: ignore[no-untyped-def]
+    if isinstance(a, types.Float) and isinstance(b, types.Float):
+        return lambda a, b: max(a, b)
+    return None
+
+
+@overload(where)
+def _where_of_numbers(condition, yes, no):  # type: ignore[no-untyped-def]
+    if isinstance(condition, types.Boolean):
+        return lambda condition, yes, no: yes if condition else no
+    return None
+
+
+# The loops below are several times as fast with a constant number of machines, which most blocks have.
+
+
+@inlined
+def read_block(rows: Any, begin: int, block: Any) -> None:
+    """Copy LANES rows of an array to the columns of a block; callable in compiled code only.
+
+    Args:
+        rows: Values of n machines, any unit, shape (n, k).
+        begin: Row of the first machine of the block.
+        block: Output, shape (k or more, LANES), LANES (8 or 16) machines. Columns beyond the last row repeat it.
+    """
+    if begin + LANES <= rows.shape[0]:
+        for k in range(rows.shape[1]):
+            for lane in range(LANES):
+                block[k, lane] = rows[begin + lane, k]
+    else:
+        for k in range(rows.shape[1]):
+            for lane in range(LANES):
+                block[k, lane] = rows[min(begin + lane, rows.shape[0] - 1), k]
+
+
+@inlined
+def write_block(block: Any, begin: int, count: int, rows: Any) -> None:
+    """Copy the first values of the machines of a block to the rows of an array; callable in compiled code only.
+
+    Args:
+        block: Values of LANES (8 or 16) machines, any unit, shape (count or more, LANES).
+        begin: Row of the first machine of the block.
+        count: Number of values per machine.
+        rows: Output, shape (n, count or more). Columns of the block beyond the last row are ignored.
+    """
+    if begin + LANES <= rows.shape[0]:
+        for k in range(count):
+            for lane in range(LANES):
+                rows[begin + lane, k] = block[k, lane]
+    else:
+        for k in range(count):
+            for lane in range(rows.shape[0] - begin):
+                rows[begin + lane, k] = block[k, lane]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
+from ..dynamics.simd_math import read_block
 from ..effects import EFFECTS
 from ..errors import InputError
 from ..machine import Machine
@@ -254,20 +255,19 @@ def _convert(
 
     rated (drives,) V; converters (blocks, 3 drives, LANES): quantum, lowest and highest voltage, V.
     """
-    count = actions.shape[0]
-    for k in range(actions.shape[1]):
-        for block in range(first, last):
+    fractions = np.empty((actions.shape[1], LANES))
+    for block in range(first, last):
+        read_block(actions, block * LANES, fractions)
+        for k in range(actions.shape[1]):
             for lane in range(LANES):
-                fraction = np.float64(actions[min(block * LANES + lane, count - 1), k])
-                value = min(1.0, max(-1.0, fraction)) * rated[k]
+                value = min(1.0, max(-1.0, fractions[k, lane])) * rated[k]
                 if quantized:
                     quantum = converters[block, 3 * k, lane]
-                    if quantum > 0.0:
-                        value = np.rint(value / quantum) * quantum
+                    value = np.rint(value / quantum) * quantum if quantum > 0.0 else value
                 value = max(converters[block, 3 * k + 1, lane], value)
                 volts[block, k, lane] = min(converters[block, 3 * k + 2, lane], value)
-        for b in range(first * LANES, min(last * LANES, count)):
-            clipped[b] += abs(actions[b, k]) > 1.0
+            for lane in range(min(LANES, len(clipped) - block * LANES)):
+                clipped[block * LANES + lane] += abs(fractions[k, lane]) > 1.0
 
 
 @compiled

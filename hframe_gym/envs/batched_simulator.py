@@ -22,7 +22,7 @@ from .actuators import ActuatorModel
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
 from .random_numbers import compiled
-from .workspace import with_end_stops
+from .workspace import tool_terms, with_end_stops, write_tool_positions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -128,7 +128,7 @@ class BatchedSimulator:
         self.blocks = -(-count // LANES)
         self._unused = self.blocks * LANES - count  # lanes of the last block without a machine
         self._n = len(machine.coordinates)
-        self._tool = [machine.coordinate_names.index(name) for name in machine.tool_axes]
+        self._tool_terms = tool_terms(machine)
         # Travel of every coordinate at rest with unstretched belts per meter of each axis, (n, axes).
         self._rest = np.stack([self._rest_travel(name) for name in machine.tool_axes], axis=1)
         # The stepped machine may have end stops; their parameters come last and are constant.
@@ -264,26 +264,6 @@ class BatchedSimulator:
 
     # -- reading ---------------------------------------------------------------------------------------------------
 
-    def tool_product(self, name: str) -> tuple[int, int]:
-        """Find the two coordinates whose product is a part of the tool position along an axis, if there is one.
-
-        The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y; the result for
-        "x" is then the indices of yaw and y.
-
-        Args:
-            name: Axis of the tool position, "x" or "y".
-
-        Returns:
-            first: Index of one coordinate in `machine.coordinate_names`; -1 if the position has no product.
-            second: Index of the other coordinate; -1 if the position has no product.
-        """
-        for sensor in self.machine.sensors:
-            for key, factor in sensor.row.items():
-                if "*" in key and factor == sensor.row.get(name):
-                    first, second = map(self.machine.coordinate_names.index, key.split("*"))
-                    return first, second
-        return -1, -1
-
     def tool_positions(self, first: int = 0, last: int | None = None) -> Array:
         """Compute the true tool positions of the machines in blocks first to last - 1.
 
@@ -295,13 +275,9 @@ class BatchedSimulator:
             Positions of the k machines in these blocks, m, float64, shape (k, axes).
         """
         last = self.blocks if last is None else last
-        state, units = self.state[first:last], self.units_per_travel[first:last]
-        positions = state[:, self._tool]  # the axes are linear: their travel is the position; (blocks, axes, LANES)
-        for axis, name in enumerate(self.machine.tool_axes):
-            a, b = self.tool_product(name)
-            if a >= 0:
-                positions[:, axis] += state[:, a] * units[:, a] * (state[:, b] * units[:, b])
-        return positions.transpose(0, 2, 1).reshape(-1, len(self._tool))[: self.count - first * LANES].copy()
+        positions = np.empty((min(last * LANES, self.count) - first * LANES, len(self._tool_terms)))
+        write_tool_positions(self.state, self.units_per_travel, self._tool_terms, first, positions)
+        return positions
 
     def positions(self, b: int) -> dict[str, float]:
         """Compute the present positions of all coordinates of one machine, in their units.

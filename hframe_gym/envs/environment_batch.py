@@ -340,9 +340,7 @@ class EnvironmentBatch:
 @compiled
 def _all_finite(actions: Any) -> bool:
     """Return whether all entries of actions (B, drives) are finite."""
-    bad = 0
-    for b in range(actions.shape[0]):
-        for k in range(actions.shape[1]):
-            # The loop has no early exit, so that the compiler can vectorize it.
-            bad |= not abs(actions[b, k]) < math.inf
+    values, bad = actions.reshape(-1), 0
+    for i in range(len(values)):  # without an exit at the first one, so that the compiler vectorizes the loop
+        bad += not abs(values[i]) < math.inf
     return bad == 0

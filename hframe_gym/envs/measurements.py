@@ -8,13 +8,15 @@ lane b % LANES of block b // LANES. A measurement includes noise, quantization a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
+from ..dynamics.simd import load, rint, store
+from ..dynamics.simd_math import maximum, minimum, where
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
 from .random_numbers import compiled, normal_pair, normal_pairs
 from .sensors import sensor_range_names
@@ -38,9 +40,9 @@ class SensorArray:
         column: Function that returns the column of a parameter in the `values` of `begin`, given its full name.
 
     Attributes:
-        measurements: Last measurement (row 0) and the one before (row 1), in the channels' units, shape (2, n, count).
-        low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (n, count).
-        high: Upper end of each sensor's range, in the channels' units, inf without a range, shape (n, count).
+        measurements: Last measurement (0) and the one before (1), in the channels' units, shape (2, blocks, n, LANES).
+        low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (blocks, n, LANES).
+        high: Upper end of each sensor's range, in the channels' units, inf without a range, shape (blocks, n, LANES).
     """
 
     def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
@@ -54,7 +56,7 @@ class SensorArray:
         ]
         kinds = [SENSOR_KINDS.get(s.kind) for s in sensors]
         self._custom = {j: kind for j, kind in enumerate(kinds) if kind.measure is not SensorKind.measure}
-        size = (len(sensors), count)
+        size = (-(-count // LANES), len(sensors), LANES)
         self._noise, self._resolution = np.zeros(size), np.zeros(size)
         self.low, self.high = np.full(size, -np.inf), np.full(size, np.inf)
         self._keys = np.zeros(count, np.uint64)
@@ -69,86 +71,102 @@ class SensorArray:
             values: All N parameters of these environments in the order of `ParameterSpace.names`, SI, shape (k, N).
         """
         self._keys[index] = keys
+        block, lane = np.divmod(index, LANES)
         for j, (noise, resolution) in enumerate(self._device_columns):
-            self._noise[j, index], self._resolution[j, index] = values[:, noise], values[:, resolution]
+            self._noise[block, j, lane], self._resolution[block, j, lane] = values[:, noise], values[:, resolution]
             limits = self._range_columns[j]
             if limits is not None:
-                self.low[j, index], self.high[j, index] = values[:, limits[0]], values[:, limits[1]]
+                self.low[block, j, lane], self.high[block, j, lane] = values[:, limits[0]], values[:, limits[1]]
 
-    def measure(self, readings: Array, index: Index, elapsed: NDArray[np.int64], *, fresh: bool) -> None:
-        """Turn ideal readings of k environments into measurements, with noise, quantization and range.
+    def measure(self, readings: Array, elapsed: NDArray[np.int64], first: int, last: int) -> None:
+        """Turn ideal readings of the environments in blocks first to last - 1 into measurements.
 
         They are stored in row 0 of the attribute `measurements`; the previous ones move to row 1.
 
         Args:
             readings: Ideal (noise-free) readings of all sensors of the machine, delays included, m or rad, shape
                 (blocks, sensors, LANES): environment b is lane b % LANES (8 or 16) of block b // LANES.
-            index: Indices of the environments, shape (k,).
             elapsed: Control periods since the reset of each of the `count` environments, shape (count,); they select
                 the random numbers.
-            fresh: Whether this is the first measurement of an episode; it is then stored in both rows.
+            first: Index of the first block.
+            last: Index after the last block.
         """
-        # Sensor kinds with a formula of their class replace what the compiled default wrote.
+        self._measure(readings, elapsed, first, last, *self.measurements)
+
+    def measure_first(
+        self, readings: Array, elapsed: NDArray[np.int64], index: Index, block_ranges: Iterable[tuple[int, int]]
+    ) -> None:
+        """Take the first measurements of k environments' new episodes; they are stored in both rows.
+
+        Args:
+            readings: Ideal (noise-free) readings, as for `measure`, m or rad, shape (blocks, sensors, LANES).
+            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
+            index: Indices of the environments, shape (k,).
+            block_ranges: First block and index after the last block of the ranges of blocks that hold the environments.
+        """
+        measured, unused = np.empty_like(self.measurements)
+        for first, last in block_ranges:
+            self._measure(readings, elapsed, first, last, measured, unused)
+        block, lane = np.divmod(index, LANES)
+        self.measurements[:, block, :, lane] = measured[block, :, lane][:, None]
+
+    def _measure(
+        self, readings: Array, elapsed: NDArray[np.int64], first: int, last: int, out: Array, before: Array
+    ) -> None:
+        """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before."""
         devices = self._noise, self._resolution, self.low, self.high
-        _measure(readings, self._rows, *devices, self._keys, elapsed, index, fresh, self.measurements)
+        _measure(readings, self._rows, devices, self._keys, elapsed, first, last, out, before)
+        if not self._custom:
+            return
+        # Sensor kinds with a formula of their class replace what the compiled default wrote.
+        index = np.arange(first * LANES, min(last * LANES, len(elapsed)))
+        block, lane = np.divmod(index, LANES)
         for j, kind in self._custom.items():
             ideal, normals = np.empty(len(index)), np.empty(len(index))
             channel = _FIRST_CUSTOM_CHANNEL + 2 * j
             _ideal_and_normal(readings, self._rows[j], self._keys, elapsed, index, channel, ideal, normals)
-            value = kind.measure(ideal, self._noise[j, index], self._resolution[j, index], normals)
-            self.measurements[0, j, index] = np.clip(value, self.low[j, index], self.high[j, index])
-            if fresh:
-                self.measurements[1, j, index] = self.measurements[0, j, index]
+            noise, resolution, low, high = (values[block, j, lane] for values in devices)
+            out[block, j, lane] = np.clip(kind.measure(ideal, noise, resolution, normals), low, high)
 
 
 @compiled
 def _measure(
-    readings: Any,
-    rows: Any,
-    noise: Any,
-    resolution: Any,
-    low: Any,
-    high: Any,
-    keys: Any,
-    elapsed: Any,
-    index: Any,
-    fresh: bool,
-    measurements: Any,
+    readings: Any, rows: Any, devices: Any, keys: Any, elapsed: Any, first: int, last: int, out: Any, before: Any
 ) -> None:
-    """Write measurements (2, n, B) of environments index (k,) from readings (blocks, sensors, LANES).
+    """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before, same shape.
 
-    A measurement is the reading plus noise, rounded to the resolution (0: not), each (n, B). A reading at an end of the
-    range low, high (n, B) has no noise, and noise does not lead out of the range.
+    readings (blocks, sensors, LANES); devices: noise, resolution (0: none), low and high end of the range, (blocks, n,
+    LANES) each. A measurement is the reading plus noise, rounded to the resolution. A reading at an end of the range
+    has no noise, and noise does not lead out of the range.
     """
-    # A step measures all environments of some blocks, in loops that the compiler vectorizes; a reset any of them.
-    begin = 0
-    while begin < len(index):
-        end = begin + 1
-        while end < len(index) and index[end] == index[end - 1] + 1:
-            end += 1
-        run = slice(index[begin], index[end - 1] + 1)
-        count = end - begin
-        values, normals, spares, has_spare = (
-            np.empty(count),
-            np.empty(count),
-            np.empty(count),
-            np.zeros(count, np.bool_),
-        )
-        for j in range(rows.shape[0]):
-            _read(readings, rows[j], index[begin], values)
-            if _next_normals(noise[j, run], keys[run], elapsed[run], j, normals, spares, has_spare):
-                _add_noise(noise[j, run], normals, low[j, run], high[j, run], values)
-            _round(resolution[j, run], low[j, run], high[j, run], values)
-            measurements[1, j, run] = values if fresh else measurements[0, j, run]
-            measurements[0, j, run] = values
-        begin = end
+    noise, resolution, low, high = devices
+    normals = _normals(noise, keys, elapsed, first, last)
+    for block in range(first, last):
+        reading, normal, now, previous = readings[block], normals[block - first], out[block], before[block]
+        block_noise, quanta, lowest, highest = noise[block], resolution[block], low[block], high[block]
+        for j in range(len(rows)):
+            value, size, quantum = load(reading, rows[j]), load(block_noise, j), load(quanta, j)
+            inside = (load(lowest, j) < value) & (value < load(highest, j)) & (size > 0.0)
+            value = where(inside, value + size * load(normal, j), value)
+            value = where(quantum > 0.0, rint(value / quantum) * quantum, value)
+            store(previous, j, load(now, j))
+            store(now, j, minimum(maximum(value, load(lowest, j)), load(highest, j)))
 
 
 @compiled
-def _read(readings: Any, row: int, first: int, values: Any) -> None:
-    """Write the readings (blocks, sensors, LANES) of one sensor, environments from first on, to values (k,)."""
-    for i in range(len(values)):
-        values[i] = readings[(first + i) // LANES, row, (first + i) % LANES]
+def _normals(noise: Any, keys: Any, elapsed: Any, first: int, last: int) -> Any:
+    """Return normal numbers (last - first, n, LANES) of the sensors with noise (blocks, n, LANES), others are zero."""
+    begin, count = first * LANES, min(last * LANES, len(elapsed)) - first * LANES
+    run = slice(begin, begin + count)
+    out = np.zeros((last - first, noise.shape[1], LANES))
+    sizes, normals, spares, has_spare = np.empty(count), np.empty(count), np.empty(count), np.zeros(count, np.bool_)
+    for j in range(noise.shape[1]):
+        for i in range(count):
+            sizes[i] = noise[first + i // LANES, j, i % LANES]
+        if _next_normals(sizes, keys[run], elapsed[run], j, normals, spares, has_spare):
+            for i in range(count):
+                out[i // LANES, j, i % LANES] = normals[i]
+    return out
 
 
 @compiled
@@ -173,24 +191,6 @@ def _next_normals(noise: Any, keys: Any, elapsed: Any, channel: int, normals: An
     for i in range(len(noise)):
         has_spare[i] = has_spare[i] != (noise[i] > 0.0)
     return noisy > 0
-
-
-@compiled
-def _add_noise(noise: Any, normals: Any, low: Any, high: Any, values: Any) -> None:
-    """Add noise (k,) times normals (k,) to values (k,) that are strictly inside low, high (k,)."""
-    for i in range(len(values)):
-        inside = (low[i] < values[i]) & (values[i] < high[i]) & (noise[i] > 0.0)
-        values[i] = values[i] + noise[i] * normals[i] if inside else values[i]
-
-
-@compiled
-def _round(resolution: Any, low: Any, high: Any, values: Any) -> None:
-    """Round values (k,) to the resolution (k,), where it is not 0, and limit them to low, high (k,)."""
-    for i in range(len(values)):
-        rounded = np.rint(values[i] / resolution[i]) * resolution[i]
-        values[i] = rounded if resolution[i] > 0.0 else values[i]
-    for i in range(len(values)):
-        values[i] = min(high[i], max(low[i], values[i]))
 
 
 @compiled

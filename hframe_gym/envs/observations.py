@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
-from ..dynamics.simd import any_of, load, store, where
-from ..dynamics.simd_math import maximum, minimum
+from ..dynamics.simd import any_of, inlined, load, store, where
+from ..dynamics.simd_math import maximum, minimum, write_block
 from ..machine import Sensor
-from .batched_simulator import BatchedSimulator
+from .batched_simulator import BatchedSimulator, block_ranges
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
 from .random_numbers import compiled
 from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
-from .workspace import workspace_of
+from .workspace import tool_product, workspace_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -62,7 +62,7 @@ class StateView(NamedTuple):
             i = names.index(signal.coordinate)
             row[:2] = i + len(names) * signal.velocity, i  # all positions come first in the state, then all velocities
             if not signal.velocity:
-                row[2:] = simulator.tool_product(signal.coordinate)
+                row[2:] = tool_product(simulator.machine, signal.coordinate)
         box = np.stack(bounds_of(signals)).astype(np.float32)
         return cls(rows, box.astype(np.float64))
 
@@ -139,7 +139,7 @@ class ObservationBuilder:
             self._parameters[index] = sampler.normalized(values)
         if self._sensors is not None:
             self._sensors.begin(index, keys, values)
-            self._sensors.measure(self._simulator.readings, index, elapsed, fresh=True)
+            self._sensors.measure_first(self._simulator.readings, elapsed, index, block_ranges(index))
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
         """Take the measurements of the sensors at the end of a control period, and store them in this object.
@@ -153,11 +153,7 @@ class ObservationBuilder:
             elapsed: Control periods since the reset of each environment, shape (count,); it selects random numbers.
         """
         if self._sensors is not None:
-            self._sensors.measure(self._simulator.readings, self._rows(first, last), elapsed, fresh=False)
-
-    def _rows(self, first: int, last: int) -> Index:
-        """Return the environments of blocks first..last-1."""
-        return np.arange(first * LANES, min(last * LANES, self._simulator.count))
+            self._sensors.measure(self._simulator.readings, elapsed, first, last)
 
     def blank(self) -> tuple[Observation, NDArray[np.float32]]:
         """Allocate arrays, without initial values, that `write` fills.
@@ -235,9 +231,8 @@ class ObservationBuilder:
         """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
         position = self._position.belts, self._position.direct, self._position.scale
         limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
-        rows = first * LANES, min(last * LANES, self._simulator.count)
         out = observation["observation"], observation["achieved_goal"]
-        _write_measurements(sensors.measurements, self._simulator.period, limits, position, boxes, rows, *out)
+        _write_measurements(sensors.measurements, self._simulator.period, limits, position, boxes, first, last, *out)
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
         """Write the true tool positions, limited to their bounds, of the environments in blocks first to last - 1.
@@ -252,44 +247,43 @@ class ObservationBuilder:
 
 @compiled
 def _write_measurements(
-    measurements: Any, period: float, limits: Any, position: Any, boxes: Any, index: Any, out: Any, achieved: Any
+    measurements: Any, period: float, limits: Any, position: Any, boxes: Any, first: int, last: int, out: Any, tool: Any
 ) -> None:
-    """Write observations out (B, 2 n) and achieved (B, axes) of environments index[0]..index[1]-1 from measurements.
+    """Write observations out (B, 2 n) and positions tool (B, axes) of blocks first..last-1 from measurements.
 
-    measurements (2, n, B); limits: lower and upper end of the ranges, (n, B) each; position: `PositionFromSensors`.
-    achieved is the measurement of an axis itself where that is strictly inside its range, else the position that the
-    other sensors give on unstretched belts. All are clipped to boxes: (2, 2 n) for out, (axes, 2) for achieved.
+    measurements (2, blocks, n, LANES); limits: lower and upper end of the ranges, (blocks, n, LANES) each; position:
+    `PositionFromSensors`. The position along an axis is the measurement itself where that is strictly inside its range,
+    else what the other sensors give on unstretched belts. All are clipped to boxes: (2, 2 n) for out, (axes, 2) for
+    tool.
     """
     (range_low, range_high), (belts, direct, scale), (box, goal_box) = limits, position, boxes
-    n, rows = measurements.shape[1], slice(index[0], index[1])
-    values = np.empty(index[1] - index[0])
-    for j in range(n):
-        now, before = measurements[0, j, rows], measurements[1, j, rows]
-        _clip(now, box[0, j], box[1, j], out[rows, j])
-        for i in range(len(values)):
-            values[i] = (now[i] - before[i]) / period
-        _clip(values, box[0, n + j], box[1, n + j], out[rows, n + j])
-    for axis in range(achieved.shape[1]):
-        values[:] = 0.0
+    n, axes = measurements.shape[2], tool.shape[1]
+    values, positions = np.empty((2 * n, LANES), np.float32), np.empty((axes, LANES), np.float32)
+    undetermined = np.array([not belts[axis].any() for axis in range(axes)])
+    for block in range(first, last):
+        now, before, low, high = measurements[0, block], measurements[1, block], range_low[block], range_high[block]
         for j in range(n):
-            now = measurements[0, j, rows]
-            for i in range(len(values)):
-                values[i] += belts[axis, j] * now[i]
-        j = direct[axis]
-        if j >= 0:
-            now, low, high = measurements[0, j, rows], range_low[j, rows], range_high[j, rows]
-            undetermined = not belts[axis].any()
-            for i in range(len(values)):
-                inside = (low[i] < now[i]) & (now[i] < high[i])
-                values[i] = scale[axis] * now[i] if undetermined | inside else values[i]
-        _clip(values, goal_box[axis, 0], goal_box[axis, 1], achieved[rows, axis])
+            rate = (load(now, j) - load(before, j)) / period
+            store(values, j, _clip(load(now, j), box[0, j], box[1, j]))
+            store(values, n + j, _clip(rate, box[0, n + j], box[1, n + j]))
+        write_block(values, block * LANES, 2 * n, out)
+        for axis in range(axes):
+            value = 0.0 + belts[axis, 0] * load(now, 0)
+            for j in range(1, n):
+                value = value + belts[axis, j] * load(now, j)
+            j = direct[axis]
+            if j >= 0:
+                inside = (load(low, j) < load(now, j)) & (load(now, j) < load(high, j))
+                measured = scale[axis] * load(now, j)
+                value = measured if undetermined[axis] else where(inside, measured, value)
+            store(positions, axis, _clip(value, goal_box[axis, 0], goal_box[axis, 1]))
+        write_block(positions, block * LANES, axes, tool)
 
 
-@compiled
-def _clip(values: Any, low: float, high: float, out: Any) -> None:
-    """Write values (k,), limited to [low, high], to out (k,) as float32."""
-    for i in range(len(values)):
-        out[i] = np.float32(min(high, max(low, values[i])))
+@inlined
+def _clip(value: Any, low: float, high: float) -> Any:
+    """Return a SIMD register, limited to [low, high]."""
+    return minimum(maximum(value, low), high)
 
 
 @compiled
@@ -300,7 +294,7 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
     environment whose state is not finite, or -1.
     """
     count = entries.shape[0]
-    values = np.empty((count + 1, LANES))
+    values, residues = np.empty((count, LANES), np.float32), np.empty((1, LANES))
     broken = -1
     for block in range(first, last):
         begin = block * LANES
@@ -314,15 +308,12 @@ def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: i
                 value = value + load(block_state, factor) * load(block_units, factor) * across
             residue = residue + (value - value)
             store(values, j, minimum(maximum(value, box[0, j]), box[1, j]))
-        for lane in range(min(LANES, out.shape[0] - begin)):
-            for j in range(count):
-                out[begin + lane, j] = values[j, lane]
-            for j in range(tool.shape[1]):
-                tool[begin + lane, j] = values[j, lane]
+        write_block(values, begin, count, out)
+        write_block(values, begin, tool.shape[1], tool)
         if any_of(where(residue == 0.0, 0.0, 1.0) > 0.0):
-            store(values, count, residue)
+            store(residues, 0, residue)
             for lane in range(LANES):
-                if broken < 0 and not math.isfinite(values[count, lane]):
+                if broken < 0 and not math.isfinite(residues[0, lane]):
                     broken = begin + lane
     return broken
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from ..dynamics import cache_folder
+from ..dynamics.simd_math import floor, where
 
 Array = NDArray[np.float64]
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -113,19 +114,19 @@ def _log(x: float) -> float:
 
 
 @compiled
-def cos_sin_of_turns(u: float) -> tuple[float, float]:
+def cos_sin_of_turns(u: Any) -> Any:
     """Compute cosine and sine of an angle, each with an error below 1e-15.
 
     Unlike results of the C library, they have the same bits on every system.
 
     Args:
-        u: Angle in turns (1 turn is 2 pi rad), any finite number.
+        u: Angle in turns (1 turn is 2 pi rad), any finite number; in compiled code also a SIMD register of angles.
 
     Returns:
         cosine: cos(2 pi u), dimensionless.
         sine: sin(2 pi u), dimensionless.
     """
-    quarter = math.floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
+    quarter = floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
     r = (4.0 * u - quarter) * 1.5707963267948966  # rest of the angle, rad, -pi/4 to pi/4
     s = r * r
     # Taylor series to r**14 and r**15; for |r| <= pi/4 the remainders are 1e-15 and 5e-17.
@@ -134,10 +135,11 @@ def cos_sin_of_turns(u: float) -> tuple[float, float]:
     cosine = 1.0 - s * (0.5 - s * (1.0 / 24 - s * (1.0 / 720 - s * (1.0 / 40320 - s * (1.0 / 3628800 - s * cosine)))))
     sine = 1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880 - s * (1.0 / 39916800 - s * sine)))
     sine = r * (1.0 - s * (1.0 / 6 - s * sine))
-    # Turn the vector (cosine, sine) of the rest by the quarter turns: by one if odd, then by two if reversed.
-    odd, back = (quarter & 1) == 1, (quarter & 2) == 2
-    first, second = (-sine, cosine) if odd else (cosine, sine)
-    return (-first, -second) if back else (first, second)
+    # Turn the vector (cosine, sine) of the rest by 0 to 3 quarter turns: by one if odd, then by two if at least two.
+    turns = quarter - 4.0 * floor(0.25 * quarter)
+    odd, back = (turns == 1.0) | (turns == 3.0), turns >= 2.0
+    first, second = where(odd, -sine, cosine), where(odd, cosine, sine)
+    return where(back, -first, first), where(back, -second, second)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The workspace of a machine's tool, and the end stops at its edges.
+"""The position of a machine's tool, its workspace, and the end stops at the edges of the workspace.
 
 End stops are rubber buffers at both ends of every axis of the tool, an effect of the simulated machine.
 
@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import LANES
 from ..dynamics.elementwise import copysign, maximum
 from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine
+from .random_numbers import compiled
 
 Array = NDArray[np.float64]
 # Rubber buffers at the ends of x and y.
@@ -120,3 +122,63 @@ def with_end_stops(machine: Machine) -> Machine:
         for name, (low, high) in zip(machine.tool_axes, workspace_of(machine).tolist(), strict=True)
     ]
     return machine.with_effects(*stops)
+
+
+def tool_product(machine: Machine, name: str) -> tuple[int, int]:
+    """Find the two coordinates whose product is a part of the tool position along an axis, if there is one.
+
+    The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y; the result for "x"
+    is then the indices of yaw and y.
+
+    Args:
+        machine: Machine with its coordinates and sensors.
+        name: Axis of the tool position, "x" or "y".
+
+    Returns:
+        first: Index of one coordinate in `machine.coordinate_names`; -1 if the position has no product.
+        second: Index of the other coordinate; -1 if the position has no product.
+    """
+    for sensor in machine.sensors:
+        for key, factor in sensor.row.items():
+            if "*" in key and factor == sensor.row.get(name):
+                first, second = map(machine.coordinate_names.index, key.split("*"))
+                return first, second
+    return -1, -1
+
+
+def tool_terms(machine: Machine) -> NDArray[np.intp]:
+    """Find the coordinates from which the tool position along each axis is computed.
+
+    Args:
+        machine: Machine with one or two tool axes.
+
+    Returns:
+        For each axis the index of its coordinate, and of two coordinates whose product is added to it (-1: none), shape
+        (axes, 3).
+    """
+    return np.array(
+        [(machine.coordinate_names.index(name), *tool_product(machine, name)) for name in machine.tool_axes]
+    )
+
+
+@compiled
+def write_tool_positions(state: Any, units: Any, terms: Any, first: int, positions: Any) -> None:
+    """Write the true tool positions of k simulated machines to an array.
+
+    Args:
+        state: Belt travel of all coordinates, m, and further rows, shape (blocks, rows, LANES): machine b is lane b %
+            LANES (8 or 16) of block b // LANES.
+        units: Factor from belt travel to the coordinate's unit, shape (blocks, coordinates, LANES).
+        terms: Indices of coordinates, as `tool_terms` returns them, shape (axes, 3).
+        first: Index of the block whose first machine is the first of the k machines.
+        positions: Output, tool positions, m, shape (k, axes).
+    """
+    for axis in range(terms.shape[0]):
+        row, a, b = terms[axis]
+        for i in range(positions.shape[0]):  # the axes are linear: their travel is the position
+            positions[i, axis] = state[first + i // LANES, row, i % LANES]
+        if a >= 0:
+            for i in range(positions.shape[0]):
+                block, lane = first + i // LANES, i % LANES
+                factor = state[block, a, lane] * units[block, a, lane]
+                positions[i, axis] += factor * (state[block, b, lane] * units[block, b, lane])

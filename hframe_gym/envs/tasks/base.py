@@ -98,18 +98,28 @@ class Task(ABC):
             Goal positions, m, shape (n, axes) or (n, m, axes).
         """
 
-    def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
-        """Write the goals of n episodes at m times each to an array.
+    def write_goals(
+        self,
+        plan: Array,
+        elapsed_s: Array,
+        ahead_s: Array,
+        goals: NDArray[np.float32],
+        previews: NDArray[np.float32],
+    ) -> None:
+        """Write the present and future goals of n episodes to two arrays.
 
         This default calls `goal`; a task may override it with a faster method.
 
         Args:
             plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
             elapsed_s: Present times since the reset, s, not negative, shape (n,).
-            ahead_s: Times from the present to the goals, s, 0 for the present goal, shape (m,).
-            goals: Array that receives the goal positions, m, shape (n, m, axes).
+            ahead_s: Times from the present to the m future goals in the observation, s, shape (m,); `Task.ahead_s`.
+            goals: Array that receives the present goals, m, shape (n, axes).
+            previews: Array that receives the future goals, m, shape (n, m, axes).
         """
-        goals[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
+        goals[:] = self.goal(plan, elapsed_s)
+        if len(ahead_s):
+            previews[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
 
     def aim(self, target: Array) -> Array:
         """Make plans for episodes with given targets (option `target` of an environment's `reset`).
@@ -205,13 +215,11 @@ class ReferenceTrajectories:
         # Time is counted once for all environments, in control periods; an episode remembers when it began.
         self._now = 0
         self._began = np.zeros(count, np.int64)
+        self._elapsed_s = np.zeros(count)  # only for goals that move
         self.moving = bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
         self._fixed_goals = np.zeros((count, axes), np.float32)  # goals at reset; all there is if goals do not move
-        # Times from now of the goals in an observation, s, by key.
-        self._ahead_s = {"desired_goal": np.zeros(1)}
-        if task.ahead_s:
-            self._ahead_s["preview"] = np.array(task.ahead_s)
+        self._ahead_s = np.array(task.ahead_s)
 
     @property
     def elapsed(self) -> NDArray[np.int64]:
@@ -221,6 +229,8 @@ class ReferenceTrajectories:
     def advance(self) -> None:
         """Advance the time of all environments by one control period."""
         self._now += 1
+        if self.moving:
+            np.multiply(self.elapsed, self._period, out=self._elapsed_s)
 
     def begin(self, index: Index, plans: Array) -> None:
         """Store the plans of new episodes in k environments and set their elapsed time to zero.
@@ -233,6 +243,7 @@ class ReferenceTrajectories:
             self._plans = np.zeros((len(self._plans), plans.shape[1]))
         self._plans[index] = plans
         self._began[index] = self._now
+        self._elapsed_s[index] = 0.0
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
@@ -246,7 +257,7 @@ class ReferenceTrajectories:
         """
         if not self.moving:
             return np.array(self._fixed_goals[index])
-        return self._task.goal(self._plans[index], self._elapsed_s(index)).astype(np.float32)
+        return self._task.goal(self._plans[index], self._elapsed_s[index]).astype(np.float32)
 
     def add_blank(self, observation: dict[str, NDArray[np.float32]]) -> None:
         """Add arrays for the goals to an observation; `write` fills them.
@@ -277,12 +288,15 @@ class ReferenceTrajectories:
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]
             return
-        plans, elapsed_s = self._plans[index], self._elapsed_s(index)
-        for key, ahead_s in self._ahead_s.items():
-            rows = observation[key][index]  # a view of consecutive rows, a copy of others
-            self._task.write_goals(plans, elapsed_s, ahead_s, rows.reshape(len(plans), len(ahead_s), -1))
-            if not isinstance(index, slice):
-                observation[key][index] = rows
+        goals = observation["desired_goal"][index]  # a view of consecutive rows, a copy of others
+        n, m = len(goals), len(self._ahead_s)
+        previews = observation["preview"][index] if m else np.empty((n, 0), np.float32)
+        plans, elapsed_s = self._plans[index], self._elapsed_s[index]
+        self._task.write_goals(plans, elapsed_s, self._ahead_s, goals, previews.reshape(n, m, goals.shape[1]))
+        if not isinstance(index, slice):
+            observation["desired_goal"][index] = goals
+            if m:
+                observation["preview"][index] = previews
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
         """Compute the goals of one environment at n times, for example to draw its path.
@@ -310,8 +324,4 @@ class ReferenceTrajectories:
         """
         if self._task.metrics != "track":
             return None
-        return self._task.contour(self._plans[index], tools, self._elapsed_s(index))
-
-    def _elapsed_s(self, index: Index | slice) -> Array:
-        """Return the times since the reset of environments index (k,), s, shape (k,)."""
-        return np.asarray((self._now - self._began[index]).astype(np.float64) * self._period)
+        return self._task.contour(self._plans[index], tools, self._elapsed_s[index])

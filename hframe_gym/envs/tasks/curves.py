@@ -1,4 +1,4 @@
-"""Plane curves by arc length: a circle in closed form, every other curve as straight segments.
+"""Plane curves by arc length (circles, and straight segments for every other curve), and motion along them.
 
 A curve is centered on the origin; the task moves it. The arc length s, m, continues over the laps of a closed curve and
 stops at the ends of an open one.
@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from ...dynamics import LANES
+from ...dynamics.simd import inlined, load, store
+from ...dynamics.simd_math import maximum, minimum, where, write_block
 from ..random_numbers import compiled, cos_sin_of_turns
 
 Array = NDArray[np.float64]
@@ -39,28 +41,21 @@ class CurveData(NamedTuple):
     vertex_s: Array
 
 
-class Curve(Protocol):
-    """Interface of a plane curve of finite length, parametrized by its arc length."""
+class Curve:
+    """Plane curve of finite length, parametrized by its arc length.
 
-    @property
-    def length(self) -> float:
-        """Length of one lap of a closed curve, or from end to end of an open one, m."""
+    Args:
+        data: Radius, or vertices with their arc lengths.
 
-    @property
-    def closed(self) -> bool:
-        """Whether the last point of the curve equals the first."""
+    Attributes:
+        data: As given, for compiled functions.
+        closed: Whether the last point of the curve equals the first.
+        length: Length of one lap of a closed curve, or from end to end of an open one, m.
+    """
 
-    @property
-    def data(self) -> CurveData:
-        """The curve as numbers, for compiled functions.
-
-        These are the radius of a circle, m; of any other curve the vertices x, y, m, shape (n, 2), and the arc length
-        at each, m, shape (n,).
-        """
-
-    @property
-    def extent(self) -> Array:
-        """Lowest and highest coordinate of the curve, rows x and y, m, shape (2, 2)."""
+    def __init__(self, data: CurveData) -> None:
+        self.data, self.closed = data, data.closed
+        self.length = float(data.vertex_s[-1])
 
     def point(self, s: Array) -> Array:
         """Compute the points at n arc lengths.
@@ -72,9 +67,12 @@ class Curve(Protocol):
         Returns:
             Points x, y, m, shape (n, 2).
         """
+        points = np.empty((len(s), 2))
+        _write_points(s, self.data, points)
+        return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances of n points to the curve.
+        """Compute the distances of n points to the part of the curve near s, as `write_distances` describes.
 
         Args:
             points: Points x, y, m, shape (n, 2).
@@ -83,61 +81,12 @@ class Curve(Protocol):
         Returns:
             Distances, m, shape (n,).
         """
+        distances = np.empty(len(points))
+        write_distances(points, s, self.data, distances)
+        return distances
 
 
-@dataclass(frozen=True)
-class Circle(Curve):
-    """Circle around the origin, counterclockwise from (radius, 0).
-
-    Args:
-        radius: Radius, m, positive.
-        closed: True for every circle; part of the interface `Curve`.
-    """
-
-    radius: float
-    closed: bool = True
-
-    @property
-    def data(self) -> CurveData:
-        """The circle as numbers, for compiled functions: radius, m, and no vertices, shape (0, 2)."""
-        return CurveData(self.radius, True, np.zeros((0, 2)), np.array([0.0, self.length]))
-
-    @property
-    def length(self) -> float:
-        """Circumference of the circle, m."""
-        return 2.0 * math.pi * self.radius
-
-    @property
-    def extent(self) -> Array:
-        """Lowest and highest coordinate of the circle, rows x and y, m, shape (2, 2)."""
-        return np.array([[-self.radius, self.radius]] * 2)
-
-    def point(self, s: Array) -> Array:
-        """Compute the points at n arc lengths.
-
-        Args:
-            s: Arc lengths from the start of the curve, m, any real number (several laps), shape (n,).
-
-        Returns:
-            Points x, y, m, shape (n, 2).
-        """
-        return _new_points(self, s)
-
-    def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances of n points p to the circle, | |p| - radius |.
-
-        Args:
-            points: Points x, y, m, shape (n, 2).
-            s: Approximate arc lengths of the nearest points, m, shape (n,); not used, because the formula is exact.
-
-        Returns:
-            Distances, m, shape (n,).
-        """
-        x, y = points.T
-        return np.asarray(np.abs(np.sqrt(x * x + y * y) - self.radius))
-
-
-class Polyline:
+class Polyline(Curve):
     """Curve of straight segments between vertices; closed if the last vertex equals the first.
 
     Args:
@@ -145,10 +94,6 @@ class Polyline:
 
     Attributes:
         vertex_s: Arc length of every vertex, repeated ones included, m, shape (n,).
-        length: Total length, m.
-        closed: Whether the last vertex equals the first.
-        data: The curve for compiled functions.
-        extent: Lowest and highest coordinate, rows x and y, m, shape (2, 2).
 
     Raises:
         ValueError: If there are fewer than two different vertices.
@@ -160,80 +105,83 @@ class Polyline:
         distinct = np.concatenate([[True], steps > 0.0])
         if distinct.sum() < 2:
             raise ValueError("a path needs at least two different points")
-        self._s, self._vertices = self.vertex_s[distinct], np.ascontiguousarray(vertices[distinct])
-        self.length = float(self._s[-1])
-        self.closed = bool(np.all(vertices[0] == vertices[-1]))
-        self.extent = np.stack([vertices.min(axis=0), vertices.max(axis=0)], axis=1)
-        self.data = CurveData(0.0, self.closed, self._vertices, self._s)
-
-    def _wrapped(self, s: Array) -> Array:
-        """Return arc lengths within [0, length]: modulo the length if closed, else clipped."""
-        return np.mod(s, self.length) if self.closed else np.clip(s, 0.0, self.length)
-
-    def point(self, s: Array) -> Array:
-        """Compute the points at n arc lengths.
-
-        Args:
-            s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends a closed curve
-                repeats, an open one stops.
-
-        Returns:
-            Points x, y, m, shape (n, 2).
-        """
-        return _new_points(self, s)
-
-    def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances of n points to the part of the curve near s.
-
-        With d the distance from a point to the curve's point at s, the nearest point is searched from s - pi d to
-        s + pi d. A branch that is close by, but farther along the curve, is therefore ignored.
-
-        Args:
-            points: Points x, y, m, shape (n, 2).
-            s: Approximate arc length of the nearest point of the curve to each of `points`, m, shape (n,).
-
-        Returns:
-            Distances, m, shape (n,).
-        """
-        wrapped = self._wrapped(s)
-        offset = np.linalg.norm(points - self.point(s), axis=1)
-        # At most half a circle with the chord 2 * offset lies between s and the nearest point: pi / 2 * (2 * offset).
-        window = np.minimum(math.pi * offset, self.length / 2 if self.closed else self.length)
-        result: Array = _nearest_distances(self._vertices, self._s, self.closed, points, wrapped, window)
-        return result
-
-
-def _new_points(curve: Curve, s: Array) -> Array:
-    """Return the points (n, 2) of a curve at arc lengths s (n,)."""
-    points = np.empty((len(s), 2))
-    write_points(s, curve.data, *points.T)
-    return points
+        closed = bool(np.all(vertices[0] == vertices[-1]))
+        super().__init__(CurveData(0.0, closed, np.ascontiguousarray(vertices[distinct]), self.vertex_s[distinct]))
 
 
 @compiled
-def write_points(s: Any, curve: Any, x: Any, y: Any) -> None:
-    """Write the points of a curve at n arc lengths to two arrays.
+def _write_points(s: Any, curve: Any, points: Any) -> None:
+    """Write the points (n, 2) of a `CurveData` at arc lengths s (n,)."""
+    rows = np.zeros((2, LANES))
+    for first in range(0, len(s), LANES):
+        count = min(LANES, len(s) - first)
+        rows[0, :count] = s[first : first + count]
+        x, y = points_at(load(rows, 0), curve, rows)
+        store(rows, 0, x)
+        store(rows, 1, y)
+        write_block(rows, first, 2, points)
+
+
+@inlined
+def points_at(s: Any, curve: Any, scratch: Any) -> Any:
+    """Compute the points of a curve at the arc lengths of one SIMD register; callable in compiled code only.
 
     Args:
-        s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends a closed curve
+        s: Arc lengths from the start of the curve, m, any real numbers, SIMD register. Beyond its ends a closed curve
             repeats, an open one stops.
         curve: Radius, vertices and arc lengths of the curve (`CurveData`).
-        x: Output, first coordinate of the points, m, shape (n,).
-        y: Output, second coordinate of the points, m, shape (n,).
+        scratch: Array for intermediate values, float64, shape (2 or more, LANES); the first two rows are overwritten.
+
+    Returns:
+        x: First coordinates of the points, m, SIMD register.
+        y: Second coordinates of the points, m, SIMD register.
     """
-    length = curve.vertex_s[-1]
     if curve.radius > 0.0:
-        turns_per_meter = 1.0 / length
-        for i in range(len(s)):
-            cosine, sine = cos_sin_of_turns(s[i] * turns_per_meter)
-            x[i], y[i] = curve.radius * cosine, curve.radius * sine
+        cosine, sine = cos_sin_of_turns(s * (1.0 / curve.vertex_s[-1]))
+        return curve.radius * cosine, curve.radius * sine
+    store(scratch, 0, s)
+    for i in range(LANES):
+        scratch[0, i], scratch[1, i] = _point_of_polyline(scratch[0, i], curve)
+    return load(scratch, 0), load(scratch, 1)
+
+
+@compiled
+def write_distances(points: Any, s: Any, curve: Any, distances: Any) -> None:
+    """Write the distances of n points to a curve.
+
+    With d the distance from a point to the curve's point at s, the nearest point is searched from s - pi d to s + pi d.
+    A branch that is close by, but farther along the curve, is therefore ignored. The formula for circles is exact.
+
+    Args:
+        points: Points x, y, m, shape (n, 2).
+        s: Approximate arc length of the nearest point of the curve to each point, m, shape (n,); not used for a circle.
+        curve: Radius, vertices and arc lengths of the curve (`CurveData`).
+        distances: Output, distances, m, shape (n,).
+    """
+    x, y = points[:, 0], points[:, 1]
+    if curve.radius > 0.0:
+        for i in range(len(x)):
+            distances[i] = abs(math.sqrt(x[i] * x[i] + y[i] * y[i]) - curve.radius)
         return
-    for i in range(len(s)):
-        wrapped = s[i] % length if curve.closed else min(length, max(0.0, s[i]))
-        k = _segment(curve.vertex_s, wrapped)
-        fraction = (wrapped - curve.vertex_s[k]) / (curve.vertex_s[k + 1] - curve.vertex_s[k])
-        begin, end = curve.vertices[k], curve.vertices[k + 1]
-        x[i], y[i] = begin[0] + fraction * (end[0] - begin[0]), begin[1] + fraction * (end[1] - begin[1])
+    for i in range(len(x)):
+        distances[i] = _distance_to_polyline(x[i], y[i], s[i], curve)
+
+
+@compiled
+def _wrapped(s: float, curve: Any) -> float:
+    """Return an arc length within [0, length]: modulo the length if the curve is closed, else clipped."""
+    length = curve.vertex_s[-1]
+    return float(s % length if curve.closed else min(length, max(0.0, s)))
+
+
+@compiled
+def _point_of_polyline(s: float, curve: Any) -> tuple[float, float]:
+    """Return x and y at arc length s, m, of a curve of straight segments."""
+    wrapped = _wrapped(s, curve)
+    k = _segment(curve.vertex_s, wrapped)
+    fraction = (wrapped - curve.vertex_s[k]) / (curve.vertex_s[k + 1] - curve.vertex_s[k])
+    begin, end = curve.vertices[k], curve.vertices[k + 1]
+    return begin[0] + fraction * (end[0] - begin[0]), begin[1] + fraction * (end[1] - begin[1])
 
 
 @compiled
@@ -249,54 +197,87 @@ def _segment(vertex_s: Any, s: float) -> int:
 
 
 @compiled
-def _squared_distance_to_segment(point: Any, begin: Any, end: Any) -> float:
-    """Return the squared distance, m^2, of a point to the segment between two points, (2,) each."""
-    x, y = end[0] - begin[0], end[1] - begin[1]
-    u, v = point[0] - begin[0], point[1] - begin[1]
-    fraction = min(1.0, max(0.0, (u * x + v * y) / (x * x + y * y)))
-    return (u - fraction * x) ** 2 + (v - fraction * y) ** 2
+def _squared_distance_to_segment(x: float, y: float, begin: Any, end: Any) -> float:
+    """Return the squared distance, m^2, of the point x, y to the segment between two points, (2,) each."""
+    a, b = end[0] - begin[0], end[1] - begin[1]
+    u, v = x - begin[0], y - begin[1]
+    fraction = min(1.0, max(0.0, (u * a + v * b) / (a * a + b * b)))
+    return (u - fraction * a) ** 2 + (v - fraction * b) ** 2
 
 
 @compiled
-def _nearest_distances(vertices: Any, vertex_s: Any, closed: bool, points: Any, s: Any, window: Any) -> Any:
-    """Return the distances (n,) of points (n, 2) to the segments that touch [s - window, s + window]."""
-    segments = len(vertex_s) - 1
-    length = vertex_s[-1]
-    out = np.empty(len(points))
-    for b in range(len(points)):
-        low, high = s[b] - window[b], s[b] + window[b]
-        lap = math.floor(low / length) if closed else 0
-        first = lap * segments + _segment(vertex_s, low - lap * length)
-        lap = math.floor(high / length) if closed else 0
-        last = lap * segments + _segment(vertex_s, high - lap * length)
-        # The window is wide only for a distant point. Then the nearest of a few vertices narrows the search.
-        stride = (last - first) // COARSE_VERTICES
-        if stride > 1:
-            best, nearest = np.inf, first
-            for k in range(first, last + 1, stride):
-                vertex = vertices[k % segments]
-                squared = (points[b, 0] - vertex[0]) ** 2 + (points[b, 1] - vertex[1]) ** 2
-                if squared < best:
-                    best, nearest = squared, k
-            first, last = max(first, nearest - stride), min(last, nearest + stride)
-        smallest = np.inf
-        for k in range(first, last + 1):
-            begin, end = vertices[k % segments], vertices[k % segments + 1]
-            smallest = min(smallest, _squared_distance_to_segment(points[b], begin, end))
-        out[b] = math.sqrt(smallest)
-    return out
+def _distance_to_polyline(x: float, y: float, s: float, curve: Any) -> float:
+    """Return the distance of the point x, y to the segments of a curve near arc length s, as `write_distances` says."""
+    vertices, vertex_s, segments = curve.vertices, curve.vertex_s, len(curve.vertex_s) - 1
+    length = vertex_s[segments]
+    center, (goal_x, goal_y) = _wrapped(s, curve), _point_of_polyline(s, curve)
+    # At most half a circle whose chord is twice the distance to the goal lies between s and the nearest point.
+    window = math.pi * math.sqrt((x - goal_x) * (x - goal_x) + (y - goal_y) * (y - goal_y))
+    window = min(window, length / 2 if curve.closed else length)
+    low, high = center - window, center + window
+    lap = math.floor(low / length) if curve.closed else 0
+    first = lap * segments + _segment(vertex_s, low - lap * length)
+    lap = math.floor(high / length) if curve.closed else 0
+    last = lap * segments + _segment(vertex_s, high - lap * length)
+    # The window is wide only for a distant point. Then the nearest of a few vertices narrows the search.
+    stride = (last - first) // COARSE_VERTICES
+    if stride > 1:
+        best, nearest = np.inf, first
+        for k in range(first, last + 1, stride):
+            vertex = vertices[k % segments]
+            squared = (x - vertex[0]) ** 2 + (y - vertex[1]) ** 2
+            if squared < best:
+                best, nearest = squared, k
+        first, last = max(first, nearest - stride), min(last, nearest + stride)
+    smallest = np.inf
+    for k in range(first, last + 1):
+        begin, end = vertices[k % segments], vertices[k % segments + 1]
+        smallest = min(smallest, _squared_distance_to_segment(x, y, begin, end))
+    return math.sqrt(smallest)
 
 
-def circle(size: float) -> Circle:
+@inlined
+def _speed_up(t: Any, speed: Any, lead_s: float) -> Any:
+    """Return the distance, m, after time t, s, from rest to speed."""
+    u = minimum(t / lead_s, 1.0)
+    return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + maximum(t - lead_s, 0.0))
+
+
+@inlined
+def traveled(t: Any, speed: Any, lead_s: float, length: float) -> Any:
+    """Compute how far a goal has traveled that speeds up and, at the end of an open path, slows down in the same way.
+
+    It is callable in compiled code only.
+
+    Args:
+        t: Time since the start, s, not negative; number or SIMD register.
+        speed: Speed after the speed-up, m/s, of the same type; above length / lead_s it is reduced to this value.
+        lead_s: Duration of the speed-up and of the slow-down, s, positive.
+        length: Length of the path, m; infinite for a closed path, where the goal does not slow down.
+
+    Returns:
+        Distance along the path, m, of the type of t.
+    """
+    if length == math.inf:
+        return _speed_up(t, speed, lead_s)
+    limited = minimum(speed, length / lead_s)
+    duration = length / limited + lead_s
+    # The second half is the first half reversed in time.
+    second_half = length - _speed_up(maximum(duration - t, 0.0), limited, lead_s)
+    return where(t < 0.5 * duration, _speed_up(t, limited, lead_s), second_half)
+
+
+def circle(size: float) -> Curve:
     """Create a circle around the origin, counterclockwise from (size / 2, 0).
 
     Args:
         size: Diameter, m, positive.
 
     Returns:
-        Closed curve.
+        Closed curve with a radius and no vertices, shape (0, 2).
     """
-    return Circle(size / 2)
+    radius = 0.5 * size
+    return Curve(CurveData(radius, True, np.zeros((0, 2)), np.array([0.0, 2.0 * math.pi * radius])))
 
 
 def square(size: float) -> Polyline:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,15 +12,17 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...dynamics import LANES
+from ...dynamics.simd import load, store
+from ...dynamics.simd_math import read_block, write_block
 from ...errors import InputError
 from ...recordings import read_path
 from ..random_numbers import compiled
 from .base import TASKS, Array, Metrics, Task
-from .curves import SHAPES, Curve, Polyline, write_points
+from .curves import SHAPES, Curve, Polyline, points_at, traveled, write_distances
 
 # Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
 PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
-_EPISODES = 64  # number of episodes that are computed together
 
 
 @TASKS.register("track")
@@ -115,6 +118,11 @@ class Track(Task):
     def _times(self) -> Array | None:
         """Times of the points of a path file, s, where it has any."""
         return self._from_file[1] if self._is_file else None
+
+    @cached_property
+    def _is_single_curve(self) -> bool:
+        """Whether all episodes follow the same curve, with speeds of their plans: the case of the compiled passes."""
+        return len(self._curves) == 1 and self._times is None
 
     @property
     def _is_file(self) -> bool:
@@ -220,25 +228,31 @@ class Track(Task):
         for curve, rows in self._rows_of_curves(plan):
             s = self._arc_length(curve, plan[rows], times[rows])
             out[rows] = curve.point(s.ravel()).reshape(*s.shape, 2)
-        _translate(out, plan[:, CENTER])
+        out += plan[:, None, CENTER]
         return out.reshape(*elapsed_s.shape, 2)
 
-    def write_goals(self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32]) -> None:
-        """Write the goals of n episodes at m times each to an array.
+    def write_goals(
+        self,
+        plan: Array,
+        elapsed_s: Array,
+        ahead_s: Array,
+        goals: NDArray[np.float32],
+        previews: NDArray[np.float32],
+    ) -> None:
+        """Write the present and future goals of n episodes to two arrays.
 
         Args:
             plan: Path of each episode, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction (+1 or
                 -1), arc length at the start (m), speed (m/s).
             elapsed_s: Present times since the reset, s, not negative, shape (n,).
-            ahead_s: Times from the present to the goals, s, 0 for the present goal, shape (m,).
-            goals: Array that receives the goal positions x, y, m, shape (n, m, 2).
+            ahead_s: Times from the present to the future goals, s, shape (m,).
+            goals: Array that receives the present goals x, y, m, shape (n, 2).
+            previews: Array that receives the future goals x, y, m, shape (n, m, 2).
         """
-        if len(self._curves) > 1 or self._times is not None:
-            super().write_goals(plan, elapsed_s, ahead_s, goals)
+        if not self._is_single_curve:
+            super().write_goals(plan, elapsed_s, ahead_s, goals, previews)
             return
-        curve = self._curves[0]
-        length = np.inf if curve.closed else curve.length
-        _write_goals(plan, elapsed_s, ahead_s, self.lead_s, length, curve.data, goals)
+        _write_goals(plan, elapsed_s, ahead_s, self.lead_s, self._curves[0].data, goals, previews)
 
     def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array:
         """Compute the contour error: the distance from one point per episode to the path near the present goal.
@@ -254,6 +268,9 @@ class Track(Task):
             Distances, m, shape (n,).
         """
         out = np.empty(len(plan))
+        if self._is_single_curve:
+            _write_contours(plan, points, elapsed_s, self.lead_s, self._curves[0].data, out)
+            return out
         for curve, rows in self._rows_of_curves(plan):
             s = self._arc_length(curve, plan[rows], elapsed_s[rows, None])[:, 0]
             out[rows] = curve.distance(points[rows] - plan[rows, CENTER], s)
@@ -270,57 +287,7 @@ class Track(Task):
         if self._times is not None:
             return np.interp(elapsed_s, self._times, self._from_file[0].vertex_s)
         length = np.inf if curve.closed else curve.length
-        s: Array = arc_lengths(plan, elapsed_s, self.lead_s, length)
-        return s
-
-
-@compiled
-def _translate(points: Any, centers: Any) -> None:
-    """Add centers (n, 2) to points (n, m, 2), in place."""
-    for i in range(points.shape[0]):
-        for j in range(points.shape[1]):
-            points[i, j, 0] += centers[i, 0]
-            points[i, j, 1] += centers[i, 1]
-
-
-@compiled
-def _speed_up(t: float, speed: float, lead_s: float) -> float:
-    """Return the distance, m, after time t, s, from rest to speed."""
-    u = min(1.0, t / lead_s)
-    return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + max(t - lead_s, 0.0))
-
-
-@compiled
-def _traveled(t: float, speed: float, duration: float, lead_s: float, length: float) -> float:
-    """Return the distance, m, at time t, s, of a goal that travels the length of its path in the given duration."""
-    # The second half of an open path is the first half reversed in time; a closed path has no second half.
-    if t < 0.5 * duration:
-        return _speed_up(t, speed, lead_s)
-    return length - _speed_up(max(duration - t, 0.0), speed, lead_s)
-
-
-@compiled
-def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, length: float, curve: Any, goals: Any) -> None:
-    """Write the goals (n, m, 2) at times elapsed_s (n,) + ahead_s (m,) along a `CurveData`, by plans (n, 6).
-
-    A few episodes at a time, so that intermediate values stay in the cache, in loops that the compiler vectorizes.
-    """
-    s, speed, duration, points = np.empty(_EPISODES), np.empty(_EPISODES), np.empty(_EPISODES), np.empty((2, _EPISODES))
-    for first in range(0, len(plan), _EPISODES):
-        rows = slice(first, min(first + _EPISODES, len(plan)))
-        some, now_s = plan[rows], elapsed_s[rows]
-        for i in range(len(some)):
-            speed[i] = min(some[i, SPEED], length / lead_s)
-            duration[i] = length / speed[i] + lead_s
-        for j in range(len(ahead_s)):
-            for i in range(len(some)):
-                s[i] = _traveled(now_s[i] + ahead_s[j], speed[i], duration[i], lead_s, length)
-            for i in range(len(some)):
-                s[i] = s[i] * some[i, DIRECTION] + some[i, START]
-            write_points(s[: len(some)], curve, points[0], points[1])
-            for i in range(len(some)):
-                goals[first + i, j, 0] = points[0, i] + some[i, 1]
-                goals[first + i, j, 1] = points[1, i] + some[i, 2]
+        return np.asarray(arc_lengths(plan, elapsed_s, self.lead_s, length))
 
 
 @compiled
@@ -342,9 +309,38 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     """
     out = np.empty(elapsed_s.shape)
     for i in range(elapsed_s.shape[0]):
-        speed = min(plan[i, SPEED], length / lead_s)
-        duration = length / speed + lead_s
         for j in range(elapsed_s.shape[1]):
-            s = _traveled(elapsed_s[i, j], speed, duration, lead_s, length)
-            out[i, j] = s * plan[i, DIRECTION] + plan[i, START]
+            out[i, j] = traveled(elapsed_s[i, j], plan[i, SPEED], lead_s, length) * plan[i, DIRECTION] + plan[i, START]
     return out
+
+
+@compiled
+def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any) -> None:
+    """Write goals (n, 2) at times elapsed_s (n,), and previews (n, m, 2) ahead_s (m,) later, by plans (n, 6)."""
+    length = math.inf if curve.closed else curve.vertex_s[-1]
+    plans, times, scratch = np.empty((6, LANES)), np.empty((1, LANES)), np.empty((2, LANES))
+    points, future = np.empty((2 * len(ahead_s) + 2, LANES), np.float32), previews.reshape(len(plan), -1)
+    for first in range(0, len(plan), LANES):
+        read_block(plan, first, plans)
+        read_block(elapsed_s.reshape(-1, 1), first, times)
+        for j in range(len(ahead_s) + 1):
+            t = load(times, 0) + (ahead_s[j - 1] if j > 0 else 0.0)
+            s = traveled(t, load(plans, SPEED), lead_s, length) * load(plans, DIRECTION) + load(plans, START)
+            x, y = points_at(s, curve, scratch)
+            store(points, 2 * j, x + load(plans, 1))
+            store(points, 2 * j + 1, y + load(plans, 2))
+        write_block(points, first, 2, goals)
+        write_block(points[2:], first, 2 * len(ahead_s), future)
+
+
+@compiled
+def _write_contours(plan: Any, points: Any, elapsed_s: Any, lead_s: float, curve: Any, distances: Any) -> None:
+    """Write distances (n,) of points (n, 2) to a curve near the goals at times elapsed_s (n,), by plans (n, 6)."""
+    s = elapsed_s
+    if curve.radius == 0.0:  # the distance to a circle does not depend on the arc length
+        length = math.inf if curve.closed else curve.vertex_s[-1]
+        s = arc_lengths(plan, elapsed_s.reshape(-1, 1), lead_s, length).ravel()
+    relative = np.empty_like(points)
+    for i in range(len(plan)):
+        relative[i, 0], relative[i, 1] = points[i, 0] - plan[i, 1], points[i, 1] - plan[i, 2]
+    write_distances(relative, s, curve, distances)
