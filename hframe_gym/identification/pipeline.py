@@ -52,7 +52,7 @@ _HINT = (
     "If the held-out runs are fitted as well, {} would explain all runs, but no other run confirms it. Record another "
     "run such as {} and identify again."
 )
-_CAUSED_ERROR = -1.0  # gain on a held-out run below which an effect causes its error: half of the squared error or more
+_CAUSED_ERROR = -1.0  # gain on a held-out run below which effects cause its error: half of the squared error or more
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
@@ -175,17 +175,20 @@ def _effects_of_differing_runs(found: _Found, search: Callable[[Sequence[str]], 
 def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:
     """Return the names of the held-out runs that contradict the machine which explains the fitted runs.
 
-    A run whose error an effect causes does not count: it refutes the effect, see `_without_unconfirmed`.
+    A run whose error is caused by an effect, or by all effects together with the parameters that were fitted beside
+    them, does not count: it refutes the effects, see `_without_unconfirmed`.
     """
     after = outcome.after
     refined = refine_starts(held_out_runs, after.machine, outcome.data)
 
-    def caused_by(selected: SelectedEffect, name: str) -> bool:
-        gain = held_out_gain(selected, after.machine, refined.with_runs([name]), after.bandwidth)
-        return gain < _CAUSED_ERROR
+    def caused_by_effects(name: str) -> bool:
+        run = refined.with_runs([name])
+        gains = [held_out_gain(s, after.machine, run, after.bandwidth) for s in outcome.selected]
+        together = error_reduction(outcome.before.machine, after.machine, run, after.bandwidth)
+        return min(together, *gains) < _CAUSED_ERROR
 
     names = contradicting_held_out_runs(after, refined)
-    return tuple(name for name in names if not any(caused_by(s, name) for s in outcome.selected))
+    return tuple(name for name in names if not (outcome.selected and caused_by_effects(name)))
 
 
 def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from hframe_gym.identification import (
     fit,
     prepare,
 )
-from hframe_gym.identification.held_out import contradicting_held_out_runs
+from hframe_gym.identification.held_out import contradicting_held_out_runs, held_out_gain, worsens_simulation
 from hframe_gym.identification.pipeline import _contradicting_held_out_runs, _without_unconfirmed
 from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.identification.search import SearchOutcome
@@ -80,6 +82,35 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     _, outcome = outcome_with_force(axis, data, 0.3, False)
     assert contradicting_held_out_runs(outcome.after, validation) == ("run_1",)
     assert _contradicting_held_out_runs(outcome, validation) == contradicting
+
+
+def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: Machine) -> None:
+    """The effect reduces the error of Coulomb friction that was fitted too low; the refitted machine needs none."""
+    data, validation = prepare([recorded(axis, 0)], axis), prepare([recorded(axis, 1)], axis)
+    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
+    friction = EFFECTS["tustin_friction"].at("x", dF=0.25, vs=10.0)
+    after = dataclasses.replace(before, machine=axis.replace({"x.coulomb": 0.7}).with_effects(friction))
+    selected = (SelectedEffect(friction, 1.0, axis),)
+    assert held_out_gain(selected[0], after.machine, validation, SIMULATION) > 0.5
+    assert worsens_simulation(before.machine, after.machine, validation)
+    assert not worsens_simulation(after.machine, before.machine, validation)
+    outcome = SearchOutcome(before, False, True, "effect_found", after, selected, (), data)
+    removed = _without_unconfirmed(outcome, validation, lambda line: None)
+    assert (removed.verdict, removed.selected) == ("unexplained", ())
+
+
+def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine) -> None:
+    """The effect reduces the error of the machine that was fitted with it; the machine refitted without it has none."""
+    data, validation = prepare([recorded(axis, 0)], axis), prepare([recorded(axis, 1)], axis)
+    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
+    friction = EFFECTS["tustin_friction"].at("x", dF=0.25, vs=10.0)
+    machine = axis.replace({"x.coulomb": 0.7}).with_effects(friction)
+    after = dataclasses.replace(before, machine=machine, cost=before.cost)
+    outcome = SearchOutcome(
+        before, False, True, "effect_found", after, (SelectedEffect(friction, 1.0, axis),), (), data
+    )
+    assert contradicting_held_out_runs(after, validation) == ("run_1",)
+    assert _contradicting_held_out_runs(outcome, validation) == ()
 
 
 def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first(axis: Machine) -> None:
