@@ -21,7 +21,7 @@ from .encoder_zeros import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
 
 Array = NDArray[np.float64]
-_MIN_ROWS = 16  # Fewer rows without input do not show whether the machine moves.
+_MIN_ROWS = 16  # Fewer rows without input are not divided into blocks.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.
 _BLOCK_S, _MIN_BLOCKS = 0.01, 8
 _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however long no voltage is applied.
@@ -96,7 +96,8 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     logged. The rows before the first input are therefore divided into blocks, and the medians of each sensor are
     compared. A sensor moves where its median departs from those of the last blocks (then the machine settles first) or
     of the first blocks (then it moves before the input) by more than noise and quantization explain. If the machine
-    moves from beginning to end, only its first row counts as rest. Fewer than 16 rows are taken as rest.
+    moves from beginning to end, only its first row counts as rest. Fewer than 16 rows are not divided into blocks: they
+    are rest, or motion from beginning to end if a sensor varies in them by more than noise and quantization explain.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -107,11 +108,12 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
         before the first input (mask of shape (sensors,)), and the time by which a motion precedes the input, s.
     """
     rows = _rows_without_input(recording)
-    rest = InitialRest(0, rows, np.zeros(recording.outputs.shape[1], np.bool_))
-    if rows < _MIN_ROWS:
-        return rest
     outputs = recording.outputs[:rows]
+    rest = InitialRest(0, rows, np.zeros(outputs.shape[1], np.bool_))
     tolerance, span = _tolerances(recording, rows, machine)
+    if rows < _MIN_ROWS:
+        moving = peak_to_peak(outputs) > tolerance
+        return rest._replace(rows=1, moving=moving) if moving.any() else rest
     period = float(np.median(np.diff(recording.time_s)))
     size = max(2, min(round(_BLOCK_S / period), rows // _MIN_BLOCKS))
     medians = _block_medians(outputs, size)
@@ -184,8 +186,9 @@ def _rows_without_input(recording: Recording) -> int:
 def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Array, Array]:
     """Return by how much each sensor varies at rest, and its span in the run, in its unit, shape (sensors,) each."""
     spans = peak_to_peak(recording.outputs)
+    of_noise = rows if rows >= _MIN_ROWS else None  # Few rows do not show the noise; the entire run does.
     noise = [
-        measurement_noise(values[:rows], values, sensor)
+        measurement_noise(values[:of_noise], values, sensor)
         for values, sensor in zip(recording.outputs.T, machine.sensors, strict=True)
     ]
     return np.maximum(_NOISE_TOLERANCE * np.array(noise), _SPAN_TOLERANCE * spans), spans
