@@ -248,7 +248,7 @@ def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) ->
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])
 
 
-def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> InitialVelocity:
+def initial_velocity(recording: Recording, machine: Machine, rigid: Array, position: Array) -> InitialVelocity:
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
     Parabolas are fitted to the measurements of the first 5, 10, 20 and 40 ms (at least eight rows, half of them
@@ -261,6 +261,7 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
         machine: Machine with the sensors.
         rigid: Rigid motions, one per column: displacements of the coordinates, m or rad, shape (coordinates, motions).
+        position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging, cables).
 
     Returns:
         Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, each of the
@@ -282,7 +283,8 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
         return at_rest
     # Velocities of the rigid motions: at rest, and as fitted.
     velocities = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
-    costs = _costs_of_starts(velocities @ rigid.T, recording, machine, rigid, noise)
+    states = np.hstack([np.tile(position, (len(velocities), 1)), velocities @ rigid.T])
+    costs = _costs_of_starts(states, recording, machine, noise)
     best = int(np.argmin(costs))
     possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
     if best == 0 and not possible[1:].any():
@@ -331,19 +333,14 @@ def _fit_velocity(
     return (velocities, covariance) if significant else None
 
 
-def _costs_of_starts(velocities: Array, recording: Recording, machine: Machine, rigid: Array, noise: Array) -> Array:
-    """Return the sum of squared errors, in units of the noise, of simulations from the given velocities (starts,).
+def _costs_of_starts(states: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
+    """Return the sum of squared errors, in units of the noise, of simulations from the given states (starts,).
 
     Constant errors do not count, because the zeros of encoders are not known yet.
     """
     rows = _rows_within(recording, _COMPARED_S)
     time_s = recording.time_s[:rows] - recording.time_s[0]
-    # A rough position suffices: only the stiffness of the belts and some declared effects depend on it.
-    absolute = np.array([not s.incremental for s in machine.sensors])
-    measured_start = np.nan_to_num(recording.outputs[0, absolute])
-    position = rigid @ np.linalg.pinv((machine.sensor_matrix @ rigid)[absolute]) @ measured_start
-    start = np.hstack([np.tile(position, (len(velocities), 1)), velocities])
-    readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=start, states=False).readings
+    readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False).readings
     measured = np.isfinite(recording.outputs[:rows])
     error = np.where(measured, recording.outputs[:rows] - readings, 0.0) / noise
     error -= np.where(measured, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)
