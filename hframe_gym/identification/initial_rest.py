@@ -21,7 +21,7 @@ from .encoder_zeros import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
 
 Array = NDArray[np.float64]
-_MIN_ROWS = 16  # Fewer rows without input are not divided into blocks.
+_MIN_ROWS = 16  # Fewer rows are not divided into blocks, and do not show rest after motion.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.
 _BLOCK_S, _MIN_BLOCKS = 0.01, 8
 _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however long no voltage is applied.
@@ -30,14 +30,11 @@ _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however 
 _NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
 _RANGE_TOLERANCE = 3.0  # times the range of the medians at rest; slow noise varies by about as much everywhere
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
-# Fraction of the span that slow noise of a filtered sensor may reach if no sensor starts or stops; more is motion
-# throughout.
-_SLOW_NOISE_SPAN = 1e-3
+_SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
 # Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
 # noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
-# Duration, s, from the first row over which the simulations from rest and with each velocity are compared.
-_COMPARED_S = 0.05
+_COMPARED_S = 0.05  # s from the first row, in which the simulations from rest and with each velocity are compared
 _SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
 # Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
 # sum contains model errors, which do not average out, so no test for independent errors applies.
@@ -98,6 +95,7 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     of the first blocks (then it moves before the input) by more than noise and quantization explain. If the machine
     moves from beginning to end, only its first row counts as rest. Fewer than 16 rows are not divided into blocks: they
     are rest, or motion from beginning to end if a sensor varies in them by more than noise and quantization explain.
+    After motion, 16 rows must show that the machine has settled, because neighboring blocks of a coast hardly differ.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -114,23 +112,22 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     if rows < _MIN_ROWS:
         moving = peak_to_peak(outputs) > tolerance
         return rest._replace(rows=1, moving=moving) if moving.any() else rest
-    period = float(np.median(np.diff(recording.time_s)))
-    size = max(2, min(round(_BLOCK_S / period), rows // _MIN_BLOCKS))
+    size = max(2, min(round(_BLOCK_S / float(np.median(np.diff(recording.time_s)))), rows // _MIN_BLOCKS))
     medians = _block_medians(outputs, size)
-    quarter = max(2, len(medians) // 4)
-    settled_blocks, settling = _departure(medians[::-1], quarter, tolerance)  # as seen from the end
-    resting_blocks, departing = _departure(medians, min(quarter, _BLOCKS_AT_REST), tolerance)
+    quarter, limit = max(2, len(medians) // 4), np.maximum(tolerance, _SLOW_NOISE_SPAN * span)
+    settled_blocks, settling = _departure(medians[::-1], quarter, tolerance, limit)  # as seen from the end
+    resting_blocks, departing = _departure(medians, min(quarter, _BLOCKS_AT_REST), tolerance, np.inf)
     moving = settling | departing
     if not moving.any():
         # No sensor starts or stops. It may still move throughout, unless the motion is as small as slow noise.
-        moving = peak_to_peak(medians) > np.maximum(tolerance, _SLOW_NOISE_SPAN * span)
+        moving = peak_to_peak(medians) > limit
         return rest._replace(rows=1, moving=moving) if moving.any() else rest
     driven = rows < len(recording.time_s)
     # One block of margin: motion of less than the tolerance begins before it shows, and ceases later.
-    if settled_blocks and (driven or not resting_blocks):
-        return rest._replace(first=size * (len(medians) - settled_blocks + 1), moving=moving)
-    if resting_blocks:
-        resting_rows = size * (resting_blocks - 1)
+    first, resting_rows = size * (len(medians) - settled_blocks + 1), size * (resting_blocks - 1)
+    if size * settled_blocks >= _MIN_ROWS and (driven or not resting_blocks):
+        return rest._replace(first=first, moving=moving)
+    if resting_blocks and (resting_rows >= _MIN_ROWS or not np.any(peak_to_peak(outputs[:resting_rows]) > tolerance)):
         lead = _lead(recording.time_s[:rows], outputs, resting_rows, tolerance) if driven else 0.0
         return rest._replace(rows=resting_rows, moving=moving, lead_s=lead)
     return rest._replace(rows=1, moving=moving)
@@ -219,13 +216,14 @@ def _block_medians(outputs: Array, size: int) -> Array:
     return medians
 
 
-def _departure(medians: Array, count: int, tolerance: Array) -> tuple[int, NDArray[np.bool_]]:
+def _departure(medians: Array, count: int, tolerance: Array, limit: Array | float) -> tuple[int, NDArray[np.bool_]]:
     """Return after how many blocks a channel that is still in the first ones departs, and which channels do.
 
     Args:
         medians: Medians of the blocks, shape (blocks, sensors).
         count: Number of the first blocks, in which all channels must be still.
         tolerance: Largest variation at rest, shape (sensors,).
+        limit: Largest range before the departure, with slow noise; a channel that leaves it departs, shape (sensors,).
 
     Returns:
         Number of blocks before the first departure, 0 if there is none or a channel moves in the first ones already,
@@ -237,6 +235,7 @@ def _departure(medians: Array, count: int, tolerance: Array) -> tuple[int, NDArr
     center = np.fmin.reduce(reference) / 2 + np.fmax.reduce(reference) / 2
     departed = np.abs(medians - center) > np.maximum(tolerance, _RANGE_TOLERANCE * variation)  # NaN: not departed
     departing = departed.any(axis=0) & quiet
+    departed |= np.fmax.accumulate(medians) - np.fmin.accumulate(medians) > limit
     first = int(np.argmax(departed[:, departing].any(axis=1))) if departing.any() and quiet.all() else 0
     return first, departing
 

@@ -121,6 +121,15 @@ def test_a_run_without_any_input_rests_until_it_moves(axis: Machine) -> None:
     assert REST - 20 < count_resting_rows(dead, axis) <= REST + 10
 
 
+@pytest.mark.parametrize("free_rows", [16, 20, 30])
+def test_a_coast_that_becomes_slower_has_not_settled(axis: Machine, free_rows: int) -> None:
+    """Friction brakes it from 2 counts per row, so that neighboring blocks of a few rows hardly differ."""
+    machine, recording = counted(axis, free_rows, speed=0.05)
+    assert without_moving_start(recording, machine) is recording
+    assert initial_rest(recording, machine).rows == 1
+    assert simulate_recording(machine, recording).initial.velocity[0] == pytest.approx(0.05, rel=0.1)
+
+
 @pytest.mark.parametrize("free_rows", [1, 2, 5, 9, 14])
 def test_a_coast_by_several_counts_per_row_is_motion_however_few_rows_have_no_voltage(
     axis: Machine, free_rows: int
