@@ -21,7 +21,7 @@ from .encoder_zeros import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
 
 Array = NDArray[np.float64]
-_MIN_ROWS = 16  # Fewer rows without input do not show whether the machine moves.
+_MIN_ROWS = 16  # Fewer rows are not divided into blocks, and do not show rest after motion.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.
 _BLOCK_S, _MIN_BLOCKS = 0.01, 8
 _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however long no voltage is applied.
@@ -30,14 +30,11 @@ _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however 
 _NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
 _RANGE_TOLERANCE = 3.0  # times the range of the medians at rest; slow noise varies by about as much everywhere
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
-# Fraction of the span that slow noise of a filtered sensor may reach if no sensor starts or stops; more is motion
-# throughout.
-_SLOW_NOISE_SPAN = 1e-3
+_SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
 # Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
 # noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
-# Duration, s, from the first row over which the simulations from rest and with each velocity are compared.
-_COMPARED_S = 0.05
+_COMPARED_S = 0.05  # s from the first row, in which the simulations from rest and with each velocity are compared
 _SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
 # Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
 # sum contains model errors, which do not average out, so no test for independent errors applies.
@@ -96,7 +93,9 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     logged. The rows before the first input are therefore divided into blocks, and the medians of each sensor are
     compared. A sensor moves where its median departs from those of the last blocks (then the machine settles first) or
     of the first blocks (then it moves before the input) by more than noise and quantization explain. If the machine
-    moves from beginning to end, only its first row counts as rest. Fewer than 16 rows are taken as rest.
+    moves from beginning to end, only its first row counts as rest. Fewer than 16 rows are not divided into blocks: they
+    are rest, or motion from beginning to end if a sensor varies in them by more than noise and quantization explain.
+    After motion, 16 rows must show that the machine has settled, because neighboring blocks of a coast hardly differ.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -107,28 +106,28 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
         before the first input (mask of shape (sensors,)), and the time by which a motion precedes the input, s.
     """
     rows = _rows_without_input(recording)
-    rest = InitialRest(0, rows, np.zeros(recording.outputs.shape[1], np.bool_))
-    if rows < _MIN_ROWS:
-        return rest
     outputs = recording.outputs[:rows]
+    rest = InitialRest(0, rows, np.zeros(outputs.shape[1], np.bool_))
     tolerance, span = _tolerances(recording, rows, machine)
-    period = float(np.median(np.diff(recording.time_s)))
-    size = max(2, min(round(_BLOCK_S / period), rows // _MIN_BLOCKS))
+    if rows < _MIN_ROWS:
+        moving = peak_to_peak(outputs) > tolerance
+        return rest._replace(rows=1, moving=moving) if moving.any() else rest
+    size = max(2, min(round(_BLOCK_S / float(np.median(np.diff(recording.time_s)))), rows // _MIN_BLOCKS))
     medians = _block_medians(outputs, size)
-    quarter = max(2, len(medians) // 4)
-    settled_blocks, settling = _departure(medians[::-1], quarter, tolerance)  # as seen from the end
-    resting_blocks, departing = _departure(medians, min(quarter, _BLOCKS_AT_REST), tolerance)
+    quarter, limit = max(2, len(medians) // 4), np.maximum(tolerance, _SLOW_NOISE_SPAN * span)
+    settled_blocks, settling = _departure(medians[::-1], quarter, tolerance, limit)  # as seen from the end
+    resting_blocks, departing = _departure(medians, min(quarter, _BLOCKS_AT_REST), tolerance, np.inf)
     moving = settling | departing
     if not moving.any():
         # No sensor starts or stops. It may still move throughout, unless the motion is as small as slow noise.
-        moving = peak_to_peak(medians) > np.maximum(tolerance, _SLOW_NOISE_SPAN * span)
+        moving = peak_to_peak(medians) > limit
         return rest._replace(rows=1, moving=moving) if moving.any() else rest
     driven = rows < len(recording.time_s)
     # One block of margin: motion of less than the tolerance begins before it shows, and ceases later.
-    if settled_blocks and (driven or not resting_blocks):
-        return rest._replace(first=size * (len(medians) - settled_blocks + 1), moving=moving)
-    if resting_blocks:
-        resting_rows = size * (resting_blocks - 1)
+    first, resting_rows = size * (len(medians) - settled_blocks + 1), size * (resting_blocks - 1)
+    if size * settled_blocks >= _MIN_ROWS and (driven or not resting_blocks):
+        return rest._replace(first=first, moving=moving)
+    if resting_blocks and (resting_rows >= _MIN_ROWS or not np.any(peak_to_peak(outputs[:resting_rows]) > tolerance)):
         lead = _lead(recording.time_s[:rows], outputs, resting_rows, tolerance) if driven else 0.0
         return rest._replace(rows=resting_rows, moving=moving, lead_s=lead)
     return rest._replace(rows=1, moving=moving)
@@ -184,8 +183,9 @@ def _rows_without_input(recording: Recording) -> int:
 def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Array, Array]:
     """Return by how much each sensor varies at rest, and its span in the run, in its unit, shape (sensors,) each."""
     spans = peak_to_peak(recording.outputs)
+    of_noise = rows if rows >= _MIN_ROWS else None  # Few rows do not show the noise; the entire run does.
     noise = [
-        measurement_noise(values[:rows], values, sensor)
+        measurement_noise(values[:of_noise], values, sensor)
         for values, sensor in zip(recording.outputs.T, machine.sensors, strict=True)
     ]
     return np.maximum(_NOISE_TOLERANCE * np.array(noise), _SPAN_TOLERANCE * spans), spans
@@ -216,13 +216,14 @@ def _block_medians(outputs: Array, size: int) -> Array:
     return medians
 
 
-def _departure(medians: Array, count: int, tolerance: Array) -> tuple[int, NDArray[np.bool_]]:
+def _departure(medians: Array, count: int, tolerance: Array, limit: Array | float) -> tuple[int, NDArray[np.bool_]]:
     """Return after how many blocks a channel that is still in the first ones departs, and which channels do.
 
     Args:
         medians: Medians of the blocks, shape (blocks, sensors).
         count: Number of the first blocks, in which all channels must be still.
         tolerance: Largest variation at rest, shape (sensors,).
+        limit: Largest range before the departure, with slow noise; a channel that leaves it departs, shape (sensors,).
 
     Returns:
         Number of blocks before the first departure, 0 if there is none or a channel moves in the first ones already,
@@ -234,6 +235,7 @@ def _departure(medians: Array, count: int, tolerance: Array) -> tuple[int, NDArr
     center = np.fmin.reduce(reference) / 2 + np.fmax.reduce(reference) / 2
     departed = np.abs(medians - center) > np.maximum(tolerance, _RANGE_TOLERANCE * variation)  # NaN: not departed
     departing = departed.any(axis=0) & quiet
+    departed |= np.fmax.accumulate(medians) - np.fmin.accumulate(medians) > limit
     first = int(np.argmax(departed[:, departing].any(axis=1))) if departing.any() and quiet.all() else 0
     return first, departing
 
@@ -245,7 +247,7 @@ def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) ->
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])
 
 
-def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> InitialVelocity:
+def initial_velocity(recording: Recording, machine: Machine, rigid: Array, position: Array) -> InitialVelocity:
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
     Parabolas are fitted to the measurements of the first 5, 10, 20 and 40 ms (at least eight rows, half of them
@@ -258,6 +260,7 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
         machine: Machine with the sensors.
         rigid: Rigid motions, one per column: displacements of the coordinates, m or rad, shape (coordinates, motions).
+        position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging, cables).
 
     Returns:
         Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, each of the
@@ -279,7 +282,8 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array) -> In
         return at_rest
     # Velocities of the rigid motions: at rest, and as fitted.
     velocities = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
-    costs = _costs_of_starts(velocities @ rigid.T, recording, machine, rigid, noise)
+    states = np.hstack([np.tile(position, (len(velocities), 1)), velocities @ rigid.T])
+    costs = _costs_of_starts(states, recording, machine, noise)
     best = int(np.argmin(costs))
     possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
     if best == 0 and not possible[1:].any():
@@ -328,19 +332,14 @@ def _fit_velocity(
     return (velocities, covariance) if significant else None
 
 
-def _costs_of_starts(velocities: Array, recording: Recording, machine: Machine, rigid: Array, noise: Array) -> Array:
-    """Return the sum of squared errors, in units of the noise, of simulations from the given velocities (starts,).
+def _costs_of_starts(states: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
+    """Return the sum of squared errors, in units of the noise, of simulations from the given states (starts,).
 
     Constant errors do not count, because the zeros of encoders are not known yet.
     """
     rows = _rows_within(recording, _COMPARED_S)
     time_s = recording.time_s[:rows] - recording.time_s[0]
-    # A rough position suffices: only the stiffness of the belts and some declared effects depend on it.
-    absolute = np.array([not s.incremental for s in machine.sensors])
-    measured_start = np.nan_to_num(recording.outputs[0, absolute])
-    position = rigid @ np.linalg.pinv((machine.sensor_matrix @ rigid)[absolute]) @ measured_start
-    start = np.hstack([np.tile(position, (len(velocities), 1)), velocities])
-    readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=start, states=False).readings
+    readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False).readings
     measured = np.isfinite(recording.outputs[:rows])
     error = np.where(measured, recording.outputs[:rows] - readings, 0.0) / noise
     error -= np.where(measured, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)

@@ -155,18 +155,18 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     position_measured = lasers_measured or _rank(seen[(fixed | known) & measured]) == _rank(seen)
 
     reading = measurement - np.where(known, zeros.offset, 0.0)  # (sensors,)
-    usable = measured.copy()
     warnings: tuple[str, ...] = ()
     if not position_measured:
         later = _later_measurements(recording, measurement, machine, rigid)
         replaced = fixed & ~measured & np.isfinite(later)
-        reading, usable = np.where(replaced, later, reading), usable | replaced
+        reading = np.where(replaced, later, reading)
         warnings = (_position_warning(machine, fixed & ~measured, replaced),)
-    velocity = InitialVelocity.at_rest(machine) if rows > 1 else initial_velocity(recording, machine, rigid)
-    weight = np.where(usable, _position_weights(machine, zeros, site, moving=len(velocity.deviations) > 0), 0.0)
-    # Weighted least squares for the motion that stretches no belt.
-    position_from_reading = rigid @ np.linalg.pinv(weight[:, None] * seen, rcond=1e-12) * weight
-    reading = np.where(usable, reading, np.nan)
+    usable = np.isfinite(reading)
+    velocity = InitialVelocity.at_rest(machine)
+    if rows == 1:  # The run may begin in motion, from the position from which it is simulated.
+        position = _position_from_reading(machine, zeros, usable, moving=True) @ np.nan_to_num(reading)
+        velocity = initial_velocity(recording, machine, rigid, position)
+    position_from_reading = _position_from_reading(machine, zeros, usable, moving=len(velocity.deviations) > 0)
     position = position_from_reading @ np.nan_to_num(reading)
     for j in np.flatnonzero(known & measured & zeros.resolves_stretch):
         position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
@@ -187,20 +187,22 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     )
 
 
-def _position_weights(machine: Machine, zeros: EncoderZeros, site: list[int], *, moving: bool) -> Array:
-    """Return the weights of the sensors' measurements for the motions that stretch no belt, shape (sensors,).
+def _position_from_reading(machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool) -> Array:
+    """Return the matrix (coordinates, sensors) that gives positions from measurements minus zeros by least squares.
 
     Args:
         machine: Machine with the sensors.
         zeros: Zeros of the encoders.
-        site: Index of the coordinate of each sensor.
+        usable: Mask of the sensors that measure the position, shape (sensors,).
         moving: Whether the run begins in motion, so that the drives stretch the belts.
     """
     stretched = zeros.resolves_stretch | moving
     encoders = np.where(zeros.known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
-    weights = np.where([not s.incremental for s in machine.sensors], 1.0, encoders)
+    weight = np.where([not s.incremental for s in machine.sensors], 1.0, encoders)
     # An angle is as accurate as a length once it is multiplied by the radius.
-    return np.asarray(weights * machine.travel_per_unit[site])
+    weight = np.where(usable, weight * [machine.coordinate(s.coordinate).travel_per_unit for s in machine.sensors], 0.0)
+    rigid = rigid_basis(machine)
+    return np.asarray(rigid @ np.linalg.pinv(weight[:, None] * (machine.sensor_matrix @ rigid), rcond=1e-12) * weight)
 
 
 def rigid_basis(machine: Machine) -> Array:
@@ -262,9 +264,8 @@ def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDA
             "from later measurements and the encoders."
         )
     return (
-        "The initial position cannot be determined, because no sensor with a known zero "
-        "measures it; the encoders are assumed to count from the machine's zero, and positions without any measurement "
-        "are assumed to be 0."
+        "The initial position cannot be determined, because no sensor with a known zero measures it; the encoders are "
+        "assumed to count from the machine's zero, and positions without any measurement are assumed to be 0."
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -11,13 +13,14 @@ from hframe_gym.identification.initial_rest import (
     initial_rest,
     without_moving_start,
 )
-from hframe_gym.identification.rest_measurement import sensor_zero_error
+from hframe_gym.identification.rest_measurement import estimate_initial_state, sensor_zero_error
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine
 
 pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
 ROWS, REST = 1000, 150
+COUNT = 25e-6  # m, of an encoder
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +36,27 @@ def run(motion: np.ndarray, seed: int = 0, late: int = 0) -> Recording:
     position += 0.1 * (1.0 - np.cos(0.01 * np.maximum(rows - REST + late, 0)))
     volts = np.where(rows >= REST, 3.0, 0.0)[:, None]
     return Recording(f"run_{seed}", rows * 1e-3, volts, (position + rng.normal(0.0, NOISE, ROWS))[:, None])
+
+
+def counted(
+    axis: Machine, free_rows: int, speed: float, noise: float = 0.0, seed: int = 0
+) -> tuple[Machine, Recording]:
+    """Return an axis whose only sensor is an encoder, and its run that begins with some rows without voltage.
+
+    Args:
+        axis: The axis with a laser.
+        free_rows: Number of rows at 1 kHz before the first one with a voltage.
+        speed: Velocity at the first row, m/s.
+        noise: Standard deviation of the noise before rounding, m.
+        seed: Seed of the noise.
+    """
+    encoder = dataclasses.replace(axis.sensors[0], kind="encoder", noise=0.0, resolution=COUNT)
+    machine = axis.replace(sensors=(encoder,))
+    rows = np.arange(ROWS)
+    volts = np.where(rows >= free_rows, 4.0 * np.sin(0.02 * (rows - free_rows) + 0.5), 0.0)[:, None]
+    outputs = machine.simulate(rows * 1e-3, volts, [1.1, speed]).outputs
+    outputs += np.random.default_rng(seed).normal(0.0, noise, outputs.shape)
+    return machine, Recording("counted", rows * 1e-3, volts, np.rint(outputs / COUNT) * COUNT)
 
 
 def swing(decay: float) -> np.ndarray:
@@ -95,6 +119,35 @@ def test_a_run_without_any_input_rests_until_it_moves(axis: Machine) -> None:
     recording = run(np.zeros(REST))
     dead = Recording("dead", recording.time_s, 0.0 * recording.inputs, recording.outputs)
     assert REST - 20 < count_resting_rows(dead, axis) <= REST + 10
+
+
+@pytest.mark.parametrize("free_rows", [16, 20, 30])
+def test_a_coast_that_becomes_slower_has_not_settled(axis: Machine, free_rows: int) -> None:
+    """Friction brakes it from 2 counts per row, so that neighboring blocks of a few rows hardly differ."""
+    machine, recording = counted(axis, free_rows, speed=0.05)
+    assert without_moving_start(recording, machine) is recording
+    assert initial_rest(recording, machine).rows == 1
+    assert simulate_recording(machine, recording).initial.velocity[0] == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize("free_rows", [1, 2, 5, 9, 14])
+def test_a_coast_by_several_counts_per_row_is_motion_however_few_rows_have_no_voltage(
+    axis: Machine, free_rows: int
+) -> None:
+    machine, recording = counted(axis, free_rows, speed=0.1)
+    rest = initial_rest(recording, machine)
+    assert (rest.first, rest.rows, rest.moving.tolist()) == (0, 1, [True])
+    initial = estimate_initial_state(recording, machine)
+    assert initial.velocity[0] == pytest.approx(0.1, rel=0.15)
+    assert initial.position[0] == pytest.approx(1.1, abs=COUNT)
+
+
+@pytest.mark.parametrize("free_rows", [1, 2, 5, 9, 14])
+def test_a_few_rows_in_which_an_encoder_toggles_between_counts_are_rest(axis: Machine, free_rows: int) -> None:
+    for seed in range(20):
+        machine, recording = counted(axis, free_rows, speed=0.0, noise=COUNT / 2, seed=seed)
+        assert count_resting_rows(recording, machine) == free_rows + 1
+        assert not estimate_initial_state(recording, machine).velocity.any()
 
 
 def test_a_single_row_at_rest_does_not_add_its_noise_to_all_errors() -> None:

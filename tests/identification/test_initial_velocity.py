@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import simulate_recording
 from hframe_gym.identification.encoder_zeros import stretch_angles
-from hframe_gym.identification.initial_rest import initial_velocity
+from hframe_gym.identification.initial_rest import InitialVelocity, initial_velocity
 from hframe_gym.identification.rest_measurement import estimate_initial_state, rigid_basis
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine
@@ -29,12 +30,18 @@ def driven(machine: Machine, first: int, seed: int = 0) -> tuple[Recording, np.n
     return Recording("cut", time_s[first:], volts[first:], outputs[first:]), motion.velocities[first]
 
 
+def estimated_velocity(recording: Recording, machine: Machine) -> InitialVelocity:
+    """Return the estimated velocity of a run that begins at the position that its lasers measure."""
+    initial = estimate_initial_state(recording, machine)
+    return initial_velocity(recording, machine, rigid_basis(machine), initial.position)
+
+
 @pytest.mark.parametrize("first", [300, 777, 1010])
 def test_a_run_that_was_cut_out_of_a_log_begins_with_the_velocity_of_its_first_rows(
     hframe: Machine, first: int
 ) -> None:
     recording, true = driven(hframe, first)
-    velocity = initial_velocity(recording, hframe, rigid_basis(hframe))
+    velocity = estimated_velocity(recording, hframe)
     errors = (velocity.mean - true)[:2]
     assert np.abs(true[:2]).max() > 0.1
     assert np.all(np.abs(errors) < 0.03 + 2.0 * np.linalg.norm(velocity.deviations, axis=0)[:2])
@@ -46,7 +53,7 @@ def test_a_run_that_was_cut_out_of_a_log_begins_with_the_velocity_of_its_first_r
 def test_a_run_that_begins_at_rest_with_a_voltage_has_no_velocity(hframe: Machine) -> None:
     recording, true = driven(hframe, 0)
     assert not true.any()
-    assert not initial_velocity(recording, hframe, rigid_basis(hframe)).mean.any()
+    assert not estimated_velocity(recording, hframe).mean.any()
 
 
 def test_a_run_that_rests_first_has_no_uncertain_velocity(hframe: Machine) -> None:
@@ -69,8 +76,23 @@ def test_a_slow_log_gives_a_velocity_from_its_first_eight_rows() -> None:
     time_s = np.arange(100) * 0.02
     position = 0.1 * np.sin(1.5 * time_s)
     volts = np.full((100, 1), 1.0)
-    velocity = initial_velocity(Recording("slow", time_s, volts, position[:, None]), axis, rigid_basis(axis))
+    velocity = estimated_velocity(Recording("slow", time_s, volts, position[:, None]), axis)
     assert velocity.mean[0] == pytest.approx(0.15, abs=2 * float(np.abs(velocity.deviations).max()))
+
+
+def test_a_force_that_depends_on_the_position_acts_where_the_encoder_counts() -> None:
+    """Friction is low where the run begins, at 1.13 m, but so high at 0 that it would stop the axis."""
+    axis = load_machine("axis")
+    encoder = dataclasses.replace(axis.sensors[0], kind="encoder", noise=0.0, resolution=25e-6)
+    rough = EFFECTS["position_friction"].at("x", A=0.9, L=0.04, p=np.pi / 2)
+    machine = axis.replace(sensors=(encoder,)).with_effects(rough)
+    time_s = np.arange(300) * 1e-3
+    volts = 2.0 * np.sin(2 * np.pi * 3.0 * time_s + 0.5)[:, None]
+    outputs = machine.simulate(time_s, volts, [1.13, -0.04]).outputs
+    recording = Recording("rough", time_s, volts, np.rint(outputs / 25e-6) * 25e-6)
+    initial = estimate_initial_state(recording, machine)
+    assert initial.velocity[0] == pytest.approx(-0.04, rel=0.1)
+    assert np.abs(initial.velocity_deviations).max() < 0.01
 
 
 def test_the_stretch_of_belts_does_not_depend_on_how_they_are_divided(hframe: Machine) -> None:
