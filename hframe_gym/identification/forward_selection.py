@@ -235,6 +235,7 @@ class EffectSearch:
             effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self._data.count
             self._log(f"  {effect.label} {describe_gain(current, fitted)}")
             if gain < enough:
+                self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
                 continue
             doubt = doubt_about_candidate(current, fitted, self._data, self._criteria)
             if not doubt:

@@ -106,9 +106,12 @@ def identify(
     messages += (*map(_HELD_OUT_CONTRADICTION.format, found.differing), *hint)
     validation = with_all_measurements(found.held_out, recordings)
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
-    for warning in (*result.limit_warnings, *result.divergence_warnings):
+    for warning in (*messages, *result.limit_warnings, *result.divergence_warnings):
         log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
+    for s in result.effects:
+        if s.rivals:
+            log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*messages, *found.messages))
 
 

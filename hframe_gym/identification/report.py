@@ -116,9 +116,8 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         )
     if report["verdict"] == "no_effect":
         remainder = _remainder(report)
-        start = "No effect was found" if remainder else "No effect is missing"
-        error = f"the error of the declared model on the held-out runs is {before} {unit}"
-        return f"{start}: with refitted parameters, {error}.{remainder}"
+        start = f"No effect {'was found' if remainder else 'is missing'}: with refitted parameters, the error of the"
+        return f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
     text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
     return " ".join([text, *_dependence_sentences(report)])
 
