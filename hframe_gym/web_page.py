@@ -146,6 +146,7 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     with matplotlib.rc_context(plot_style() | {"svg.hashsalt": prefix}):
         figure = Figure(figsize=(PANEL_WIDTH, panel.height), layout="constrained")
         panel.draw(figure.subplots())
+        _fix_layout(figure)
         buffer = StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     drawing = buffer.getvalue()
@@ -183,7 +184,7 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
     rows = math.ceil(len(panels) / columns)
     with matplotlib.rc_context(plot_style()):
         height = rows * (max(panel.height for panel in panels) + 0.25)
-        figure = Figure(figsize=(PANEL_WIDTH * columns, height), layout="constrained")
+        figure = Figure(figsize=(PANEL_WIDTH * columns, height), dpi=120, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, panel in zip(grid, panels, strict=False):
             panel.draw(axes)
@@ -191,8 +192,15 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
             axes.set_title(title, loc="left", pad=22 if axes.get_legend() else 6)
         for axes in grid[len(panels) :]:
             axes.set_visible(False)
+        _fix_layout(figure)
         with atomic_file(path) as file:
             figure.savefig(file, dpi=120, format=path.suffix[1:])
+
+
+def _fix_layout(figure: Any) -> None:
+    """Arrange the plots of a figure for good; to arrange them, `savefig` would draw the figure once more."""
+    figure.get_layout_engine().execute(figure)
+    figure.set_layout_engine(None)
 
 
 def legend_above(axes: Any) -> None:
