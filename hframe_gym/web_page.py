@@ -11,6 +11,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -234,12 +235,11 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
         OSError: If the file cannot be written.
     """
     try:
-        from jinja2 import ChoiceLoader, Environment, PackageLoader
         from markupsafe import Markup
+
+        templates = _templates(package)
     except ImportError:
         raise ImportError(MISSING_EXTRA) from None
-    loader = ChoiceLoader([PackageLoader(package), PackageLoader("hframe_gym")])
-    environment = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     count = 0
 
     def svg(panel: Panel) -> Markup:
@@ -247,8 +247,16 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
         count += 1
         return Markup(panel_svg(panel, f"f{count}"))
 
-    environment.globals.update(svg=svg, colors=COLORS)
-    write_text(path, environment.get_template(template).render(values))
+    write_text(path, templates.get_template(template).render(values, svg=svg, colors=COLORS))
+
+
+@lru_cache
+def _templates(package: str) -> Any:
+    """Return the Jinja environment with the templates of a package, which it compiles once."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader
+
+    loader = ChoiceLoader([PackageLoader(package), PackageLoader("hframe_gym")])
+    return Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
 
 
 def number(value: float | None, absent: str = "") -> str:
