@@ -254,10 +254,15 @@ class Agent(Controller):
             mapping.action_space() if mapping else action_space(machine),
             lambda _: 0.0,  # learning rate, which only training uses
             **policy_keywords(card["settings"]["policy"], card["features"]),
+            optimizer_class=_no_optimizer,
         )
         load_weights(policy, path)
         policy.set_training_mode(False)
         return cls(policy, mapping, machine, card)
+
+
+def _no_optimizer(*_: Any, **__: Any) -> None:
+    """Return None in place of an optimizer, which only training uses; importing PyTorch's takes more than a second."""
 
 
 def load_weights(policy: Any, folder: Path) -> None:

@@ -11,6 +11,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -146,6 +147,7 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     with matplotlib.rc_context(plot_style() | {"svg.hashsalt": prefix}):
         figure = Figure(figsize=(PANEL_WIDTH, panel.height), layout="constrained")
         panel.draw(figure.subplots())
+        _fix_layout(figure)
         buffer = StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     drawing = buffer.getvalue()
@@ -183,7 +185,7 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
     rows = math.ceil(len(panels) / columns)
     with matplotlib.rc_context(plot_style()):
         height = rows * (max(panel.height for panel in panels) + 0.25)
-        figure = Figure(figsize=(PANEL_WIDTH * columns, height), layout="constrained")
+        figure = Figure(figsize=(PANEL_WIDTH * columns, height), dpi=120, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, panel in zip(grid, panels, strict=False):
             panel.draw(axes)
@@ -191,8 +193,15 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
             axes.set_title(title, loc="left", pad=22 if axes.get_legend() else 6)
         for axes in grid[len(panels) :]:
             axes.set_visible(False)
+        _fix_layout(figure)
         with atomic_file(path) as file:
             figure.savefig(file, dpi=120, format=path.suffix[1:])
+
+
+def _fix_layout(figure: Any) -> None:
+    """Arrange the plots of a figure for good; to arrange them, `savefig` would draw the figure once more."""
+    figure.get_layout_engine().execute(figure)
+    figure.set_layout_engine(None)
 
 
 def legend_above(axes: Any) -> None:
@@ -226,12 +235,11 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
         OSError: If the file cannot be written.
     """
     try:
-        from jinja2 import ChoiceLoader, Environment, PackageLoader
         from markupsafe import Markup
+
+        templates = _templates(package)
     except ImportError:
         raise ImportError(MISSING_EXTRA) from None
-    loader = ChoiceLoader([PackageLoader(package), PackageLoader("hframe_gym")])
-    environment = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     count = 0
 
     def svg(panel: Panel) -> Markup:
@@ -239,8 +247,16 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
         count += 1
         return Markup(panel_svg(panel, f"f{count}"))
 
-    environment.globals.update(svg=svg, colors=COLORS)
-    write_text(path, environment.get_template(template).render(values))
+    write_text(path, templates.get_template(template).render(values, svg=svg, colors=COLORS))
+
+
+@lru_cache
+def _templates(package: str) -> Any:
+    """Return the Jinja environment with the templates of a package, which it compiles once."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader
+
+    loader = ChoiceLoader([PackageLoader(package), PackageLoader("hframe_gym")])
+    return Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
 
 
 def number(value: float | None, absent: str = "") -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -14,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import typer
 
@@ -24,30 +22,9 @@ from hframe_gym.agents.agent_files import refuse_unsigned
 from hframe_gym.cli.app import CommandWithChoices, RayOption
 from hframe_gym.distributed import files_of, map_tasks, write_files
 from hframe_gym.errors import InputError
+from tests.worker_tasks import draw, fail, threads_of
 
 ROOT = Path(__file__).parents[1]
-
-
-def draw(seed: int, folder: Path | None = None, dies: int = -1, times: int = 1) -> tuple[int, bytes]:
-    """Return a seed and numbers drawn from it; the task `dies` kills its worker the first `times` times."""
-    numbers = np.random.default_rng(seed).standard_normal(1000).tobytes()
-    if folder is not None:
-        with (folder / f"started_{seed}").open("a") as file:
-            file.write(f"{os.getpid()}\n")
-        if seed == dies and len((folder / f"started_{seed}").read_text().split()) <= times:
-            os.kill(os.getpid(), signal.SIGKILL)
-    return seed, numbers
-
-
-def threads_of(_: int) -> tuple[str, str]:
-    return os.environ["HFRAME_THREADS"], os.environ["OMP_NUM_THREADS"]
-
-
-def fail(seed: int) -> int:
-    if seed == 1:
-        raise InputError("seed 1: is wrong")
-    time.sleep(0 if seed < 1 else 600)
-    return seed
 
 
 @pytest.mark.integration
@@ -101,7 +78,7 @@ def test_another_version_in_a_worker_is_refused(monkeypatch: pytest.MonkeyPatch)
 def test_workers_end_with_a_program_that_is_killed(tmp_path: Path) -> None:
     code = (
         "import sys, time\nfrom pathlib import Path\nfrom hframe_gym.distributed import map_tasks\n"
-        "from tests.test_distributed import announce\n"
+        "from tests.worker_tasks import announce\n"
         "if __name__ == '__main__':\n    list(map_tasks(announce, [sys.argv[1]] * 2, jobs=2))\n"
     )
     script = tmp_path / "program.py"
@@ -118,11 +95,6 @@ def test_workers_end_with_a_program_that_is_killed(tmp_path: Path) -> None:
     while any(map(_runs, numbers)):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-
-
-def announce(folder: str) -> None:
-    (Path(folder) / f"worker_{os.getpid()}").touch()
-    time.sleep(600)
 
 
 def _runs(process: int) -> bool:

@@ -245,9 +245,12 @@ class PreviewGains:
 
         def impulse_response(G: Array) -> Array:
             """Return the tool's response at each period's end to inputs by G (2 n, m) in each, (axes * H, m * H)."""
-            pulses = [power @ G for power in powers[:horizon]]
-            zero = np.zeros_like(pulses[0])
-            return np.block([[pulses[j - i] if i <= j else zero for i in range(horizon)] for j in range(horizon)])
+            axes, m = powers[0].shape[0], G.shape[1]
+            response = np.zeros((horizon, axes, horizon, m))
+            for delay, power in enumerate(powers[:horizon]):
+                periods = np.arange(horizon - delay)  # of the inputs
+                response[periods + delay, :, periods] = power @ G
+            return response.reshape(axes * horizon, m * horizon)
 
         volts_response = impulse_response(B)
         inputs = B.shape[1]

@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from ..dynamics import Equations, rollout
 from ..errors import InputError
@@ -116,6 +115,8 @@ class DeadTime:
         """
         if self.delay_s == 0.0:
             return goals
+        from scipy.interpolate import PchipInterpolator  # takes a tenth of a second, which a start without it saves
+
         # Times of the shifted goals, in periods from now.
         later = np.arange(self.delay_s / self.period, goals.shape[1] - 1 + 1e-9)
         if len(later) < 2:

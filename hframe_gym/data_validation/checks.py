@@ -52,11 +52,11 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     """
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
-    cleaned, data, moving = _prepared(recordings, machine)
+    cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
-    findings += _faults_and_advice(recordings, cleaned, data, moving, machine)
-    for recording in cleaned:
-        findings += _short_rest(recording, data, machine) + _unmeasured_outputs(recording, machine)
+    findings += _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
+    for recording, rest in zip(cleaned, rests, strict=True):
+        findings += _short_rest(recording, rest, data) + _unmeasured_outputs(recording, machine)
         if not _moves(recording, data):
             message = "nothing moves in this run: it only determines the noise of the sensors"
             findings.append(Finding("advice", recording.name, "", message))
@@ -84,35 +84,40 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     """
     if wrong_times := times_in_milliseconds(recordings):
         return wrong_times
-    cleaned, data, moving = _prepared(recordings, machine)
-    findings = _faults_and_advice(recordings, cleaned, data, moving, machine) + constant_inputs(recordings, machine)
+    cleaned, rests, data, moving = _prepared(recordings, machine)
+    findings = _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
+    findings += constant_inputs(recordings, machine)
     return _by_severity([finding for finding in findings if finding.severity != "note"])
 
 
-def _prepared(recordings: Sequence[Recording], machine: Machine) -> tuple[list[Recording], Dataset, list[str]]:
-    """Return the runs without outliers, the same runs prepared for a fit, and the names of those that move."""
+def _prepared(
+    recordings: Sequence[Recording], machine: Machine
+) -> tuple[list[Recording], list[InitialRest], Dataset, list[str]]:
+    """Return the runs without outliers, their rests, the same runs prepared for a fit, and the names of moving runs."""
     cleaned = [only_measurements(recording, machine) for recording in recordings]
-    data = prepare([without_moving_start(recording, machine) for recording in cleaned], machine)
+    rests = [initial_rest(recording, machine) for recording in cleaned]
+    data = prepare([without_moving_start(r, machine, rest) for r, rest in zip(cleaned, rests, strict=True)], machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
-    return cleaned, data, moving
+    return cleaned, rests, data, moving
 
 
 def _faults_and_advice(
     recordings: Sequence[Recording],
     cleaned: Sequence[Recording],
+    rests: Sequence[InitialRest],
     data: Dataset,
     moving: Sequence[str],
     machine: Machine,
 ) -> list[Finding]:
     """Check slow sensors, sampling, outliers, motion without input, stuck outputs, wiring and the timing of inputs.
 
-    The runs are given as recorded, without outliers (`cleaned`), and prepared for a fit (`data`).
+    The runs are given as recorded, without outliers (`cleaned`, with their `rests`), and prepared for a fit (`data`).
     """
     findings = slow_sensors(recordings, machine)
     for recording, cleaned_recording in zip(recordings, cleaned, strict=True):
         findings += check_sampling(recording)
         findings += _outliers(without_repetitions(recording), cleaned_recording, machine)
-    findings += _motion_without_input(cleaned, machine)
+    findings += _motion_without_input(cleaned, rests, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
@@ -129,12 +134,13 @@ def _by_severity(findings: Sequence[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda finding: order.index(finding.severity))
 
 
-def _motion_without_input(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+def _motion_without_input(
+    recordings: Sequence[Recording], rests: Sequence[InitialRest], machine: Machine
+) -> list[Finding]:
     """Report runs in which the machine moves before the first input, or without any."""
     spans = peak_to_peak(np.concatenate([recording.outputs for recording in recordings]))
     findings = []
-    for recording in recordings:
-        rest = initial_rest(recording, machine)
+    for recording, rest in zip(recordings, rests, strict=True):
         if not rest.moving.any():
             continue
         names = [channel for channel, moving in zip(machine.output_channels, rest.moving, strict=True) if moving]
@@ -172,12 +178,11 @@ def _describe_motion(recording: Recording, rest: InitialRest, names: Sequence[st
     )
 
 
-def _short_rest(recording: Recording, data: Dataset, machine: Machine) -> list[Finding]:
+def _short_rest(recording: Recording, rest: InitialRest, data: Dataset) -> list[Finding]:
     """Report a run that begins in motion, or whose rest is too short for the initial state and the sensors' zeros.
 
     A run that begins with an input but without motion, as under closed-loop control, has a known initial state.
     """
-    rest = initial_rest(recording, machine)
     if rest.moving.any():
         return []  # reported by `_motion_without_input`
     if rest.rows == 1:

@@ -177,9 +177,15 @@ def generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSour
     )
     title = ", ".join(f"{len(items)} {name}" for name, items in components.items())
     header = _HEADER.format(title=title, sizes=sizes, delayed=source.delayed, lagged=source.lagged, forced=forced)
+    return "\n".join([header, source.text, _common_functions()]), source
+
+
+@lru_cache(maxsize=1)
+def _common_functions() -> str:
+    """Return the source of the functions that all kernels have; finding it takes as long as generating the rest."""
     helpers = [f"\n@helper\n{inspect.getsource(f)}" for f in _HELPERS]
     loops = [f"\n\n@compiled\n{inspect.getsource(f)}" for f in _LOOPS]
-    return "\n".join([header, source.text, *helpers, *loops]), source
+    return "\n".join([*helpers, *loops])
 
 
 def kernel_source_text(machine: Machine) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ class Dataset:
         """Effective number of measured values of all runs in the fit, dimensionless (sum of the runs' `count`)."""
         return sum(run.count for run in self.runs)
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Median sampling period over all runs, s."""
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
@@ -124,7 +125,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     # The zeros that each run alone gives show which encoders kept theirs; those then improve the initial states.
     separate = [estimate_initial_state(recording, machine) for recording in recordings]
     zeros = common_encoder_zeros(separate, machine, quanta)
-    initial = [measured_initial_state(recording, machine, zeros, quanta) for recording in recordings]
+    initial = [measured_initial_state(r, machine, zeros, quanta, s) for r, s in zip(recordings, separate, strict=True)]
     rows = [state.resting_rows for state in initial]
     noise = [
         sensor_noise(channel, rows, quantum, sensor.noise)
@@ -170,10 +171,9 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Seq
     """
     encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
     measured = np.isfinite(np.concatenate([r.outputs for r in recordings])).any(axis=0)
-    times = [recording.time_s for recording in recordings]
     return min(
         (
-            clock_jitter(times, [recording.outputs[:, j] for recording in recordings], noise[j])
+            clock_jitter([r.time_s for r in recordings], [r.outputs[:, j] for r in recordings], noise[j])
             for j in encoders or range(len(machine.sensors))
             if measured[j]
         ),

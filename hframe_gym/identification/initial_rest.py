@@ -150,7 +150,7 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
     return 1 if rest.first else rest.rows
 
 
-def without_moving_start(recording: Recording, machine: Machine) -> Recording:
+def without_moving_start(recording: Recording, machine: Machine, rest: InitialRest | None = None) -> Recording:
     """Copy a recording without the measurements before the machine comes to rest, if it moves when the run begins.
 
     The rest that follows gives the initial state. A simulation that begins with this state and without input remains at
@@ -159,12 +159,13 @@ def without_moving_start(recording: Recording, machine: Machine) -> Recording:
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad).
         machine: Machine with the sensors.
+        rest: Rest at the beginning of the run. Default: `initial_rest` finds it.
 
     Returns:
         Copy in which these measurements, m or rad, shape (n, sensors), are NaN; the same object if the run begins at
         rest or the machine does not come to rest before the first input.
     """
-    first = initial_rest(recording, machine).first
+    first = (rest or initial_rest(recording, machine)).first
     if not first:
         return recording
     outputs = recording.outputs.copy()
@@ -208,12 +209,11 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
 
 def _block_medians(outputs: Array, size: int) -> Array:
     """Return the medians of blocks of rows, shape (blocks, sensors), NaN where nothing was measured."""
-    blocks = outputs[: len(outputs) // size * size].reshape(-1, size, outputs.shape[1])
-    medians = np.full((len(blocks), outputs.shape[1]), np.nan)
-    measured = np.isfinite(blocks).any(axis=1)
-    for k, j in np.argwhere(measured):
-        medians[k, j] = np.nanmedian(blocks[k, :, j])
-    return medians
+    blocks = np.sort(outputs[: len(outputs) // size * size].reshape(-1, size, outputs.shape[1]), axis=1)  # NaN last
+    count = np.count_nonzero(~np.isnan(blocks), axis=1, keepdims=True)
+    lower = np.take_along_axis(blocks, np.maximum(count - 1, 0) // 2, axis=1)
+    upper = np.take_along_axis(blocks, np.minimum(count // 2, size - 1), axis=1)
+    return np.asarray((lower + upper)[:, 0] / 2)
 
 
 def _departure(medians: Array, count: int, tolerance: Array, limit: Array | float) -> tuple[int, NDArray[np.bool_]]:

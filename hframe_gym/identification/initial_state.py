@@ -28,7 +28,9 @@ _ENCODER_WEIGHT = 1e-3  # of encoders beside lasers, which determine the positio
 _STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the belts.
 
 
-def measured_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros, quanta: Array) -> InitialState:
+def measured_initial_state(
+    recording: Recording, machine: Machine, zeros: EncoderZeros, quanta: Array, alone: InitialState | None = None
+) -> InitialState:
     """Estimate the initial state of a run from its measurements at rest and the encoder zeros of all runs.
 
     The zero of an encoder is its measurement at position 0. A session is all runs of a rig together; an encoder that
@@ -47,12 +49,13 @@ def measured_initial_state(recording: Recording, machine: Machine, zeros: Encode
             model).
         zeros: Zeros of the encoders in the session.
         quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
+        alone: Initial state that the run gives without zeros of the session. Default: `estimate_initial_state`.
 
     Returns:
         Initial state: positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad, shape
         (sensors,). Its `warnings` name the encoders whose zero of the session was not used.
     """
-    alone = estimate_initial_state(recording, machine)
+    alone = alone or estimate_initial_state(recording, machine)
     if not zeros.known.any() or not machine.belts:
         return alone
     moved = _switched_on_anew(machine, alone, zeros, quanta)

@@ -237,7 +237,8 @@ def _coverage(label: str, values: Array) -> Panel:
     """Draw the histogram of a position, velocity or input of the fitted runs."""
 
     def draw(axes: Any) -> None:
-        axes.hist(values, bins=40, color=color("neutral"), weights=np.full(len(values), 100.0 / len(values)))
+        counts, edges = np.histogram(values, bins=40)
+        axes.stairs(100.0 * counts / len(values), edges, fill=True, color=color("neutral"))
         axes.set(xlabel=label, ylabel="% of time", yscale="log")
         axes.yaxis.set_major_formatter(lambda value, _: number(value))
         axes.minorticks_off()

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
 
 from ..errors import InputError
 from ..machine import Machine
@@ -182,6 +181,8 @@ def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str
 
 def _integrate(time_s: Array, speed: Array) -> Array:
     """Integrate a speed over time from 0 by the trapezoidal rule; empty cells (NaN) stay empty."""
+    from scipy.integrate import cumulative_trapezoid
+
     measured = np.isfinite(speed)
     position = np.full(len(speed), np.nan)
     if measured.any():

@@ -150,6 +150,8 @@ def split_row(line: str, separator: str) -> list[str]:
     """
     if separator == _WHITESPACE:
         return line.split()
+    if '"' not in line and line.strip():  # nearly all lines; the reader below returns the same, but takes longer
+        return [cell.strip() for cell in line.split(separator)]
     try:
         cells = next(csv.reader([line], delimiter=separator), [])
     except csv.Error:  # such as a cell of more than 131072 characters
@@ -209,8 +211,11 @@ def _is_comment(line: str) -> bool:
 def _detect_separator(lines: Sequence[str]) -> str:
     """Return the separator under which most lines are rows of numbers, else that of the last line."""
     scores = {}
+    written = [line for line in lines if line.strip() and not _is_comment(line)]
     for separator in _SEPARATORS:
-        rows = [split_row(line, separator) for line in lines if line.strip() and not _is_comment(line)]
+        # Whitespace of any kind separates cells where blanks do.
+        divisible = written if separator == _WHITESPACE else [line for line in written if separator in line]
+        rows = [split_row(line, separator) for line in divisible]
         # Texts have blanks as well, so more than half of the cells between blanks must be numbers.
         least = 0.6 if separator == _WHITESPACE else 0.5
         widths = Counter(len(row) for row in rows if len(row) > 1 and _is_data(row, least))
@@ -224,8 +229,13 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 def _is_data(row: Sequence[str], least: float = 0.5) -> bool:
     """Return whether at least a fraction of the cells of a row that have a value are numbers or time stamps."""
-    values = [cell for cell in row if not is_missing(cell)]
-    return bool(values) and sum(map(_is_number_or_stamp, values)) >= least * len(values)
+    numbers = texts = 0
+    for cell in row:
+        if _is_number_or_stamp(cell):
+            numbers += 1
+        elif not is_missing(cell):
+            texts += 1
+    return numbers > 0 and numbers >= least * (numbers + texts)
 
 
 def _is_number_or_stamp(cell: str) -> bool:

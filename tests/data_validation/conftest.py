@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from hframe_gym.recordings import Recording
-from tests.data_validation.planted_mistakes import good_runs
+from tests.example_runs import example_runs
 
 
 @pytest.fixture
 def runs() -> list[Recording]:
     """Return eight good recordings of the H-frame."""
-    return list(good_runs())
+    return list(example_runs("rig_b"))

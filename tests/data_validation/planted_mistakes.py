@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hframe_gym.data_validation import Finding
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from hframe_gym.recordings import Recording, load_recordings
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording
 
 Array = NDArray[np.float64]
-EXAMPLES = Path(__file__).parents[2] / "examples"
 PHI1, PHI2, X, Y = range(4)  # columns of the outputs
-
-
-@lru_cache(maxsize=1)
-def good_runs() -> tuple[Recording, ...]:
-    """Return the recordings of examples/rig_b; recordings are frozen, and no test writes into their arrays."""
-    return tuple(load_recordings(EXAMPLES / "rig_b", BUILTIN_MACHINES["hframe"]()))
 
 
 def faults(findings: list[Finding]) -> list[str]:

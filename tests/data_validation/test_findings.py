@@ -12,7 +12,7 @@ from rich.console import Console
 
 from hframe_gym.cli import main
 from hframe_gym.data_validation import Finding, group_findings, print_findings
-from tests.data_validation.planted_mistakes import EXAMPLES
+from tests.example_runs import EXAMPLES
 
 FINDINGS = [Finding("fault", "run_01", "x_m", "stuck [at 0.1]"), Finding("note", "", "", "8 runs")]
 

@@ -25,7 +25,8 @@ def same(a, b, path=""):
     else:
         a, b = np.asarray(a), np.asarray(b)
         assert a.dtype == b.dtype, path
-        np.testing.assert_array_equal(a, b, err_msg=path)
+        if a.shape != b.shape or a.tobytes() != b.tobytes():  # takes a tenth of the next line's time
+            np.testing.assert_array_equal(a, b, err_msg=path)
 
 
 def actions(n, steps, seed=0):

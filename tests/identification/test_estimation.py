@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,16 +18,15 @@ from hframe_gym.identification.linearization import ResidualModel
 from hframe_gym.identification.model_error import polish
 from hframe_gym.identification.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from hframe_gym.recordings import Recording, load_recordings
+from hframe_gym.recordings import Recording
+from tests.example_runs import example_runs
 from tools.make_examples import TRUE_RIG
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
 def data(hframe: Machine) -> Dataset:
     """Return the recordings of the example rig without undeclared effects."""
-    return prepare(load_recordings(EXAMPLES / "rig_b", hframe), hframe)
+    return prepare(example_runs("rig_b"), hframe)
 
 
 @pytest.mark.oracle

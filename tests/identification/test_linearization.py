@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,10 +11,10 @@ from hframe_gym.identification.free_parameters import parameter_table, prior_pre
 from hframe_gym.identification.linearization import NormalEquations, ResidualModel, forward_differences
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
-from hframe_gym.recordings import Recording, load_recordings
+from hframe_gym.recordings import Recording
+from tests.example_runs import example_runs
 
 pytestmark = pytest.mark.unit
-EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture
@@ -29,8 +27,7 @@ def cart() -> Machine:
 @pytest.fixture
 def hframe_runs(hframe: Machine) -> Dataset:
     """Return two example recordings of the H-frame."""
-    recordings = load_recordings(EXAMPLES / "rig_b", hframe)[:2]
-    return prepare(recordings, hframe)
+    return prepare(example_runs("rig_b")[:2], hframe)
 
 
 def step_response(cart: Machine, time_s: np.ndarray, mass: float, viscous: float) -> np.ndarray:

@@ -17,15 +17,15 @@ from hframe_gym.recordings import (
     without_outliers,
     without_repetitions,
 )
+from tests.example_runs import example_runs
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 X = 2  # column of x_m
 
 
 @pytest.fixture
-def run(hframe: Machine) -> Recording:
-    """Return a recorded run of 2.5 s."""
-    return load_recordings(EXAMPLES / "rig_b", hframe)[1]
+def run() -> Recording:
+    """Return a recorded run of 2.5 s, whose arrays cannot be written."""
+    return example_runs("rig_b")[1]
 
 
 def with_x(run: Recording, x: np.ndarray) -> Recording:
@@ -34,8 +34,8 @@ def with_x(run: Recording, x: np.ndarray) -> Recording:
 
 
 def test_recorded_runs_have_no_outliers(hframe: Machine) -> None:
-    for folder in ("rig_a", "rig_b"):
-        assert not any(outlier_mask(r, hframe).any() for r in load_recordings(EXAMPLES / folder, hframe))
+    for rig in ("rig_a", "rig_b"):
+        assert not any(outlier_mask(r, hframe).any() for r in example_runs(rig))
 
 
 @pytest.mark.parametrize("rows", [[1200], [1200, 1201, 1202], [700, 704, 1900]])
@@ -141,9 +141,9 @@ def test_measurements_at_irregular_times_are_kept_where_they_change(run: Recordi
     assert len(measured) < 1.05 * len(rows)  # some rows at rest are counted from another row
 
 
-def test_sensors_that_measure_in_every_row_repeat_nothing(hframe: Machine) -> None:
-    for folder in ("rig_a", "rig_b"):
-        for recording in load_recordings(EXAMPLES / folder, hframe):
+def test_sensors_that_measure_in_every_row_repeat_nothing() -> None:
+    for rig in ("rig_a", "rig_b"):
+        for recording in example_runs(rig):
             assert without_repetitions(recording) is recording
 
 

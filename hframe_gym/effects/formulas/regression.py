@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -304,10 +305,11 @@ class _Search:
         roles = [role for term in terms for role in term.shapes]
         log = np.array([role != "center" for role in roles], bool)
 
+        edges = list(pairwise(accumulate((len(term.shapes) for term in terms), initial=0)))
+
         def shapes_of(x: Array) -> list[tuple[float, ...]]:
-            plain = np.where(log, np.exp(np.where(log, x, 0.0)), x * self._span)
-            splits = np.cumsum([len(term.shapes) for term in terms])[:-1]
-            return [tuple(part.tolist()) for part in np.split(plain, splits)]
+            plain = np.where(log, np.exp(np.where(log, x, 0.0)), x * self._span).tolist()
+            return [tuple(plain[first:end]) for first, end in edges]
 
         def amplitudes_of(shapes: Sequence[tuple[float, ...]]) -> tuple[Array, Array]:
             columns = whitening @ self._columns(terms, shapes)[rows]

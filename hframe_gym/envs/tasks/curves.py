@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ...dynamics import LANES
 from ...dynamics.simd import inlined, load, store
@@ -302,6 +301,8 @@ def lissajous(size: float) -> Polyline:
     Returns:
         Closed curve that starts at the origin, toward positive x and y.
     """
+    from scipy.interpolate import CubicSpline  # takes a tenth of a second, which a start without it saves
+
     angle = np.linspace(0.0, 2.0 * np.pi, 4 * SEGMENTS + 1)
     fine = 0.5 * size * np.stack([np.sin(angle), np.sin(2.0 * angle)], axis=1)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])

@@ -1,0 +1,42 @@
+"""Tasks for worker processes, which import this module and nothing slow with it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hframe_gym.errors import InputError
+
+
+def draw(seed: int, folder: Path | None = None, dies: int = -1, times: int = 1) -> tuple[int, bytes]:
+    """Return a seed and numbers drawn from it; the task `dies` kills its worker the first `times` times."""
+    numbers = np.random.default_rng(seed).standard_normal(1000).tobytes()
+    if folder is not None:
+        with (folder / f"started_{seed}").open("a") as file:
+            file.write(f"{os.getpid()}\n")
+        if seed == dies and len((folder / f"started_{seed}").read_text().split()) <= times:
+            os.kill(os.getpid(), signal.SIGKILL)
+    return seed, numbers
+
+
+def threads_of(_: int) -> tuple[str, str]:
+    """Return the numbers of threads that a worker may use."""
+    return os.environ["HFRAME_THREADS"], os.environ["OMP_NUM_THREADS"]
+
+
+def fail(seed: int) -> int:
+    """Return seed 0, fail for seed 1, and sleep for ten minutes for every other."""
+    if seed == 1:
+        raise InputError("seed 1: is wrong")
+    time.sleep(0 if seed < 1 else 600)
+    return seed
+
+
+def announce(folder: str) -> None:
+    """Write a file with the number of this process, and sleep for ten minutes."""
+    (Path(folder) / f"worker_{os.getpid()}").touch()
+    time.sleep(600)
