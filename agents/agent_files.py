@@ -176,13 +176,14 @@ def refuse_to_replace(folder: Path, recipe: str, machine: str, seed: int, alone:
 
 
 def read_previous_card(file: Path) -> dict[str, Any]:
-    """Read the card of a training run that is to be resumed, and check the entries that are used.
+    """Read settings and results of a training run that is to be resumed, and check the entries that are used.
 
     Args:
-        file: Its card.json.
+        file: The file card.json of the run.
 
     Returns:
-        Content of the file. It has `recipe` and `seed`; `kept` and all values of the learning curve are numbers.
+        Content of the file. It has the keys `recipe`, `seed`, `kept` (number of steps after which the policy was kept)
+        and `curve` (learning curve: one dictionary of numbers per evaluation).
 
     Raises:
         InputError: If the file is missing or damaged.

@@ -162,14 +162,14 @@ def motion_lines(machine: Machine) -> list[str]:
 
 
 def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False) -> MachineAnswers:
-    """Ask on the terminal for template, file, travel, masses, motor data and sensors, each if it is not given.
+    """Ask on the terminal for the values of a new machine.json and for its file, each if it is not given.
 
     Enter accepts the value of the template. An answer that cannot be used is asked for again.
 
     Args:
         answers: Values of the command's options, empty or None where not given.
         log: Called with a line of text for the user.
-        force: Whether an existing file is replaced.
+        force: Whether the name of an existing file is accepted.
 
     Returns:
         Answers with template, file and sensors; a value stays empty or None where the user accepts the template's.

@@ -178,7 +178,7 @@ def rint(x: Any) -> Any:
     """Return the nearest integer, ties to even.
 
     Args:
-        x: Operand, dimensionless: number, array of any shape, or traced expression (CasADi has no such function).
+        x: Operand, dimensionless: number, array of any shape, or traced expression, but no CasADi expression.
 
     Returns:
         Nearest integer, as a floating-point value, in the shape of x.

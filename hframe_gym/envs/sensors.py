@@ -179,7 +179,7 @@ class DeclaredSensors(SensorSuite):
     """Observe all sensors that the machine declares, without changes."""
 
     def apply(self, machine: Machine) -> Machine:
-        """Return the machine itself, because its declared sensors are used.
+        """Return the machine itself: its own sensors are used unchanged.
 
         Args:
             machine: Machine with its sensors.

@@ -236,16 +236,16 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
 
 
 def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
-    """Return a copy of a machine whose sensors have the zeros of the encoders (measurements at position 0).
+    """Return a copy of a machine whose encoders have the zeros (measurements at position 0) that all runs determine.
 
-    The zeros are estimated from all runs together. A simulation of a single run then has the same initial state.
+    A simulation of a single run with this copy starts from the same state as in the fit to all runs.
 
     Args:
         machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
         data: Data set with the runs (times, voltages, measurements, SI).
 
     Returns:
-        Copy with the known zeros; a zero that another sensor had is removed. `machine` itself if `data.zeros` is None.
+        Copy; sensors whose zero the runs do not determine have none. `machine` itself if no zero is determined.
     """
     zeros = refine_encoder_zeros(data, machine).zeros
     return machine if zeros is None else zeros.in_machine(machine)

@@ -95,7 +95,7 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared), bandwidth, rad/s (0: none).
+        Fit, bandwidth in rad/s (after 3: 0, a simulation): machine, parameters (theta, shape (k,)), cost (chi-squared).
     """
     return at_bandwidth(fitted, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1], data)
 

@@ -176,7 +176,7 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates that effects add, such as bridge yaw; springs return them to zero at rest."""
+        """Names of the coordinates beyond the declared ones, such as bridge yaw; a spring centers each at zero."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:

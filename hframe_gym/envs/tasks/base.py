@@ -237,7 +237,8 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,).
-            plans: Plans, which define the goals at all times in the task's format, shape (k, plan_size).
+            plans: Plans as `Task.begin` returns them (numbers that define the goals at all times; the task defines
+                their meaning and units), shape (k, plan_size).
         """
         if plans.shape[1] != self._plans.shape[1]:
             self._plans = np.zeros((len(self._plans), plans.shape[1]))
