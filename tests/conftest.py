@@ -22,17 +22,20 @@ HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
 NOT_UNIT = ("integration", "oracle", "train", "slow")
 
 # Modules and tests live until the end. Searching them for garbage while they are created, and again during the tests,
-# takes a third of the time of the collection.
+# takes a third of the time of the collection. During the tests, Python's default thresholds (700 objects, 10, 10) take
+# some percent of the time.
 gc.disable()
+GC_THRESHOLDS = (20_000, 20, 20)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Exclude what exists after the collection from garbage collection, and switch it on for the tests."""
+    """Exclude what exists after the collection of the tests from garbage collection, and switch it on."""
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(*GC_THRESHOLDS)
         gc.enable()
 
 

@@ -5,11 +5,12 @@ import os
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tools.code_blocks import EXECUTED, ROOT, SHOWN, read_blocks
+from tools.code_blocks import EXECUTED, ROOT, SHOWN, Block, read_blocks
 from tools.tables import pages
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])
@@ -24,12 +25,16 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
+@cache
+def blocks_of(page: Path) -> tuple[Block, ...]:
+    return tuple(read_blocks(page.read_text("utf-8")))
+
+
 def has_blocks(page: Path, slow: bool) -> bool:
-    text = page.read_text("utf-8")
-    tested = _TESTED_BY.search(text)
+    tested = _TESTED_BY.search(page.read_text("utf-8"))
     if tested and (ROOT / tested[1]).is_file():
         return False
-    blocks = [block for block in read_blocks(text) if block.executed]
+    blocks = [block for block in blocks_of(page) if block.executed]
     return any(block.slow for block in blocks) if slow else any(not block.slow for block in blocks)
 
 
@@ -54,8 +59,7 @@ def test_links_and_paths_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", SITE, ids=name_of)
 def test_every_block_has_a_language(page: Path) -> None:
     """A block without a language would not be executed; one that is not executed says why in its first line."""
-    blocks = read_blocks(page.read_text("utf-8"))
-    assert [f"line {b.line}: {b.language!r}" for b in blocks if b.language not in (*EXECUTED, *SHOWN)] == []
+    assert [f"line {b.line}: {b.language!r}" for b in blocks_of(page) if b.language not in (*EXECUTED, *SHOWN)] == []
 
 
 @pytest.mark.integration
