@@ -9,7 +9,8 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
-    # The workers of pytest-xdist occupy all cores. NumPy reads the variable when it is imported.
+    # The workers of pytest-xdist occupy all cores, so that threads of the linear algebra library would wait for each
+    # other. NumPy reads the variable when it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
@@ -21,9 +22,8 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
 NOT_UNIT = ("integration", "oracle", "train", "slow")
 
-# Modules and tests live until the end. Searching them for garbage while they are created, and again during the tests,
-# takes a third of the time of the collection. During the tests, Python's default thresholds (700 objects, 10, 10) take
-# some percent of the time.
+# Modules and tests live until the end. To search them for garbage while they are created takes a third of the time of
+# the collection. During the tests, Python's thresholds (700, 10, 10) cause searches that take 4 % of the time.
 gc.disable()
 GC_THRESHOLDS = (20_000, 20, 20)
 

@@ -178,6 +178,7 @@ def test_forces_that_the_machine_does_not_declare_are_compensated():
     assert settling_times(episodes.goal_error, episodes.time_s, 1e-3)[1].all()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("delay_s", [2e-3, 12e-3])
 def test_a_declared_dead_time_is_bridged_with_the_estimated_parameters(delay_s):
     delayed = MACHINE.with_effects(EFFECTS["input_delay"].at("drives", d=delay_s))

@@ -83,7 +83,7 @@ def test_the_page_describes_an_effect(data: Dataset, tmp_path: Path) -> None:
 
 
 def test_the_proposed_experiment_is_written_and_an_old_one_is_removed(data: Dataset, tmp_path: Path) -> None:
-    page_of(result_of(data, "effect_found", STRIBECK, PLAN), tmp_path)
+    write_result(result_of(data, "effect_found", STRIBECK, PLAN), tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["next_experiment"]["separates"] == ["stribeck_friction@x", "presliding@x"]
     assert report["next_experiment"]["file"] == FILE
