@@ -278,8 +278,7 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
     measurement.
 
     Args:
-        error: Measured minus predicted values of a batch of predictions over n samples, m or rad, 0 where
-            not measured, shape (batch, n, sensors).
+        error: Measured minus predicted values over n samples, m or rad, 0 if not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
         max_mean: Largest difference between estimate and mean error at rest, m or rad, shape (sensors,); infinite for
