@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy import special
 
 from ..identification import MIN_ROWS, Dataset, PreparedRecording, default_free_parameters, fit
 from ..identification.prediction import SEARCH_BANDWIDTH
@@ -32,8 +34,9 @@ _SAME_RATE = 1.02  # ratio of sampling periods up to which runs have one rate
 _RUNS = 3  # those with the largest changes of the voltages suffice
 _MAX_ROWS = 20_000  # of a run; fits of longer ones take too long for a check
 _ITERATIONS = 10  # of a fit that need not converge fully
-_SHIFT_TOLERANCE = 0.1  # rows; deviation of the best shift from one row
 _CERTAIN = 0.7  # fraction of chi-squared below which the earlier voltages certainly explain the motion better
+_PAST_ROWS = 4  # from which a measurement is predicted; two suffice for a mass without noise
+_CHANCE = 1e-6  # probability below which measurements certainly depend on the voltages of their own rows
 
 
 def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
@@ -184,17 +187,20 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     """Report voltages that are logged one row late: one row earlier, they explain the motion clearly better.
 
     The machine's parameters are fitted twice, with the voltages as logged and with the voltages of the next row. Of the
-    runs with at most 20,000 rows, the three with the largest changes of the voltages are used.
+    runs with at most 20,000 rows, the three with the largest changes of the voltages are used. A force or a mass that
+    the machine lacks can make earlier voltages fit better too, but a measurement then never depends on the voltage
+    that is applied from its own time on.
 
     Args:
         data: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad), without other faults.
         machine: Declared machine.
 
     Returns:
-        A fault about all runs together if the second fit has less than 70 % of the chi-squared (sum of squared errors
-        divided by the noise variances) of the first, and no other shift than one of 0.9 to 1.1 rows would be better;
-        else an empty list. Empty also if all runs are longer, or if the declared machine has a delay or an effect with
-        a state (lag, hysteresis): too large a declared delay would make the response seem early as well.
+        One finding about all runs together if the second fit has less than 70 % of the chi-squared (sum of squared
+        errors divided by the noise variances) of the first, else an empty list: a fault if measurements depend on the
+        voltage of their own row, advice if the noise hides whether they do. Empty also if all runs are longer, or if
+        the declared machine has a delay or an effect with a state (lag, hysteresis): too large a declared delay would
+        make the response seem early as well.
     """
     largest = sorted((run for run in data.runs if len(run.time_s) <= _MAX_ROWS), key=_input_changes)[-_RUNS:]
     if not largest or any(e.definition.delay or e.definition.next_state for e in machine.effects):
@@ -206,20 +212,54 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     shifted = fit(machine, free, earlier, SEARCH_BANDWIDTH, theta=logged.theta, iterations=_ITERATIONS)
     if not shifted.cost < _CERTAIN * logged.cost < np.inf:
         return []
-    twice = dataclasses.replace(runs, runs=tuple(map(_with_earlier_inputs, earlier.runs)))
-    further = fit(machine, free, twice, SEARCH_BANDWIDTH, theta=logged.theta, iterations=_ITERATIONS)
-    # The minimum of a parabola through the three costs. A missing mass or force also makes other shifts better.
-    curvature = logged.cost - 2.0 * shifted.cost + further.cost
-    if not 0.5 * abs(logged.cost - further.cost) < _SHIFT_TOLERANCE * curvature < np.inf:
-        return []
     channels = " and ".join(machine.input_channels)
     verb = "are" if len(machine.drives) > 1 else "is"
-    message = (
-        f"{channels} {verb} logged one row late: the motion follows the voltage of the next row (chi-squared per "
-        f"sample {shifted.chi2:.3g} instead of {logged.chi2:.3g}). Shift the voltages up by one row and delete "
-        "the last row"
+    evidence = (
+        f"the motion follows the voltage of the next row (chi-squared per sample {shifted.chi2:.3g} instead of "
+        f"{logged.chi2:.3g})"
     )
-    return [Finding("fault", "", "", message)]
+    remedy = "shift the voltages up by one row and delete the last row"
+    if _feedthrough_probability(runs.runs) < _CHANCE:
+        return [Finding("fault", "", "", f"{channels} {verb} logged one row late: {evidence}. {remedy.capitalize()}")]
+    message = (
+        f"{channels} may be logged one row late, or the machine lacks a force or a mass: {evidence}. If the logger "
+        f"writes the voltage that has acted until the time of its row, {remedy}"
+    )
+    return [Finding("advice", "", "", message)]
+
+
+def _feedthrough_probability(runs: Sequence[PreparedRecording]) -> float:
+    """Return how probable measurements are if none depends on the voltages of its own row, which act only afterwards.
+
+    Each measurement is predicted by linear regression from the voltages and measurements of the previous four rows,
+    then from the voltages of its own row as well. An F-test compares the two. In open loop, the test holds for any
+    missing effect, because the part of a voltage that previous rows do not predict is independent of the motion.
+
+    Args:
+        runs: Runs of a machine (voltages, V, shape (n, drives); measurements, m or rad, shape (n, sensors)).
+
+    Returns:
+        Smallest probability over the sensors, times their number (dimensionless); 1 if too few rows are complete or
+        nothing moves.
+    """
+    drives, sensors = runs[0].inputs.shape[1], runs[0].outputs.shape[1]
+    windows = [sliding_window_view(np.hstack([r.inputs, r.outputs]), _PAST_ROWS + 1, axis=0) for r in runs]
+    rows = np.concatenate(windows)  # (rows, channels, previous rows and the row itself)
+    complete = np.isfinite(rows[..., :-1]).all(axis=(1, 2))
+    probability = 1.0
+    for j in range(drives, drives + sensors):
+        used = rows[complete & np.isfinite(rows[:, j, -1])]
+        past = np.column_stack([used[..., :-1].reshape(len(used), -1), np.ones(len(used))])
+        freedom = len(used) - past.shape[1] - drives
+        if freedom < MIN_ROWS or np.ptp(used[:, j, -1]) == 0.0:
+            continue
+        present = np.column_stack([used[:, :drives, -1], used[:, j, -1]])
+        present -= past @ np.linalg.lstsq(past, present)[0]
+        voltages, response = present[:, :drives], present[:, drives]
+        left = response - voltages @ np.linalg.lstsq(voltages, response)[0]
+        ratio = (response @ response / (left @ left) - 1.0) * freedom / drives
+        probability = min(probability, sensors * float(special.fdtrc(drives, freedom, ratio)))
+    return probability
 
 
 def _input_changes(run: PreparedRecording) -> float:

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import ndimage, signal
 
 from ..dynamics import Equations, net_forces
 from ..machine import AppliedEffect, Machine
@@ -140,12 +140,12 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Args:
         machine: Machine to evaluate.
-        data: Measured runs (times, voltages, measurements, SI). A run is left out if a measurement is missing after the
-            first complete row, or if fewer than 20 rows follow from there.
+        data: Measured runs (times, voltages, measurements, SI). Missing measurements are interpolated up to a length of
+            5 ms (half a period of the filter); rows near longer gaps are not used, nor runs of fewer than 20 rows.
 
     Returns:
-        Error over all runs that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
-        or a sensor that measures only this coordinate, or if no run is used or has a voltage.
+        Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
+        or a sensor that measures only this coordinate, or if no row is used or has a voltage.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
@@ -158,27 +158,48 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     squared_error, squared_force = 0.0, 0.0  # sums over runs, drives and samples
     for run in data.runs:
         measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
-        complete = np.asarray(np.isfinite(measured).all(axis=1))
-        first = int(np.argmax(complete))  # a run that began in motion lacks the measurements before its rest
-        if not complete[first:].all() or len(measured) - first < MIN_ROWS:
+        complete = np.flatnonzero(np.isfinite(measured).all(axis=1))
+        if not len(complete) or complete[-1] + 1 - complete[0] < MIN_ROWS:
             continue
-        measured = measured[first:]
-        run = dataclasses.replace(run, time_s=run.time_s[first:], inputs=run.inputs[first:])
+        rows = slice(complete[0], complete[-1] + 1)  # a run that began in motion lacks the measurements before its rest
+        run = dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows])
         period = float(np.median(np.diff(run.time_s)))
         cutoff = min(0.45 / period, _FORCE_CUTOFF)  # Hz
+        measured, known = _without_short_gaps(run.time_s, measured[rows], max(0.5 / cutoff, 1.5 * period))
         position = signal.sosfiltfilt(signal.butter(4, 2 * cutoff * period, output="sos"), measured, axis=0)
         velocity = np.gradient(position, run.time_s, axis=0)
         # Standard deviation of a derivative of white noise below the cut-off frequency, m/s or rad/s.
         velocity_noise = 2 * np.pi * np.sqrt(2.0 / 3.0 * period * cutoff**3) * noise
         velocity = np.where(np.abs(velocity) < _RESOLVED_SPEED * velocity_noise, 0.0, velocity)
         trim = int(_FILTER_TRANSIENT_S / period)
+        known = ndimage.minimum_filter1d(known, 2 * trim + 1)[trim : len(known) - trim : _FORCE_DECIMATION]
         drive, model = (
             signal.decimate(force[trim : len(force) - trim], _FORCE_DECIMATION, ftype="fir", axis=0)
             for force in _inverse_dynamics(machine, run, position, velocity)
         )
-        squared_error += float(np.sum((drive - model) ** 2))
-        squared_force += float(np.sum(drive**2))
+        squared_error += float(np.sum((drive - model)[known] ** 2))
+        squared_force += float(np.sum(drive[known] ** 2))
     return float(np.sqrt(squared_error / squared_force)) if squared_force else None
+
+
+def _without_short_gaps(time_s: Array, measured: Array, longest: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return measurements with gaps filled by linear interpolation, and the rows that lie in no long gap.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        measured: Measurements, m or rad, shape (n, sensors), NaN where missing, the first and last row complete.
+        longest: Largest time between two measurements of a sensor, s.
+
+    Returns:
+        Measurements, shape (n, sensors), and whether each row is known, shape (n,).
+    """
+    filled, known = measured.copy(), np.ones(len(time_s), dtype=bool)
+    for values in filled.T:
+        present = np.flatnonzero(np.isfinite(values))
+        values[:] = np.interp(time_s, time_s[present], values[present])
+        for gap in np.flatnonzero(np.diff(time_s[present]) > longest):
+            known[present[gap] + 1 : present[gap + 1]] = False
+    return filled, known
 
 
 def _inverse_dynamics(

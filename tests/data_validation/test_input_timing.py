@@ -12,6 +12,7 @@ from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
 DECLARED = BUILTIN_MACHINES["hframe"]()
+AXIS = BUILTIN_MACHINES["axis"]()
 # The rig is not the declared machine.
 RIG = DECLARED.replace({"x.mass": 4.5, "x.coulomb": 2.6, "y.viscous": 20.0})
 
@@ -55,6 +56,56 @@ def test_voltages_that_are_logged_one_row_late_are_a_fault() -> None:
 def test_voltages_that_act_when_they_are_logged_are_no_fault(effect: AppliedEffect | None) -> None:
     machine = RIG if effect is None else RIG.with_effects(effect)
     assert late_findings(machine, 0) == []
+
+
+def with_hidden_mass(noise: float, late: int) -> list[Recording]:
+    """Return runs of an axis that carries a second mass on a spring which slips, simulated here step by step.
+
+    Args:
+        noise: Standard deviation of the measured position, m.
+        late: Rows by which the voltage is logged late.
+    """
+    coordinate, drive = AXIS.coordinates[0], AXIS.drives[0]
+    mass, stiffness, damping, limit, step = 0.3, 20_000.0, 15.0, 1.0, 1e-4  # kg, N/m, N s/m, N, s
+    viscous = coordinate.viscous + drive.gain * drive.Ke * drive.gear_ratio
+    rng = np.random.default_rng(1)
+    runs = []
+    for k in range(3):
+        volts = np.repeat(rng.uniform(-3.0, 3.0, 120), 10)
+        volts[:100] = 0.0
+        position = speed = hidden_speed = stretch = 0.0
+        positions = []
+        for volt in volts:
+            positions.append(position)
+            for _ in range(10):
+                relative = hidden_speed - speed
+                stretch = float(np.clip(stretch + step * relative, -limit / stiffness, limit / stiffness))
+                coupling = stiffness * stretch + damping * relative
+                friction = coordinate.coulomb * np.tanh(speed / 1e-3) + viscous * speed
+                speed += step * (drive.gain * volt - friction + coupling) / coordinate.mass
+                hidden_speed -= step * coupling / mass
+                position += step * speed
+        measured = np.array(positions)[:, None] + rng.normal(0.0, noise, (len(volts), 1))
+        logged = np.concatenate([np.zeros(late), volts[: len(volts) - late]])[:, None]
+        runs.append(Recording(f"run_{k}", np.arange(len(volts)) * 1e-3, logged, measured))
+    return runs
+
+
+def timing_findings(recordings: list[Recording]) -> list[tuple[str, str]]:
+    """Return severity and message of the findings about late voltages of recordings of the axis."""
+    return [(f.severity, f.message) for f in check_before_fit(recordings, AXIS) if "one row late" in f.message]
+
+
+@pytest.mark.parametrize("noise", [1e-6, 15e-6])
+def test_a_missing_mass_is_no_fault_of_the_recordings(noise: float) -> None:
+    ((severity, message),) = timing_findings(with_hidden_mass(noise, late=0))
+    assert severity == "advice"
+    assert message.startswith("v_V may be logged one row late, or the machine lacks a force or a mass")
+
+
+def test_late_voltages_are_a_fault_beside_a_missing_mass() -> None:
+    ((severity, _),) = timing_findings(with_hidden_mass(1e-6, late=1))
+    assert severity == "fault"
 
 
 def test_a_delay_that_is_declared_too_long_is_no_fault_of_the_recordings() -> None:

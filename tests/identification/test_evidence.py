@@ -136,6 +136,20 @@ def test_the_force_of_an_effect_must_exceed_the_unexplained_one(scripted: Script
     assert text == ("" if sure else "has a force of 0.2 N, where 0.2 N remain unexplained")
 
 
+@pytest.mark.parametrize(("force", "sure"), [(2.1e-4, True), (1.9e-4, False)])
+def test_an_effect_that_is_negligible_beside_the_drives_is_doubted(
+    scripted: Scripted, force: float, sure: bool
+) -> None:
+    """The limit is 2e-5 of the drives' force, 10 N, although even less is unexplained."""
+    scripted.force, scripted.residue = {PUSH.label: force}, {1.2: 0.0}
+    assert doubt(scripted) == ("" if sure else "has a force of 0.00019 N, 2e-05 of that of the drives")
+
+
+def test_a_structural_effect_has_no_force_to_compare_with_the_drives(scripted: Scripted) -> None:
+    scripted.residue = {1.4: 1e-5, 1.2: 0.0}
+    assert doubt(scripted, 1.4, 1.2, FRAME) == ""
+
+
 @pytest.mark.parametrize(("before", "sure"), [(0.15, True), (0.13, False), (0.05, False)])
 def test_a_structural_effect_must_halve_the_unexplained_power(scripted: Scripted, before: float, sure: bool) -> None:
     """Its size is what it takes from the unexplained force: the root of the difference of the squares."""

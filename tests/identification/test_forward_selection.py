@@ -77,6 +77,8 @@ def test_a_gain_below_the_smallest_one_is_not_selected(scripted: Scripted, chi2:
     scripted.trials = [[fit_with(PUSH, chi2=chi2)]]
     _, effects = scripted.search(min_gain_fraction=0.473684).run(fit_with(chi2=2.9))  # 0.9 of an excess of 1.9
     assert bool(effects) == found
+    refusal = f"  {PUSH.label} is not selected: a reduction by 0.9 is required"
+    assert (refusal in scripted.lines) != found
 
 
 @pytest.mark.parametrize(("chi2", "found"), [(10.05, True), (10.2, False)])

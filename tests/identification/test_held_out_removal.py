@@ -84,32 +84,34 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     assert _contradicting_held_out_runs(outcome, validation) == contradicting
 
 
-def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: Machine) -> None:
-    """The effect reduces the error of Coulomb friction that was fitted too low; the refitted machine needs none."""
+def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Dataset]:
+    """Return an outcome that selected Tustin friction beside too low a Coulomb friction, and held-out runs of the axis.
+
+    The refitted machine has neither error.
+    """
     data, validation = prepare([recorded(axis, 0)], axis), prepare([recorded(axis, 1)], axis)
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
     friction = EFFECTS["tustin_friction"].at("x", dF=0.25, vs=10.0)
     after = dataclasses.replace(before, machine=axis.replace({"x.coulomb": 0.7}).with_effects(friction))
     selected = (SelectedEffect(friction, 1.0, axis),)
-    assert held_out_gain(selected[0], after.machine, validation, SIMULATION) > 0.5
-    assert worsens_simulation(before.machine, after.machine, validation)
-    assert not worsens_simulation(after.machine, before.machine, validation)
-    outcome = SearchOutcome(before, False, True, "effect_found", after, selected, (), data)
+    return SearchOutcome(before, False, True, "effect_found", after, selected, (), data), validation
+
+
+def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: Machine) -> None:
+    """The effect reduces the error of Coulomb friction that was fitted too low; the refitted machine needs none."""
+    outcome, validation = outcome_with_spurious_friction(axis)
+    before, after = outcome.before.machine, outcome.after.machine
+    assert held_out_gain(outcome.selected[0], after, validation, SIMULATION) > 0.5
+    assert worsens_simulation(before, after, validation)
+    assert not worsens_simulation(after, before, validation)
     removed = _without_unconfirmed(outcome, validation, lambda line: None)
     assert (removed.verdict, removed.selected) == ("unexplained", ())
 
 
 def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine) -> None:
     """The effect reduces the error of the machine that was fitted with it; the machine refitted without it has none."""
-    data, validation = prepare([recorded(axis, 0)], axis), prepare([recorded(axis, 1)], axis)
-    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
-    friction = EFFECTS["tustin_friction"].at("x", dF=0.25, vs=10.0)
-    machine = axis.replace({"x.coulomb": 0.7}).with_effects(friction)
-    after = dataclasses.replace(before, machine=machine, cost=before.cost)
-    outcome = SearchOutcome(
-        before, False, True, "effect_found", after, (SelectedEffect(friction, 1.0, axis),), (), data
-    )
-    assert contradicting_held_out_runs(after, validation) == ("run_1",)
+    outcome, validation = outcome_with_spurious_friction(axis)
+    assert contradicting_held_out_runs(outcome.after, validation) == ("run_1",)
     assert _contradicting_held_out_runs(outcome, validation) == ()
 
 

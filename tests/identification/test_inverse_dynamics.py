@@ -64,8 +64,37 @@ def test_a_run_that_lacks_the_measurements_before_its_rest_has_a_force_error() -
     machine = axis(3.0, 5.0)
     error = force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine))
     assert error is not None
-    position[1000] = np.nan
-    assert force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine)) is None
+
+
+def force_error_without(missing: slice | list[int]) -> float | None:
+    """Return the force error of a known motion of which measurements are missing.
+
+    The mass is wrong by 10 % of the force's amplitude; voltages in the rows 1900 to 2099 are wrong.
+    """
+    time = np.arange(4000) * 1e-3
+    middle = time + 0.5e-3
+    force = -12.0 * np.sin(2.0 * middle) + 10.0 * np.cos(2.0 * middle)
+    force[1900:2100] += 50.0
+    position = np.sin(2.0 * time)[:, None]
+    position[missing] = np.nan
+    machine = axis(3.3, 5.0)
+    return force_error(machine, prepare([Recording("r", time, force[:, None] / 2.0, position)], machine))
+
+
+def test_single_missing_measurements_are_interpolated() -> None:
+    complete = force_error_without([])
+    assert complete is not None
+    assert complete > 0.5
+    assert force_error_without([500, 700, 1950, 1951, 1952, 3500]) == pytest.approx(complete, rel=1e-3)
+
+
+def test_rows_near_a_long_gap_have_no_force_error() -> None:
+    """The wrong voltages in the gap do not count; what remains is the error of the mass."""
+    assert force_error_without(slice(1880, 2120)) == pytest.approx(0.077, rel=0.05)
+
+
+def test_a_sensor_that_is_missing_most_of_the_time_has_no_force_error() -> None:
+    assert force_error_without([k for k in range(1, 3999) if k % 50]) is None
 
 
 def test_a_run_with_too_few_measured_rows_for_the_filter_has_no_force_error() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -24,6 +25,7 @@ class ScriptedSearch:
         self.pruned: tuple[SelectedEffect, ...] | None = None
         self.wide = 10.0  # chi-squared at the bandwidth of the search
         self.suspect: str | None = None
+        self.bandwidth = 0.0  # of the observer that the machine without effects needs
         self.simulated: float | None = None  # chi-squared of a fit in simulation that replaces one with an observer
         script = self
 
@@ -33,7 +35,7 @@ class ScriptedSearch:
 
             def run(self, current: Fit, chosen: tuple[SelectedEffect, ...] = ()) -> Any:
                 found = script.effects or chosen
-                bandwidth = 0.0 if script.simulated is None else 30.0
+                bandwidth = script.bandwidth if script.simulated is None else 30.0
                 return fit_with(*(s.effect for s in found), chi2=script.after, bandwidth=bandwidth), found
 
             def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
@@ -47,7 +49,7 @@ class ScriptedSearch:
             "default_free_parameters": lambda machine: (),
             "polish": lambda fitted, data: fitted,
             "converge": lambda fitted, data, thorough: fitted,
-            "fit_with_model_error": lambda fitted, data: fitted,
+            "fit_with_model_error": lambda fitted, data: dataclasses.replace(fitted, bandwidth=script.bandwidth),
             "refine_starts": lambda data, machine: data,
             # The simulation has no say: it is as bad with the effects as without.
             "prediction_cost": lambda machine, data, bandwidth: (
@@ -92,6 +94,22 @@ def test_without_effects_a_machine_that_explains_the_data_is_right(scripted_sear
     scripted_search.before = scripted_search.after = 1.2
     outcome = scripted_search.run()
     assert (outcome.verdict, outcome.before_explains, outcome.after) == ("no_effect", True, outcome.before)
+
+
+@pytest.mark.parametrize(("bandwidth", "verdict"), [(30.0, "no_effect"), (60.0, "unexplained")])
+def test_a_machine_without_effects_must_not_need_the_widest_observer(
+    scripted_search: ScriptedSearch, bandwidth: float, verdict: str
+) -> None:
+    """An observer of 60 rad/s corrects a missing force of any size."""
+    scripted_search.before = scripted_search.after = 1.2
+    scripted_search.bandwidth = bandwidth
+    assert scripted_search.run().verdict == verdict
+
+
+def test_effects_that_explain_the_data_may_need_the_widest_observer(scripted_search: ScriptedSearch) -> None:
+    scripted_search.effects, scripted_search.after = (selected(PUSH),), 1.2
+    scripted_search.bandwidth = 60.0
+    assert scripted_search.run().verdict == "effect_found"
 
 
 @pytest.mark.parametrize(("wide", "verdict"), [(3.3, "effect_found"), (3.4, "unexplained")])
