@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from .elementwise import fma, named, reciprocals
+from .elementwise import fma, named
+from .expressions import Expression
 from .parameterized_machine import IndexRow, MotionPoint, ParameterizedMachine, Value
 
 
@@ -68,7 +69,7 @@ class BeltEquations(ParameterizedMachine):
             extensions.append(named("extension", b, extension))
             rest_length = self.parameter(f"{self.machine.belts[b].name}.rest_length")
             lengths[b] = named("length", b, rest_length + displacement)
-        per_length = {  # 1/l; `reciprocals` saves divisions in the generated code
+        per_length = {  # 1/l
             b: named("per_length", b, value)
             for b, value in zip(lengths, reciprocals(list(lengths.values())), strict=True)
         }
@@ -200,3 +201,32 @@ def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Val
         size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]
         total = total - size if factor < 0 else total + size
     return total
+
+
+def reciprocals(values: Sequence[Value]) -> list[Value]:
+    """Return the reciprocal of each value; a simulation kernel divides once for up to three values.
+
+    A division costs as much as ten multiplications. With p = 1 / (a b c), the reciprocals are 1/a = p c b, 1/b = p c a
+    and 1/c = p a b. They may differ from the results of separate divisions in the last digits.
+
+    Args:
+        values: Floats, arrays of one common shape (...) or symbolic expressions, none of them zero, in any units.
+
+    Returns:
+        1/value for each value, in the same order, shape (...) each.
+    """
+    if not any(isinstance(value, Expression) for value in values):  # no kernel is being generated
+        return [1.0 / value for value in values]
+    results: list[Value] = []
+    for start in range(0, len(values), 3):
+        match list(values[start : start + 3]):
+            case [a, b, c]:
+                product = a * b
+                per_product = 1.0 / (product * c)
+                results += [per_product * c * b, per_product * c * a, per_product * product]
+            case [a, b]:
+                per_product = 1.0 / (a * b)
+                results += [per_product * b, per_product * a]
+            case [a]:
+                results += [1.0 / a]
+    return results

@@ -1,42 +1,60 @@
-"""Elementary functions for numbers, arrays, symbolic expressions and SIMD registers.
+"""Elementary functions that let one formula serve NumPy, CasADi and the simulation kernel.
 
-"Compiled simulation kernel" below is the Numba code that `kernel_source` generates for a machine. The equations of
-motion and the formulas of effects are written once with these functions. What a function does follows from the type of
-its operands:
+The equations of motion of a machine (the simulated mechanical system) and the formulas of effects are written once with
+these functions. The types of the operands decide what a function does:
 
-    NumPy arrays and plain numbers   NumPy's function
-    traced expressions               a node of the expression graph (`tracing`) from which a kernel is generated
-    CasADi SX and MX                 CasADi's function
-    SIMD registers in a kernel       vector instructions, which `simd` registers with Numba
+    operand                       action
+    number, NumPy array           call NumPy's function
+    CasADi expression (SX, MX)    call CasADi's function; CasADi is imported at the first such operand
+    traced expression             compute nothing; return a new traced expression, which records the operation
+    SIMD register                 execute vector instructions, in Numba-compiled code only (modules `simd`, `simd_math`)
 
-CasADi is imported only when an operand is a CasADi value.
+A traced expression (class `Expression`) stands for a value that a generated function will compute. `kernel_source`
+evaluates the equations with traced expressions and writes the recorded operations as source text. Compiled by Numba,
+this text is the simulation kernel. It simulates several machines side by side: a SIMD register holds one number per
+machine. Below, "symbolic expression" means a CasADi expression or a traced expression.
+
+CasADi (KeyError) and formulas of the simulation kernel (compilation error of Numba) lack some functions:
+
+    function              NumPy    CasADi    formulas of the kernel
+    tanh, sign            yes      yes       no
+    rint                  yes      no        yes
+    pow2, any_of          yes      no        no, but the kernel's helper functions and conditions use them
+    all other functions   yes      yes       yes
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-_PLAIN = (float, int, np.ndarray, np.generic)
+from .expressions import Expression
+
+# `_apply` skips operands of these types, before tests that take longer.
+_NUMPY_TYPES = (float, int, np.ndarray, np.generic)
 
 
 def exp(x: Any) -> Any:
-    """Return e**x; in a compiled simulation kernel (generated code) x < -700 gives zero, and x is limited to 700.
+    """Return e**x.
+
+    In a simulation kernel the result is never infinite: 0 for x < -700, and e**700 = 1.01e304 for x > 700.
 
     Args:
-        x: Exponent, dimensionless: number, array of any shape, SIMD register, or expression (CasADi, or traced to
-            generate a kernel).
+        x: Exponent, dimensionless: number, array of any shape, or symbolic expression.
 
     Returns:
-        e**x, with the type and shape of the operand.
+        e**x, element by element, in the shape of x.
     """
     return _apply("exp", x)
 
 
 def sin(x: Any) -> Any:
-    """Return the sine of an angle; in a compiled simulation kernel (generated code) only for |x| up to 1e6 rad.
+    """Return the sine of an angle.
+
+    In a simulation kernel the error is below 5e-16 for |x| <= 1e12 rad; beyond 1e16 rad the result is meaningless.
 
     Args:
         x: Angle, rad: number, array of any shape, or symbolic expression.
@@ -48,7 +66,9 @@ def sin(x: Any) -> Any:
 
 
 def cos(x: Any) -> Any:
-    """Return the cosine of an angle; in a compiled simulation kernel (generated code) only for |x| up to 1e6 rad.
+    """Return the cosine of an angle.
+
+    In a simulation kernel the error is below 5e-16 for |x| <= 1e12 rad; beyond 1e16 rad the result is meaningless.
 
     Args:
         x: Angle, rad: number, array of any shape, or symbolic expression.
@@ -60,7 +80,7 @@ def cos(x: Any) -> Any:
 
 
 def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent (not available in a compiled simulation kernel, the generated code).
+    """Return the hyperbolic tangent (not available in a simulation kernel).
 
     Args:
         x: Operand, dimensionless: number, array of any shape, or symbolic expression.
@@ -96,7 +116,9 @@ def absolute(x: Any) -> Any:
 
 
 def sign(x: Any) -> Any:
-    """Return the sign of a value; generated simulation code does not have this function and uses `copysign`.
+    """Return the sign of a value, which is 0 for x = 0 (not available in a simulation kernel).
+
+    Formulas for the kernel use `copysign(1.0, x)`, which is never 0: it is 1 for x = 0.0 and -1 for x = -0.0.
 
     Args:
         x: Operand, any unit: number, array of any shape, or symbolic expression.
@@ -108,7 +130,7 @@ def sign(x: Any) -> Any:
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Return the smaller of two values.
+    """Return the smaller of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b.
 
     Args:
         a: First operand, any unit: number, array of any shape, or symbolic expression.
@@ -121,7 +143,7 @@ def minimum(a: Any, b: Any) -> Any:
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Return the larger of two values.
+    """Return the larger of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b.
 
     Args:
         a: First operand, any unit: number, array of any shape, or symbolic expression.
@@ -133,17 +155,17 @@ def maximum(a: Any, b: Any) -> Any:
     return _apply("maximum", a, b)
 
 
-def copysign(size: Any, sign_of: Any) -> Any:
-    """Return |size| with the sign of `sign_of`.
+def copysign(magnitude: Any, sign_of: Any) -> Any:
+    """Return |magnitude| with the sign of `sign_of`.
 
     Args:
-        size: Number, array of any shape, or symbolic expression, any unit; its sign is ignored.
-        sign_of: Operand whose sign is used, of a broadcastable shape; 0.0 counts as positive, -0.0 as negative.
+        magnitude: Number, array of any shape, or symbolic expression, any unit; its sign is ignored.
+        sign_of: Operand whose sign is used, of a broadcastable shape; unlike in `sign`, 0.0 is positive, -0.0 negative.
 
     Returns:
-        |size| with the sign of `sign_of`, in the common shape.
+        |magnitude| with the sign of `sign_of`, in the common shape.
     """
-    return _apply("copysign", size, sign_of)
+    return _apply("copysign", magnitude, sign_of)
 
 
 def where(condition: Any, yes: Any, no: Any) -> Any:
@@ -151,8 +173,8 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
 
     Args:
         condition: Truth value, array of truth values of any shape, or symbolic condition.
-        yes: Value where the condition holds, any unit: number, array of a broadcastable shape, or expression.
-        no: Value elsewhere, in the same unit: number, array of a broadcastable shape, or expression.
+        yes: Value where the condition holds, any unit: number, array of a broadcastable shape, or symbolic expression.
+        no: Value elsewhere, in the same unit: number, array of a broadcastable shape, or symbolic expression.
 
     Returns:
         The selected values, in the common shape.
@@ -161,10 +183,10 @@ def where(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Return a * b + c: rounded once in a compiled simulation kernel (fused multiply-add), twice elsewhere.
+    """Return a * b + c: rounded once in a simulation kernel (fused multiply-add), twice elsewhere.
 
     Args:
-        a: First factor, any unit: number, array of any shape, SIMD register, or symbolic expression.
+        a: First factor, any unit: number, array of any shape, or symbolic expression.
         b: Second factor, of a broadcastable shape.
         c: Summand in the unit of a * b, of a broadcastable shape.
 
@@ -175,10 +197,12 @@ def fma(a: Any, b: Any, c: Any) -> Any:
 
 
 def rint(x: Any) -> Any:
-    """Return the nearest integer, ties to even.
+    """Return the nearest integer, ties to even (not available for CasADi expressions).
+
+    The kernel's `exp`, `sin` and `cos` use it, and environments round measurements to the sensor's resolution with it.
 
     Args:
-        x: Operand, dimensionless: number, array of any shape, or traced expression, but no CasADi expression.
+        x: Operand, dimensionless: number, array of any shape, or traced expression.
 
     Returns:
         Nearest integer, as a floating-point value, in the shape of x.
@@ -193,13 +217,13 @@ def floor(x: Any) -> Any:
         x: Operand, dimensionless: number, array of any shape, or symbolic expression.
 
     Returns:
-        Largest integer that does not exceed x, as a floating-point value, in the shape of x.
+        Largest integer that does not exceed x, in the shape of x: float, but int for an int with NumPy >= 2.1.
     """
     return _apply("floor", x)
 
 
 def pow2(n: Any) -> Any:
-    """Return 2**n for integers n, exactly.
+    """Return 2**n for integers n, exactly; the simulation kernel's `exp` uses it for e**x = 2**n e**r.
 
     Args:
         n: Exponent in [-1022, 1023], an integer as a floating-point value: number or array of any shape.
@@ -211,94 +235,72 @@ def pow2(n: Any) -> Any:
 
 
 def any_of(condition: Any) -> Any:
-    """Return whether a condition holds in at least one element (for SIMD registers: for at least one machine).
+    """Return whether a condition holds in at least one element; `if` and `while` statements of the kernel use it.
 
     Args:
         condition: Truth value, array of truth values of any shape, or SIMD mask (one truth value per machine).
 
     Returns:
-        One truth value.
+        One truth value. Where it is true, the kernel takes the branch for all machines of the register.
     """
     return _apply("any_of", condition)
 
 
 def named(role: str, index: int, value: Any) -> Any:
-    """Give a value the name `role_index` in the source text of the generated simulation code; elsewhere do nothing.
+    """Give a value the name `role_index` in the source text of a simulation kernel; elsewhere do nothing.
+
+    The names make this text, which `hframe kernel` prints, readable; they do not change results.
 
     Args:
         role: First part of the name: what the value is, for example "extension".
         index: Index of the coordinate, belt, drive, sensor or effect, for example 0 for "extension_0".
-        value: Value to name, in any unit. Only a traced expression, from which code is generated, takes a name.
+        value: Value to name, in any unit: number, array of any shape, or symbolic expression.
 
     Returns:
         The same value.
     """
-    return value.name_as(role, index) if hasattr(value, "name_as") else value
-
-
-def reciprocals(values: Sequence[Any]) -> list[Any]:
-    """Return the reciprocal of each value.
-
-    In generated simulation code, three values share one division, which costs as much as ten multiplications: with the
-    product P = a b c, 1/a = b c / P and so on.
-
-    Args:
-        values: Numbers, arrays of one common shape (...) or symbolic expressions, none of them zero, in any units.
-
-    Returns:
-        1/value for each value, in the same order, shape (...) each.
-    """
-    if not any(hasattr(v, "traced_function") for v in values):
-        return [1.0 / v for v in values]
-    results: list[Any] = []
-    for group in (values[i : i + 3] for i in range(0, len(values), 3)):
-        if len(group) == 1:
-            results.append(1.0 / group[0])
-            continue
-        first, second, *third = group
-        pair = first * second
-        if third:
-            reciprocal = 1.0 / (pair * third[0])
-            reciprocal_pair = reciprocal * third[0]
-            results += [reciprocal_pair * second, reciprocal_pair * first, reciprocal * pair]
-        else:
-            reciprocal_pair = 1.0 / pair
-            results += [reciprocal_pair * second, reciprocal_pair * first]
-    return results
+    return value.name_as(role, index) if isinstance(value, Expression) else value
 
 
 def update_if_any(
     condition: Callable[[], Any], values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
 ) -> list[Any]:
-    """Return `update(values)`; in generated simulation code, behind an `if` that skips it where it has no effect.
+    """Return `update(values)`; a simulation kernel skips the update where it has no effect.
 
-    Generated code computes several machines side by side. It calls `update` if the condition is true for at least one.
+    The kernel calls `update` if the condition is true for at least one of the machines that it simulates side by side;
+    the call then applies to all of them.
 
     Args:
-        condition: Function without arguments that returns the condition; it is called only to generate code.
+        condition: Function without arguments that returns the condition; it is called only to generate a kernel.
         values: Numbers, arrays of one common shape (...) or symbolic expressions to update, in any units.
-        update: Function from the values to the new values. It must not change values whose condition is false.
+        update: Function from the values to the new values. For a machine whose condition is false it must return that
+            machine's values unchanged.
 
     Returns:
         The updated values, in the order, units and shape (...) of `values`.
     """
-    # Only traced expressions (from which code is generated) can write the `if`; other algebras update in any case.
-    traced = next((v for v in values if hasattr(v, "traced_function")), None)
+    # Only a kernel can skip the update; NumPy and CasADi evaluate it in any case.
+    traced = next((value for value in values if isinstance(value, Expression)), None)
     if traced is not None:
         return list(traced.trace.update_if_any(condition(), values, update))
     return list(update(values))
 
 
 def _apply(name: str, *operands: Any) -> Any:
-    """Call the function of that name in the algebra of the operands."""
+    """Call the implementation that the first traced or CasADi operand decides; without such an operand, NumPy's."""
     for operand in operands:
-        if isinstance(operand, _PLAIN):
+        if isinstance(operand, _NUMPY_TYPES):
             continue
-        if hasattr(operand, "traced_function"):
+        if isinstance(operand, Expression):
             return operand.traced_function(name, operands)
         if type(operand).__module__.partition(".")[0] == "casadi":
             return _casadi_functions()[name](*operands)
     return _NUMPY[name](*operands)
+
+
+def _multiply_add(a: Any, b: Any, c: Any) -> Any:
+    """Return a * b + c with two roundings."""
+    return a * b + c
 
 
 def _numpy_where(condition: Any, yes: Any, no: Any) -> Any:
@@ -318,7 +320,7 @@ _NUMPY: Mapping[str, Callable[..., Any]] = {
     "maximum": np.maximum,
     "copysign": np.copysign,
     "where": _numpy_where,
-    "fma": lambda a, b, c: a * b + c,
+    "fma": _multiply_add,
     "rint": np.rint,
     "floor": np.floor,
     "pow2": np.exp2,
@@ -326,8 +328,9 @@ _NUMPY: Mapping[str, Callable[..., Any]] = {
 }
 
 
+@functools.cache
 def _casadi_functions() -> Mapping[str, Callable[..., Any]]:
-    """Return CasADi's functions; the import costs 0.1 s, hence only on use."""
+    """Return CasADi's functions by name; CasADi is imported on use only, because the import takes 0.1 s."""
     import casadi
 
     return {
@@ -342,6 +345,6 @@ def _casadi_functions() -> Mapping[str, Callable[..., Any]]:
         "maximum": casadi.fmax,
         "copysign": casadi.copysign,
         "where": casadi.if_else,
-        "fma": lambda a, b, c: a * b + c,
+        "fma": _multiply_add,
         "floor": casadi.floor,
     }

@@ -1,10 +1,12 @@
-"""SIMD registers as a Numba type: `LANES` machines side by side in every arithmetic instruction.
+"""SIMD registers as a Numba type: every arithmetic instruction computes `LANES` simulated machines side by side.
 
-Numba's loop vectorizer fails on a time-stepping loop with friction, so the kernels use vector values explicitly. A
-`SimdVector` holds `LANES` float64 numbers, one per machine; a `SimdMask` is the result of a comparison. Arithmetic and
-the functions of `elementwise` map to LLVM vector instructions, which LLVM lowers to those of the processor (AVX-512,
-AVX2, NEON). Nothing is contracted or re-associated, and a fused multiply-add happens only where `fma` is called.
-Therefore the same inputs give the same bits in every lane, batch size and number of threads.
+Numba does not vectorize a time-stepping loop with friction by itself, so the simulation kernels compute with explicit
+vectors. A `SimdVector` (a SIMD register, in other docstrings) holds `LANES` float64 numbers, one per machine; LLVM
+distributes it over as many registers of the processor (AVX-512, AVX2, NEON) as it needs. A `SimdMask` holds the truth
+values of a comparison. This module registers with Numba what arithmetic and the functions of `elementwise` do with
+them; `exp`, `sin` and `cos` follow in `simd_math`. LLVM contracts and re-associates nothing, and a fused multiply-add
+happens only where `fma` is called. Therefore a machine's results have the same bits in every lane (column of a
+register), batch size and number of threads.
 """
 
 from __future__ import annotations
@@ -44,17 +46,18 @@ __all__ = [
 ]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-# Decorators of functions that only compiled code calls; without wrappers for Python and C they compile faster.
+# Options of functions that only compiled code calls; without wrappers for Python and C they compile faster.
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
     "error_model": "numpy",
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
 }
-helper: Any = njit(**_OPTIONS)
-inlined: Callable[[Function], Function] = njit(forceinline=True, **_OPTIONS)
+helper: Any = njit(**_OPTIONS)  # decorator of a separate function
+inlined: Callable[[Function], Function] = njit(forceinline=True, **_OPTIONS)  # LLVM copies it to its callers
 
-# With AVX-512 two registers of eight: one hides the latency of the other. Other processors have too few registers.
+# With AVX-512, two registers of 8 numbers: instructions on one run while those on the other wait for their results.
+# Other processors have too few registers for 16 numbers per variable.
 LANES = 16 if get_host_cpu_features().get("avx512f") else 8
 
 _F64 = ir.DoubleType()
@@ -63,7 +66,7 @@ _VECTOR = ir.VectorType(_F64, LANES)
 _FLOAT32_VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _IVECTOR = ir.VectorType(_I64, LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
-# Rows of a scratch array start on 8-byte boundaries only; a larger claim would fault.
+# Bytes. Rows of a work array start on 8-byte boundaries only; instructions for a larger alignment would fault.
 _ALIGN = 8
 
 
@@ -81,6 +84,7 @@ class SimdMask(types.Type):
         super().__init__(name=f"mask{LANES}")
 
 
+# The types as they occur in Numba's signatures.
 lane = SimdVector()
 mask = SimdMask()
 
@@ -133,10 +137,10 @@ def store(rows: Any, k: Any, value: Any) -> None:
 
 
 def align_stack() -> None:
-    """Align the stack frame of the calling compiled function to 64 bytes, the size of a SIMD register.
+    """Align the stack frame of the calling compiled function to 64 bytes, the size of an AVX-512 register.
 
-    Registers that the compiler saves on the stack then do not straddle two cache lines, which would slow down every
-    access. In the Python interpreter the call has no effect.
+    The compiler saves registers on the stack. Without the alignment, such a register can extend over two cache lines of
+    64 bytes, which slows down every access to it. In the Python interpreter the call has no effect.
     """
 
 
@@ -146,10 +150,12 @@ _SCALAR = (types.Float, types.Integer)
 
 
 def _is_operand(ty: types.Type) -> bool:
+    """Return whether a type is a vector or a plain number."""
     return ty == lane or isinstance(ty, _SCALAR)
 
 
 def _as_vector(context: Any, builder: Any, value: Any, ty: types.Type) -> Any:
+    """Return a vector unchanged, and a plain number as a vector with this number in all lanes."""
     if ty == lane:
         return value
     scalar = context.cast(builder, value, ty, types.float64)
@@ -160,7 +166,7 @@ def _as_vector(context: Any, builder: Any, value: Any, ty: types.Type) -> Any:
 
 
 def _operation(function: Any, arity: int, result: types.Type, emit: Callable[..., Any]) -> None:
-    """Register a function of vectors with Numba; plain numbers among its operands are broadcast to all lanes."""
+    """Register a function of vectors with Numba; plain numbers among its operands are copied to all lanes."""
 
     @infer_global(function)
     class _Template(AbstractTemplate):
@@ -192,19 +198,22 @@ def _llvm(name: str) -> Callable[..., Any]:
 
 
 def _arithmetic(instruction: str) -> Callable[..., Any]:
+    """Return the emitter of the LLVM instruction of that name."""
     return lambda builder, *args: getattr(builder, instruction)(*args)
 
 
 def _comparison(sign: str) -> Callable[..., Any]:
+    """Return the emitter of a comparison; with NaN it is false, and unlike in Python so is NaN != x."""
     return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
 
 
 def _choice(sign: str) -> Callable[..., Any]:
-    """Return the emitter of the smaller ("<") or larger (">") of two vectors."""
+    """Return the emitter of the smaller ("<") or larger (">") of two vectors; if a value is NaN, of the second."""
     return lambda builder, a, b: builder.select(builder.fcmp_ordered(sign, a, b), a, b)
 
 
 def _emit_pow2(builder: Any, n: Any) -> Any:
+    """Emit 2**n: the float64 with the exponent bits n + 1023 and the mantissa 1."""
     bias = ir.Constant(_IVECTOR, [1023] * LANES)
     shift = ir.Constant(_IVECTOR, [52] * LANES)
     return builder.bitcast(builder.shl(builder.add(builder.fptosi(n, _IVECTOR), bias), shift), _VECTOR)
@@ -253,6 +262,8 @@ def _lower_where(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 def _mask_operation(function: Any, instruction: str) -> None:
+    """Register `&` or `|` of two masks with Numba."""
+
     @infer_global(function)
     class _Template(AbstractTemplate):
         def generic(self, args: Sequence[types.Type], kws: Any) -> Any:
@@ -280,6 +291,7 @@ def _lower_any_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 def _is_rows(ty: types.Type, *dtypes: types.Type) -> bool:
+    """Return whether a type is a contiguous two-dimensional array of one of some number types."""
     return isinstance(ty, types.Array) and ty.dtype in dtypes and ty.ndim == 2 and ty.layout == "C"
 
 
@@ -297,6 +309,7 @@ class _Store(AbstractTemplate):
 
 
 def _row_pointer(context: Any, builder: Any, sig: Any, args: Any, vector: Any = _VECTOR) -> Any:
+    """Return the address of a row of `LANES` numbers; args: array and index of the row."""
     array = context.make_array(sig.args[0])(context, builder, args[0])
     row = context.cast(builder, args[1], sig.args[1], types.intp)
     offset = builder.mul(row, context.get_constant(types.intp, LANES))

@@ -1,11 +1,13 @@
-"""Elementary functions of SIMD registers (exp, sin and cos), and copies of blocks of machines.
+"""The functions exp, sin and cos of SIMD registers, and the exchange of rows between arrays and blocks of machines.
 
-The functions are branch-free, accurate to a few units in the last place and equal on every processor. The system's
-mathematical library offers neither: it would cost one call per lane, and it differs between systems. Importing this
-module registers the functions of `elementwise` with Numba. Some are registered for plain numbers too, so that a
-compiled formula can be used for registers and for numbers.
+A SIMD register (`simd.SimdVector`) holds `LANES` (8 or 16) float64 numbers, one per simulated machine. The functions
+have no branches, are accurate to a few units in the last place, and give the same bits on every processor. The
+mathematical library of the system would need one call per number, and its results differ between systems.
 
-A block has LANES machines, one per column; other arrays have one machine per row.
+Importing this module registers these functions of `elementwise` with Numba. `floor`, `minimum`, `maximum` and `where`
+are registered for plain numbers (float64) too, so that compiled formulas can use them for registers and for numbers.
+
+A block holds the values of LANES machines, one column per machine; other arrays have one row per machine.
 """
 
 from __future__ import annotations
@@ -22,13 +24,16 @@ from .simd import LANES, SimdVector, inlined
 __all__ = ["cos", "exp", "floor", "maximum", "minimum", "read_block", "sin", "where", "write_block"]
 
 _LOG2E = 1.4426950408889634
+# ln 2 in two parts: the product of the first with an integer up to 2**20 is exact.
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _TWO_OVER_PI = 0.6366197723675814
-# pi/2 in three parts (Cody and Waite): products are exact for quotients up to 2**20.
+# pi/2 in three parts (Cody and Waite): the products of the first two with an integer up to 2**20 are exact. For larger
+# integers, up to 1e12 and beyond, the single rounding of `fma` preserves the accuracy.
 _PIO2 = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 
 
 def _vector_exp(x):  # type: ignore[no-untyped-def]
+    """Return e**x = 2**n e**r with an integer n and |r| <= ln(2)/2; 0 for x < -700, e**700 for x > 700."""
     bounded = where(x < -700.0, -700.0, where(x > 700.0, 700.0, x))
     n = rint(bounded * _LOG2E)
     r = fma(n, -_LN2_LOW, fma(n, -_LN2_HIGH, bounded))
@@ -49,10 +54,15 @@ def _vector_exp(x):  # type: ignore[no-untyped-def]
 
 
 def _vector_sin_shifted(x, quarter_turns):  # type: ignore[no-untyped-def]
+    """Return sin(x + quarter_turns pi/2), for quarter_turns 0 (sine) or 1 (cosine); x: angle, rad.
+
+    With the nearest multiple n pi/2 of pi/2 and r = x - n pi/2, the value is sin r, cos r, -sin r or -cos r, according
+    to the quadrant (n + quarter_turns) mod 4.
+    """
     n = rint(x * _TWO_OVER_PI)
     r = fma(n, -_PIO2[2], fma(n, -_PIO2[1], fma(n, -_PIO2[0], x)))
     s = r * r
-    # Taylor series to r**15 and r**16: |r| <= pi/4, remainders 5e-17 and 2e-18.
+    # Taylor series of sin r (odd) to r**15 and of cos r (even) to r**16: |r| <= pi/4, remainders 5e-17 and 2e-18.
     odd = fma(s, -1.0 / 1307674368000.0, 1.0 / 6227020800.0)
     odd = fma(s, odd, -1.0 / 39916800.0)
     odd = fma(s, odd, 1.0 / 362880.0)
@@ -127,7 +137,7 @@ def _where_of_numbers(condition, yes, no):  # type: ignore[no-untyped-def]
     return None
 
 
-# The loops below are several times as fast with a constant number of machines, which most blocks have.
+# Most blocks are complete. Their loops have a constant number of machines, which makes them several times as fast.
 
 
 @inlined
@@ -137,7 +147,7 @@ def read_block(rows: Any, begin: int, block: Any) -> None:
     Args:
         rows: Values of n machines, any unit, shape (n, k).
         begin: Row of the first machine of the block.
-        block: Output, shape (k or more, LANES), LANES (8 or 16) machines. Columns beyond the last row repeat it.
+        block: Output, shape (k or more, LANES). If fewer than LANES rows remain, further columns repeat the last row.
     """
     if begin + LANES <= rows.shape[0]:
         for k in range(rows.shape[1]):
@@ -157,7 +167,7 @@ def write_block(block: Any, begin: int, count: int, rows: Any) -> None:
         block: Values of LANES (8 or 16) machines, any unit, shape (count or more, LANES).
         begin: Row of the first machine of the block.
         count: Number of values per machine.
-        rows: Output, shape (n, count or more). Columns of the block beyond the last row are ignored.
+        rows: Output, shape (n, count or more). If fewer than LANES rows remain, further columns are ignored.
     """
     if begin + LANES <= rows.shape[0]:
         for k in range(count):

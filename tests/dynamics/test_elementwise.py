@@ -1,4 +1,4 @@
-"""Elementary functions in every algebra give the values of NumPy."""
+"""Elementary functions give the same values with CasADi as with NumPy."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import elementwise
+from hframe_gym.dynamics.belts import reciprocals
 
 pytestmark = pytest.mark.unit
 
@@ -37,4 +38,12 @@ def test_scalars_stay_scalars() -> None:
 
 def test_reciprocals_of_numbers() -> None:
     """Without tracing every reciprocal is a separate division."""
-    assert elementwise.reciprocals([2.0, 4.0, 5.0, 8.0]) == [0.5, 0.25, 0.2, 0.125]
+    assert reciprocals([2.0, 4.0, 5.0, 8.0]) == [0.5, 0.25, 0.2, 0.125]
+
+
+@pytest.mark.parametrize("name", ["rint", "pow2", "any_of"])
+def test_functions_without_casadi_support(name: str) -> None:
+    """The module docstring lists the functions that refuse CasADi operands."""
+    casadi = pytest.importorskip("casadi")
+    with pytest.raises(KeyError, match=name):
+        getattr(elementwise, name)(casadi.SX.sym("x"))
