@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,9 @@ class DeadTime:
         )
         self._complete_periods = int(self.delay_s / period + 1e-9)
         self.remainder_s = max(self.delay_s - self._complete_periods * period, 0.0)
+        if self.delay_s > 0.0:
+            # For `delayed_goals`: the import takes a tenth of a second, which the first control period does not have.
+            importlib.import_module("scipy.interpolate")
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
@@ -115,7 +119,7 @@ class DeadTime:
         """
         if self.delay_s == 0.0:
             return goals
-        from scipy.interpolate import PchipInterpolator  # takes a tenth of a second, which a start without it saves
+        from scipy.interpolate import PchipInterpolator
 
         # Times of the shifted goals, in periods from now.
         later = np.arange(self.delay_s / self.period, goals.shape[1] - 1 + 1e-9)

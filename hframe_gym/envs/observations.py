@@ -100,6 +100,9 @@ class ObservationBuilder:
             self._state = StateView.of(simulator, self.entries)
         else:
             self._sensors = SensorArray(machine, sensors, count, sampler.space.names.index)
+            # Blocks are measured as a whole: environments that were never reset have the nominal noise and resolution.
+            nominal = np.tile(sampler.space.nominal, (count, 1))
+            self._sensors.begin(np.arange(count), np.zeros(count, np.uint64), nominal)
             self._position = PositionFromSensors.of(machine, sensors)
             self._box = np.stack(bounds_of(self.entries))
             self._goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
@@ -247,21 +250,21 @@ class ObservationBuilder:
 
 @compiled
 def _write_measurements(
-    measurements: Any, period: float, limits: Any, position: Any, boxes: Any, first: int, last: int, out: Any, tool: Any
+    history: Any, period: float, limits: Any, position: Any, boxes: Any, first: int, last: int, out: Any, achieved: Any
 ) -> None:
-    """Write observations out (B, 2 n) and positions tool (B, axes) of blocks first..last-1 from measurements.
+    """Write observations out (B, 2 n) and positions achieved (B, axes) of blocks first..last-1 from measurements.
 
-    measurements (2, blocks, n, LANES); limits: lower and upper end of the ranges, (blocks, n, LANES) each; position:
-    `PositionFromSensors`. The position along an axis is the measurement itself where that is strictly inside its range,
-    else what the other sensors give on unstretched belts. All are clipped to boxes: (2, 2 n) for out, (axes, 2) for
-    tool.
+    history (2, blocks, n, LANES): last measurements and those before; limits: lower and upper end of the ranges,
+    (blocks, n, LANES) each; position: `PositionFromSensors`. The position along an axis is the measurement itself where
+    that is strictly inside its range, else what the other sensors give on unstretched belts. All are clipped to boxes:
+    (2, 2 n) for out, (axes, 2) for achieved.
     """
     (range_low, range_high), (belts, direct, scale), (box, goal_box) = limits, position, boxes
-    n, axes = measurements.shape[2], tool.shape[1]
+    n, axes = history.shape[2], achieved.shape[1]
     values, positions = np.empty((2 * n, LANES), np.float32), np.empty((axes, LANES), np.float32)
     undetermined = np.array([not belts[axis].any() for axis in range(axes)])
     for block in range(first, last):
-        now, before, low, high = measurements[0, block], measurements[1, block], range_low[block], range_high[block]
+        now, before, low, high = history[0, block], history[1, block], range_low[block], range_high[block]
         for j in range(n):
             rate = (load(now, j) - load(before, j)) / period
             store(values, j, _clip(load(now, j), box[0, j], box[1, j]))
@@ -277,7 +280,7 @@ def _write_measurements(
                 measured = scale[axis] * load(now, j)
                 value = measured if undetermined[axis] else where(inside, measured, value)
             store(positions, axis, _clip(value, goal_box[axis, 0], goal_box[axis, 1]))
-        write_block(positions, block * LANES, axes, tool)
+        write_block(positions, block * LANES, axes, achieved)
 
 
 @inlined

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -75,6 +77,16 @@ def test_goals_are_shifted_by_the_dead_time(hframe: Machine) -> None:
     np.testing.assert_allclose(dead_time.delayed_goals(goals)[0, :, 0], np.arange(0.15, 1.0, 0.1))
     with pytest.raises(InputError, match="ends within the dead time"):
         dead_time.delayed_goals(goals[:, :3])
+
+
+def test_first_control_period_imports_nothing(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "scipy.interpolate", raising=False)
+    DeadTime(hframe, PERIOD)
+    assert "scipy.interpolate" not in sys.modules
+    dead_time = DeadTime(delayed(hframe, 0.015), PERIOD)
+    imported = set(sys.modules)
+    dead_time.delayed_goals(np.zeros((1, 11, 2)))
+    assert set(sys.modules) == imported
 
 
 def test_controller_that_models_the_dead_time_settles(hframe: Machine) -> None:

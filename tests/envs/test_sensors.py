@@ -244,6 +244,23 @@ def test_a_sensor_kind_of_another_file():
     np.testing.assert_array_equal(one["observation"], observation["observation"][7])
 
 
+def test_environments_that_were_never_reset_have_sensors_of_nominal_resolution(monkeypatch):
+    resolutions = []
+
+    def measure(reading, noise, resolution, normal):
+        resolutions.append(resolution)
+        return np.abs(reading)
+
+    monkeypatch.setattr(Coarse, "measure", staticmethod(measure))
+    machine = BUILTIN_MACHINES["hframe"]()
+    coarse = dataclasses.replace(machine.sensor("y_m"), kind="coarse-test", resolution=1e-3)
+    machine = machine.replace(sensors=tuple(coarse if s.channel == "y_m" else s for s in machine.sensors))
+    envs = HFrameVectorEnv(5, machine=machine, sensors="machine", autoreset_mode="Disabled")
+    envs.reset(seed=0, options={"reset_mask": np.array([False, True, False, False, True])})
+    envs.step(np.zeros((5, 2)))
+    np.testing.assert_array_equal(resolutions, np.full((2, 5), 1e-3))
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

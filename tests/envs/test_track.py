@@ -1,6 +1,8 @@
 """Task `track`: goals against closed forms, preview, contour error, path files, and both environment checkers."""
 
 import warnings
+from dataclasses import dataclass
+from typing import ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +13,7 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 import hframe_gym  # noqa: F401  (registers the environments)
-from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach, Track
+from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Reach, Task, Track
 from hframe_gym.envs.tasks.curves import SHAPES, Polyline
 from hframe_gym.envs.tasks.track import arc_lengths
 from hframe_gym.errors import InputError
@@ -90,6 +92,43 @@ def test_preview_holds_the_future_goals(path):
     for k in range(10):
         later = np.concatenate([observations[k + i + 1]["desired_goal"] for i in range(10)])
         np.testing.assert_allclose(observations[k]["preview"], later, atol=1e-7)
+
+
+@dataclass(frozen=True)
+class LongPlan(Track):
+    """Follow a path by a plan that has further numbers, as the class of a user may have it."""
+
+    plan_size: ClassVar[int] = 60
+
+
+@pytest.mark.parametrize("kind", [Track, LongPlan])
+@pytest.mark.parametrize("path", [*SHAPE_NAMES, "file"])
+def test_goals_of_an_observation_are_those_of_goal(path, kind, tmp_path):
+    if path == "file":
+        path = write(tmp_path, "x_m,y_m\n0,0\n0.05,0.02\n0.06,0.1\n")  # an open path
+    task, count = kind(path=path), 19
+    _, plan = plans(task, count)
+    elapsed_s, ahead_s = np.linspace(0.0, 2.0, 2 * count)[::2], np.array(task.ahead_s)
+    written, expected = ([np.empty((count, 2), np.float32), np.empty((count, 10, 2), np.float32)] for _ in range(2))
+    task.write_goals(plan, elapsed_s, ahead_s, *written)
+    Task.write_goals(task, plan, elapsed_s, ahead_s, *expected)
+    for goals, goals_of_default in zip(written, expected, strict=True):
+        np.testing.assert_array_equal(goals, goals_of_default)
+
+
+@pytest.mark.parametrize("path", ["circle", "square"])
+def test_contour_error_takes_arrays_of_any_type(path):
+    task = Track(path=path, lead_s=1)
+    _, plan = plans(task)
+    start = task.goal(plan, np.zeros(8))
+    points, elapsed_s = (start + 0.0012).astype(np.float32), np.tile([0.0, 1.0], 4)
+    expected = task.contour(plan, points.astype(np.float64), elapsed_s)
+    for same in (elapsed_s.astype(np.float32), elapsed_s.astype(int), np.repeat(elapsed_s, 2)[::2]):
+        np.testing.assert_array_equal(task.contour(plan, points, same), expected)
+    origin = np.zeros((8, 2))
+    np.testing.assert_array_equal(
+        task.contour(plan, origin.astype(int), elapsed_s), task.contour(plan, origin, elapsed_s)
+    )
 
 
 def test_contour_error_is_the_smallest_distance_to_the_curve():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +163,6 @@ def test_sometimes_is_a_log_uniform_number_with_the_given_probability() -> None:
     assert 0.0 < SMALLEST_SIZE < 1.0
 
 
-@CONTROLLERS.register("first-measurement")
 class _FirstMeasurement(Controller):
     """Zero voltage; records the width of the observation."""
 
@@ -175,6 +174,15 @@ class _FirstMeasurement(Controller):
         return np.zeros((len(observation["observation"]), 2))
 
 
+@pytest.fixture
+def _first_measurement() -> Iterator[None]:
+    """Register the controller for one test; tests of all registered controllers must not find it."""
+    CONTROLLERS.register("first-measurement")(_FirstMeasurement)
+    yield
+    CONTROLLERS.unregister("first-measurement")
+
+
+@pytest.mark.usefixtures("_first_measurement")
 def test_controllers_of_the_full_state_get_estimates_in_hard() -> None:
     _FirstMeasurement.widths.clear()
     protocol = dataclasses.replace(

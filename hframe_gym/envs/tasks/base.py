@@ -22,8 +22,9 @@ class Task(ABC):
 
     At reset a task makes a *plan* for each environment: a row of `plan_size` numbers that defines the goal at all times
     of the episode (for `reach` the target, for `track` path, center, direction, start and speed). All methods are pure
-    functions of plans, so that goals do not depend on earlier calls. To add a task, write a subclass with `begin` and
-    `goal` and register it:
+    functions: goals do not depend on earlier calls, and the arrays that a method receives are not changed, because they
+    can be parts of those that the environment keeps. To add a task, write a subclass with `begin` and `goal` and
+    register it:
 
         @TASKS.register("my-task")
         @dataclass(frozen=True)

@@ -121,7 +121,7 @@ class Track(Task):
 
     @cached_property
     def _is_single_curve(self) -> bool:
-        """Whether all episodes follow the same curve, with speeds of their plans: the case of the compiled passes."""
+        """Whether all episodes follow one curve, at the speeds in their plans, so that compiled functions apply."""
         return len(self._curves) == 1 and self._times is None
 
     @property
@@ -239,15 +239,10 @@ class Track(Task):
         goals: NDArray[np.float32],
         previews: NDArray[np.float32],
     ) -> None:
-        """Write the present and future goals of n episodes to two arrays.
+        """Write the goals as `Task.write_goals` does, but in compiled code if all episodes follow the same curve.
 
-        Args:
-            plan: Path of each episode, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction (+1 or
-                -1), arc length at the start (m), speed (m/s).
-            elapsed_s: Present times since the reset, s, not negative, shape (n,).
-            ahead_s: Times from the present to the future goals, s, shape (m,).
-            goals: Array that receives the present goals x, y, m, shape (n, 2).
-            previews: Array that receives the future goals x, y, m, shape (n, m, 2).
+        `Task.write_goals` itself computes the goals for a choice of several shapes and for a path file with times. The
+        compiled code requires that `previews` is contiguous.
         """
         if not self._is_single_curve:
             super().write_goals(plan, elapsed_s, ahead_s, goals, previews)
@@ -310,19 +305,25 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     out = np.empty(elapsed_s.shape)
     for i in range(elapsed_s.shape[0]):
         for j in range(elapsed_s.shape[1]):
-            out[i, j] = traveled(elapsed_s[i, j], plan[i, SPEED], lead_s, length) * plan[i, DIRECTION] + plan[i, START]
+            out[i, j] = _goal_arc_length(np.float64(elapsed_s[i, j]), plan[i], lead_s, length)
     return out
+
+
+@compiled
+def _goal_arc_length(t: float, plan: Any, lead_s: float, length: float) -> float:
+    """Return the arc length, m, of the goal of one episode with the plan (6,) at time t, s; else as `arc_lengths`."""
+    return traveled(t, plan[SPEED], lead_s, length) * plan[DIRECTION] + plan[START]
 
 
 @compiled
 def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any) -> None:
     """Write goals (n, 2) at times elapsed_s (n,), and previews (n, m, 2) ahead_s (m,) later, by plans (n, 6)."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
-    plans, times, scratch = np.empty((6, LANES)), np.empty((1, LANES)), np.empty((2, LANES))
+    plans, times, scratch = np.empty((plan.shape[1], LANES)), np.empty((1, LANES)), np.empty((2, LANES))
     points, future = np.empty((2 * len(ahead_s) + 2, LANES), np.float32), previews.reshape(len(plan), -1)
     for first in range(0, len(plan), LANES):
         read_block(plan, first, plans)
-        read_block(elapsed_s.reshape(-1, 1), first, times)
+        read_block(elapsed_s[:, None], first, times)
         for j in range(len(ahead_s) + 1):
             t = load(times, 0) + (ahead_s[j - 1] if j > 0 else 0.0)
             s = traveled(t, load(plans, SPEED), lead_s, length) * load(plans, DIRECTION) + load(plans, START)
@@ -336,11 +337,11 @@ def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: 
 @compiled
 def _write_contours(plan: Any, points: Any, elapsed_s: Any, lead_s: float, curve: Any, distances: Any) -> None:
     """Write distances (n,) of points (n, 2) to a curve near the goals at times elapsed_s (n,), by plans (n, 6)."""
-    s = elapsed_s
-    if curve.radius == 0.0:  # the distance to a circle does not depend on the arc length
-        length = math.inf if curve.closed else curve.vertex_s[-1]
-        s = arc_lengths(plan, elapsed_s.reshape(-1, 1), lead_s, length).ravel()
-    relative = np.empty_like(points)
+    length = math.inf if curve.closed else curve.vertex_s[-1]
+    relative, s = np.empty((len(plan), 2)), np.empty(len(plan))
     for i in range(len(plan)):
         relative[i, 0], relative[i, 1] = points[i, 0] - plan[i, 1], points[i, 1] - plan[i, 2]
+    if curve.radius == 0.0:  # the distance to a circle does not depend on the arc length
+        for i in range(len(plan)):
+            s[i] = _goal_arc_length(np.float64(elapsed_s[i]), plan[i], lead_s, length)
     write_distances(relative, s, curve, distances)
