@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
-from ..registry import PLUGIN_VARIABLE
 from .app import plain_text
 
 if TYPE_CHECKING:
@@ -316,35 +315,3 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
     except ImportError as error:
         log(f"no formulas proposed for the tables: {error}")
         return ()
-
-
-def write_new_effect(folder: Path, name: str, path: Path, number: int, table: str, log: Callable[[str], None]) -> None:
-    """Write a new effect, a Python file, from a formula for a force that an identification describes by a table.
-
-    An effect is a deviation from the nominal model of a machine. The proposed formulas are printed with their numbers.
-
-    Args:
-        folder: Folder that `hframe identify` wrote.
-        name: Name of the new effect.
-        path: Python file to write; it must not exist.
-        number: Number of the formula in the list, from 1; 0 for the recommended one.
-        table: Label of the table; empty for the first one.
-        log: Called with a line of text for every formula and for the file.
-
-    Raises:
-        InputError: If the folder has no such table or formula, or the name or the file cannot be used.
-    """
-    from ..effects.formulas import write_effect_file
-    from ..identification.saved_formulas import formulas_of_folder
-
-    proposed = formulas_of_folder(folder, name, table)
-    for index, p in enumerate(proposed, start=1):
-        error = f", {p.mean_noise_ratio:.3g} times the noise on held-out runs" if p.held_out else ""
-        form = p.effect.formula
-        mark = " (recommended)" if p.recommended else ""
-        log(f"{index}. {p.effect.text}: {form.name}, {form.complexity} parameters{error}{mark}")
-    if number > len(proposed):
-        raise InputError(f"--formula {number}: the formulas are numbered from 1 to {len(proposed)}")
-    chosen = proposed[number - 1] if number else next(p for p in proposed if p.recommended)
-    write_effect_file(chosen.effect, path)
-    log(f"wrote {path}; review it, then use it with {PLUGIN_VARIABLE}={path} in the environment of a command")

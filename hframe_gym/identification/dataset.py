@@ -36,6 +36,7 @@ class PreparedRecording:
             the jitter of the clock times the speed.
         weights: Number of independent values that each measurement counts as, at most 1, shape (n, sensors), see
             `independent_values`; 0 where not measured.
+        dropped: True for rows that the logger dropped; their voltages are interpolated or estimated, shape (n,).
     """
 
     name: str
@@ -45,6 +46,7 @@ class PreparedRecording:
     initial: InitialState
     noise: Array
     weights: Array
+    dropped: NDArray[np.bool_]
 
     @property
     def count(self) -> float:
@@ -119,7 +121,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         (measurements at position 0), m or rad, shape (n, sensors). For all runs: noise and quantization step of each
         sensor, m or rad, shape (sensors,), and the zeros of those encoders that kept them in all runs.
     """
-    recordings = [fill_gaps(recording) for recording in recordings]
+    recorded, recordings = recordings, [fill_gaps(recording) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
     quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
     # The zeros that each run alone gives show which encoders kept theirs; those then improve the initial states.
@@ -141,8 +143,9 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
             state,
             noise_by_row(r.time_s, r.outputs, np.array(noise), jitter),
             independent_values(r.time_s, r.outputs, quanta),
+            np.isin(r.time_s, before.time_s, invert=True),
         )
-        for r, state in zip(recordings, initial, strict=True)
+        for before, r, state in zip(recorded, recordings, initial, strict=True)
     )
     return Dataset(runs, np.array(noise), quanta, behind_belts(machine), zeros)
 

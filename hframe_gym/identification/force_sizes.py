@@ -15,6 +15,7 @@ from scipy import ndimage, signal
 
 from ..dynamics import Equations, net_forces
 from ..machine import AppliedEffect, Machine
+from ..recordings import GAP_PERIODS, bridge_blanks
 from .dataset import MIN_ROWS, Dataset, PreparedRecording
 from .estimation import Fit
 from .model_error import BANDWIDTHS, search_step
@@ -165,7 +166,9 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         run = dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows])
         period = float(np.median(np.diff(run.time_s)))
         cutoff = min(0.45 / period, _FORCE_CUTOFF)  # Hz
-        measured, known = _without_short_gaps(run.time_s, measured[rows], max(0.5 / cutoff, 1.5 * period))
+        measured = bridge_blanks(measured[rows], run.time_s, max(0.5 / cutoff, GAP_PERIODS * period))
+        known = np.asarray(np.isfinite(measured).all(axis=1))
+        measured = bridge_blanks(measured, run.time_s, np.inf)
         position = signal.sosfiltfilt(signal.butter(4, 2 * cutoff * period, output="sos"), measured, axis=0)
         velocity = np.gradient(position, run.time_s, axis=0)
         # Standard deviation of a derivative of white noise below the cut-off frequency, m/s or rad/s.
@@ -180,26 +183,6 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         squared_error += float(np.sum((drive - model)[known] ** 2))
         squared_force += float(np.sum(drive[known] ** 2))
     return float(np.sqrt(squared_error / squared_force)) if squared_force else None
-
-
-def _without_short_gaps(time_s: Array, measured: Array, longest: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return measurements with gaps filled by linear interpolation, and the rows that lie in no long gap.
-
-    Args:
-        time_s: Sample times, s, shape (n,).
-        measured: Measurements, m or rad, shape (n, sensors), NaN where missing, the first and last row complete.
-        longest: Largest time between two measurements of a sensor, s.
-
-    Returns:
-        Measurements, shape (n, sensors), and whether each row is known, shape (n,).
-    """
-    filled, known = measured.copy(), np.ones(len(time_s), dtype=bool)
-    for values in filled.T:
-        present = np.flatnonzero(np.isfinite(values))
-        values[:] = np.interp(time_s, time_s[present], values[present])
-        for gap in np.flatnonzero(np.diff(time_s[present]) > longest):
-            known[present[gap] + 1 : present[gap + 1]] = False
-    return filled, known
 
 
 def _inverse_dynamics(

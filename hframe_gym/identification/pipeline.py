@@ -34,7 +34,7 @@ from .initial_rest import without_moving_start
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
-from .search import SearchOutcome, search_effects
+from .search import SearchOutcome, search_effects, with_lost_voltages
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .start_uncertainty import refine_starts
 from .trial_fits import without_effect
@@ -139,6 +139,7 @@ def _search(
     held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
     data, unused = with_known_positions(all_runs.with_runs(fitted_names))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out")
+    data, held_out = with_lost_voltages(machine, data, held_out, log)
     outcome = search_effects(machine, data, criteria, log)
     differing = _contradicting_held_out_runs(outcome, held_out)
     if outcome.contradiction and differing:

@@ -112,6 +112,7 @@ def predict(
     *,
     period: float,
     parameters: Array | None = None,
+    inputs: Array | None = None,
     extra_force: Array | None = None,
     extra_measurement: Array | None = None,
     initial_state: Array | None = None,
@@ -125,8 +126,8 @@ def predict(
         run: Run to predict, n samples.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
         period: Sampling period, s.
-        parameters: All machine parameters, SI, in the order of `Machine.parameters`, shape (batch, parameters).
-            Default: those of the machine.
+        parameters: All parameters, SI, as in `Machine.parameters`, shape (batch, parameters). Default: the machine's.
+        inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
             (batch, n, coordinates). Default: none.
         extra_measurement: Value added to the sensors' output, m or rad, shape (batch, n, sensors). Default: none.
@@ -148,13 +149,12 @@ def predict(
         # Encoders count from the initial position, which differs from the measured one if effects change it.
         displacement = machine.sensor_matrix[:, : len(start)] @ (starts[0, : len(start)] - start)
         measured = run.outputs + np.where(encoders, displacement, 0.0)
-        if extra_measurement is not None:
-            measured = measured - extra_measurement
+        measured = measured if extra_measurement is None else measured - extra_measurement
         gains = observer_gains(machine, period, bandwidth)
     motion = simulate_batch(
         machine,
         run.time_s,
-        run.inputs,
+        run.inputs if inputs is None else inputs,
         parameters=parameters,
         start=starts,
         extra_force=extra_force,

@@ -17,11 +17,12 @@ from ..dynamics import NotFiniteError, simulate, simulate_batch
 from ..machine import Machine, Trajectory
 from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
-from .dataset import Dataset, PreparedRecording, with_encoder_zeros
+from .dataset import Dataset, PreparedRecording, prepare, with_encoder_zeros
 from .encoder_zeros import EncoderZeros
 from .force_sizes import force_error
 from .initial_rest import count_resting_rows, without_moving_start
 from .initial_state import measured_initial_state, model_initial_state
+from .lost_voltages import estimate_lost_voltages
 from .prediction import POLISH_STEP, map_runs
 from .residual import ChannelError, errors_by_channel
 from .rest_measurement import (
@@ -62,7 +63,8 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     """Simulate a machine over a recording and compare it with the measurements.
 
     The simulation starts from the most probable state, which is estimated from the measurements at rest and the motion,
-    and uses no feedback of the measurements. Rows that the logger dropped are filled in before the simulation.
+    and uses no feedback of the measurements. Rows that the logger dropped are filled in before the simulation; the
+    measurements determine their voltages.
 
     Three kinds of measurements count as not measured: outliers (up to five consecutive samples of a sensor that leave
     its motion and return to it), repetitions of a sensor that is slower than the log, and measurements before the
@@ -119,8 +121,16 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 
 
 def _cleaned(recording: Recording, machine: Machine) -> Recording:
-    """Return a recording without outliers, gaps, and measurements before the machine came to rest."""
-    return fill_gaps(without_moving_start(only_measurements(recording, machine), machine))
+    """Return a recording without outliers, gaps, and measurements before the machine came to rest.
+
+    The measurements also determine the voltages in the gaps.
+    """
+    usable = without_moving_start(only_measurements(recording, machine), machine)
+    filled = fill_gaps(usable)
+    if filled is usable or not np.isfinite(usable.outputs).any():
+        return filled
+    (run,) = estimate_lost_voltages(prepare([usable], machine), machine).runs
+    return dataclasses.replace(filled, inputs=run.inputs)
 
 
 def _initial_state(machine: Machine, recording: Recording) -> InitialState:

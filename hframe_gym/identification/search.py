@@ -13,6 +13,7 @@ from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection
 from .free_parameters import default_free_parameters
+from .lost_voltages import estimate_lost_voltages
 from .model_error import (
     CONTRADICTION,
     contradicting_run,
@@ -26,6 +27,8 @@ from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
 from .start_uncertainty import refine_starts
 from .trial_fits import converge
+
+_VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
 
 
 class SearchOutcome(NamedTuple):
@@ -52,6 +55,32 @@ class SearchOutcome(NamedTuple):
     considered: tuple[ConsideredEffect, ...]
     data: Dataset
     contradiction: str | None = None
+
+
+def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: Log) -> tuple[Dataset, Dataset]:
+    """Estimate the voltages in rows that the logger dropped, with the machine refitted to the fitted runs.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit (times, voltages, measurements, SI).
+        held_out: Runs that are not fitted.
+        log: Called with a line of text if rows were dropped.
+
+    Returns:
+        The fitted and the held-out runs, with estimated voltages, V, shape (n, drives) for each run.
+    """
+    dropped = sum(int(run.dropped.sum()) for run in data.runs + held_out.runs)
+    if not dropped:
+        return data, held_out
+    free = default_free_parameters(machine)
+    fitted = fit(machine, free, data, SEARCH_BANDWIDTH)
+    for _ in range(_VOLTAGE_ITERATIONS):
+        refined = estimate_lost_voltages(data, fitted.machine)
+        if refined is data:
+            break
+        data, fitted = refined, fit(machine, free, refined, SEARCH_BANDWIDTH, theta=fitted.theta)
+    log(f"voltages of {dropped} dropped rows are estimated from the measurements")
+    return data, estimate_lost_voltages(held_out, fitted.machine)
 
 
 def search_effects(

@@ -21,6 +21,7 @@ from ..dynamics import Equations
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording, refine_encoder_zeros
 from .encoder_zeros import stretch_angles, vibration_speeds
+from .lost_voltages import estimate_lost_voltages
 from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
 
@@ -254,11 +255,12 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 
 
 def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Copy a data set, with encoder zeros and initial states of effects corrected by a fitted machine.
+    """Copy a data set, with what a fitted machine corrects: zeros of encoders, lost voltages, and states of effects.
 
     The zeros are the measurements at position 0; forces that stretch the belts at rest falsify their first estimate.
-    The corrected states are those of effects that remember motion before the recording, such as hysteresis. They must
-    be close to the true ones, because a fit linearizes the influence of their uncertainty.
+    The voltages are those in rows that the logger dropped. The states are those of effects that remember motion before
+    the recording, such as hysteresis. They must be close to the true ones, because a fit linearizes the influence of
+    their uncertainty.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
@@ -270,7 +272,7 @@ def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = N
         Copy with corrected initial states, and with measurements minus the corrected zeros, m or rad, shape
         (n, sensors) for each run; `data` itself if there is nothing to correct.
     """
-    data = refine_encoder_zeros(data, machine, reference)
+    data = estimate_lost_voltages(refine_encoder_zeros(data, machine, reference), machine)
     if not np.any(_effect_state_spreads(machine) > 0.0):
         return data
 

@@ -64,7 +64,13 @@ def prepared(initial: InitialState, name: str) -> PreparedRecording:
     """Return a run at rest in an initial state."""
     outputs = np.tile([*initial.state[2:4], *initial.state[:2]], (50, 1))
     return PreparedRecording(
-        name, np.arange(50) * 1e-3, np.zeros((50, 2)), outputs, initial, *[np.ones_like(outputs)] * 2
+        name,
+        np.arange(50) * 1e-3,
+        np.zeros((50, 2)),
+        outputs,
+        initial,
+        *[np.ones_like(outputs)] * 2,
+        dropped=np.zeros(50, dtype=bool),
     )
 
 

@@ -1,0 +1,125 @@
+"""Tests of the voltages in rows that the logger dropped, which the motion determines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hframe_gym.identification import identify, prepare
+from hframe_gym.identification.lost_voltages import estimate_lost_voltages
+from hframe_gym.identification.recording_simulation import simulate_recording
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+Array = NDArray[np.float64]
+AXIS, HFRAME = BUILTIN_MACHINES["axis"](), BUILTIN_MACHINES["hframe"]()
+NOISE = 5e-6  # m
+ROWS = 1500
+
+
+def random_steps(seed: int, drives: int = 1) -> Array:
+    """Return voltages that jump every 10 ms, after 0.1 s without voltage."""
+    inputs = np.repeat(np.random.default_rng(seed).uniform(-3.0, 3.0, (ROWS // 10, drives)), 10, axis=0)
+    inputs[:100] = 0.0
+    return inputs
+
+
+def recorded(machine: Machine, inputs: Array, seed: int) -> Recording:
+    """Return a noisy recording without a gap."""
+    time_s = np.arange(len(inputs)) * 1e-3
+    outputs = machine.simulate(time_s, inputs).outputs
+    noise = [5e-4 if sensor.incremental else NOISE for sensor in machine.sensors]
+    return Recording(
+        f"run_{seed}", time_s, inputs, outputs + np.random.default_rng(seed).normal(0.0, noise, outputs.shape)
+    )
+
+
+def without_rows(run: Recording, dropped: Sequence[int] | Array) -> Recording:
+    """Return a recording without some rows."""
+    keep = np.setdiff1d(np.arange(len(run.time_s)), dropped)
+    return Recording(run.name, run.time_s[keep], run.inputs[keep], run.outputs[keep])
+
+
+def random_rows(seed: int) -> Array:
+    """Return 2 % of the rows, all of them after the rest."""
+    return 100 + np.flatnonzero(np.random.default_rng(seed).random(ROWS - 101) < 0.02)
+
+
+@pytest.mark.parametrize(("machine", "improvement"), [(AXIS, 3.0), (HFRAME, 5.0)])
+def test_the_motion_determines_lost_voltages(machine: Machine, improvement: float) -> None:
+    complete = recorded(machine, random_steps(1, len(machine.drives)), 1)
+    rows = random_rows(1)
+    data = prepare([without_rows(complete, rows)], machine)
+    estimated = estimate_lost_voltages(data, machine)
+    errors = [np.linalg.norm(d.runs[0].inputs - complete.inputs, axis=1) for d in (data, estimated)]
+    assert np.array_equal(np.flatnonzero(data.runs[0].dropped), rows)
+    assert np.max(np.delete(errors[1], rows)) == 0.0  # recorded voltages stay
+    assert improvement * np.linalg.norm(errors[1]) < np.linalg.norm(errors[0])
+    assert estimate_lost_voltages(estimated, machine) is estimated
+
+
+def test_a_recording_without_gaps_is_unchanged() -> None:
+    data = prepare([recorded(AXIS, random_steps(1), 1)], AXIS)
+    assert estimate_lost_voltages(data, AXIS) is data
+
+
+def test_voltages_in_long_gaps_stay_interpolated() -> None:
+    complete = recorded(AXIS, random_steps(1), 1)
+    data = prepare([without_rows(complete, np.arange(300, 321))], AXIS)
+    assert estimate_lost_voltages(data, AXIS) is data
+    data = prepare([without_rows(complete, np.arange(300, 320))], AXIS)
+    assert estimate_lost_voltages(data, AXIS) is not data
+
+
+def test_a_wrong_machine_leaves_smooth_voltages_at_their_spline() -> None:
+    """What the machine does not explain counts as noise; recorded rows show that a spline is accurate to 1 mV."""
+    time_s = np.arange(ROWS) * 1e-3
+    inputs = np.where(time_s > 0.1, 3.0 * np.sin(300.0 * (time_s - 0.1)), 0.0)[:, None]
+    complete, rows = recorded(AXIS, inputs, 2), random_rows(2)
+    data = prepare([without_rows(complete, rows)], AXIS)
+    wrong = AXIS.replace({"x.mass": 0.5 * AXIS.coordinates[0].mass})
+    errors = [
+        np.sqrt(np.mean((d.runs[0].inputs - inputs)[rows] ** 2)) for d in (data, estimate_lost_voltages(data, wrong))
+    ]
+    assert errors[0] > 0.05
+    assert errors[1] < 0.01
+
+
+def test_a_wrong_machine_moves_no_voltage_that_is_equal_on_both_sides_of_a_gap() -> None:
+    """Recorded rows show that such a voltage does not change in between."""
+    complete, rows = recorded(AXIS, random_steps(4), 4), random_rows(4)
+    data = prepare([without_rows(complete, rows)], AXIS)
+    wrong = AXIS.replace({"x.mass": 0.5 * AXIS.coordinates[0].mass})
+    moved = np.abs(estimate_lost_voltages(data, wrong).runs[0].inputs - data.runs[0].inputs)[rows, 0]
+    equal = np.abs(data.runs[0].inputs[rows - 1] - data.runs[0].inputs[rows + 1])[:, 0] == 0.0
+    assert np.max(moved[equal]) < 1e-3
+    assert np.max(moved[~equal]) > 0.1
+
+
+def test_a_simulation_over_a_recording_with_gaps_agrees_with_the_measurements() -> None:
+    complete = recorded(AXIS, random_steps(3), 3)
+    gaps = without_rows(complete, random_rows(3))
+    error = simulate_recording(AXIS, gaps).error
+    assert error.shape == gaps.outputs.shape
+    assert np.sqrt(np.mean(error**2)) < 1.5 * NOISE
+    # Without measurements, voltages in gaps are interpolated.
+    blind = Recording(gaps.name, gaps.time_s, gaps.inputs, np.full_like(gaps.outputs, np.nan))
+    difference = simulate_recording(AXIS, blind).outputs - gaps.outputs
+    assert np.sqrt(np.mean(difference**2)) > 10.0 * NOISE
+
+
+def test_a_machine_that_lacks_nothing_is_recognized_despite_dropped_rows() -> None:
+    rig = AXIS.replace({"x.mass": 1.1 * AXIS.coordinates[0].mass, "x.coulomb": 0.8 * AXIS.coordinates[0].coulomb})
+    runs = [without_rows(recorded(rig, random_steps(seed), seed), random_rows(seed)) for seed in range(4)]
+    lines: list[str] = []
+    result = identify(runs, AXIS, log=lines.append)
+    assert result.verdict == "no_effect"
+    count = sum(len(random_rows(seed)) for seed in range(4))
+    assert f"voltages of {count} dropped rows are estimated from the measurements" in lines
+    ratio = result.after.held_out.channels["x_m"].noise_ratio
+    assert ratio is not None
+    assert ratio < 2.0  # in open loop; with interpolated voltages it is 15
