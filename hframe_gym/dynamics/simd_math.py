@@ -119,14 +119,14 @@ def _floor_of_number(x):  # type: ignore[no-untyped-def]
 @overload(minimum)
 def _minimum_of_numbers(a, b):  # type: ignore[no-untyped-def]
     if isinstance(a, types.Float) and isinstance(b, types.Float):
-        return lambda a, b: min(a, b)
+        return lambda a, b: a if a < b else b  # as for registers, also with NaN and -0.0
     return None
 
 
 @overload(maximum)
 def _maximum_of_numbers(a, b):  # type: ignore[no-untyped-def]
     if isinstance(a, types.Float) and isinstance(b, types.Float):
-        return lambda a, b: max(a, b)
+        return lambda a, b: a if a > b else b
     return None
 
 
@@ -147,7 +147,8 @@ def read_block(rows: Any, begin: int, block: Any) -> None:
     Args:
         rows: Values of n machines, any unit, shape (n, k).
         begin: Row of the first machine of the block.
-        block: Output, shape (k or more, LANES). If fewer than LANES rows remain, further columns repeat the last row.
+        block: Output, shape (k or more, LANES); its size is not checked. If fewer than LANES rows
+            remain, further columns repeat the last row.
     """
     if begin + LANES <= rows.shape[0]:
         for k in range(rows.shape[1]):

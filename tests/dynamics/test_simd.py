@@ -83,6 +83,26 @@ def test_arithmetic_agrees_with_numpy(first: list[float], second: list[float]) -
 
 
 @njit
+def smaller_and_larger(A, out, numbers):  # type: ignore[no-untyped-def]
+    a, b = load(A, 0), load(A, 1)
+    store(out, 0, minimum(a, b))
+    store(out, 1, maximum(a, b))
+    for k in range(A.shape[1]):
+        numbers[0, k] = minimum(A[0, k], A[1, k])
+        numbers[1, k] = maximum(A[0, k], A[1, k])
+
+
+def test_minimum_and_maximum_of_numbers_agree_with_those_of_registers() -> None:
+    """Bit for bit, also with NaN and negative zero."""
+    special = [(1.0, np.nan), (np.nan, 1.0), (0.0, -0.0), (-0.0, 0.0), (np.inf, np.nan), (2.0, 3.0), (3.0, 2.0)]
+    for first in range(len(special)):
+        A = np.array([special[(first + k) % len(special)] for k in range(LANES)]).T.copy()
+        out, numbers = np.empty((2, 2, LANES))
+        smaller_and_larger(A, out, numbers)
+        np.testing.assert_array_equal(out.view(np.int64), numbers.view(np.int64))
+
+
+@njit
 def fused(A, out):  # type: ignore[no-untyped-def]
     store(out, 0, fma(load(A, 0), load(A, 1), load(A, 2)))
     store(out, 1, pow2(load(A, 3)))
