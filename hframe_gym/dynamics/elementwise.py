@@ -17,7 +17,6 @@ machine. Below, "symbolic expression" means a CasADi expression or a traced expr
 CasADi (KeyError) and formulas of the simulation kernel (compilation error of Numba) lack some functions:
 
     function              NumPy    CasADi    formulas of the kernel
-    tanh, sign            yes      yes       no
     rint                  yes      no        yes
     pow2, any_of          yes      no        no, but the kernel's helper functions and conditions use them
     all other functions   yes      yes       yes

@@ -90,10 +90,10 @@ class Equations(BeltEquations, SignalEquations):
         Args:
             j: Index of the drive in the machine, from 0.
             point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
-            motor_voltage: Voltage at the motor, V: float, array of shape (...) or symbolic expression.
+            motor_voltage: Voltage at the motor, V: float, array of any shape or symbolic expression.
 
         Returns:
-            Current, A: float, array of shape (...) or symbolic expression.
+            Current, A: float, array of that shape or symbolic expression.
         """
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]

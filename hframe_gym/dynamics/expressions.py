@@ -79,12 +79,15 @@ class Expression:
         return self.trace.let(role, index, self)
 
     def __bool__(self) -> bool:
-        raise TypeError("a formula cannot branch on its arguments; use hframe_gym.dynamics.elementwise.where")
+        raise TypeError("a formula cannot branch on its arguments, `where` selects a value")
 
     __hash__ = object.__hash__
 
     def __neg__(self) -> Expression:
         return self.trace.node("neg", self)
+
+    def __abs__(self) -> Expression:
+        return self.trace.node("absolute", self)
 
     def __add__(self, other: Any) -> Expression:
         return self.trace.node("+", self, other)

@@ -42,7 +42,7 @@ from hframe_gym.dynamics.simd import (
     LANES, absolute, align_stack, any_of, copysign, floor, fma, helper, inlined, load, maximum, minimum, rint, sqrt,
     store, where
 )
-from hframe_gym.dynamics.simd_math import cos, exp, sin
+from hframe_gym.dynamics.simd_math import cos, exp, sign, sin, tanh
 
 compiled = njit(nogil=True, cache=True, error_model="numpy", boundscheck=False)
 COORDINATES, STATES, INPUTS, SENSORS, PARAMETERS, DERIVED = {sizes}

@@ -228,14 +228,17 @@ class ParameterizedMachine:
         Returns:
             Value of the formula, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N or Nm
             for "force".
+
+        Raises:
+            TypeError: If the formula uses a function that cannot be compiled, such as one of NumPy.
         """
         function = getattr(effect.definition, hook)
-        return function(
-            *(
-                self.parameter(f"{effect.label}.{name}") if name in effect.parameters else quantities[name]
-                for name in argument_names(function)
-            )
-        )
+        names = argument_names(function)
+        values = [self.parameter(f"{effect.label}.{n}") if n in effect.parameters else quantities[n] for n in names]
+        try:
+            return function(*values)
+        except TypeError as error:
+            raise TypeError(f"{effect.label}, {hook}: {error}; use hframe_gym.dynamics.elementwise") from error
 
     def position(self, point: MotionPoint, i: int) -> Value:
         """Return the position of a coordinate at a point of the motion: belt travel divided by radius.

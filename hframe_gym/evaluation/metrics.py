@@ -96,12 +96,12 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
         `success`: fraction of episodes that settle, 0 to 1, by distance ("1mm", "0.2mm", "0.05mm").
         `settling_s`: settling times by distance, s: `mean`, `median`, `p95` (95 % quantile) and `ci95`, the 95 %
         confidence interval of the mean. An episode that does not settle counts with its length.
-        `over_bound`: settling times within 0.2 mm / bounds, see `ratio_to_bound`; None without bounds.
+        `over_bound`: ratio of the settling times (within 0.2 mm) to their bounds (`ratio_to_bound`); None without them.
         `overshoot_mm`: distance by which the tool passes the goal on the line from start to goal, mm, and
         `final_error_mm`: distance to the goal at the end, mm; `mean` and `ci95` over the episodes each.
 
     Raises:
-        ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
+        ValueError: If `bound_s` has another length, or holds a time that is neither NaN nor positive and finite.
     """
     error = episodes.goal_error
     settled = {name: settling_times(error, episodes.time_s, band) for name, band in BANDS.items()}
@@ -247,7 +247,7 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
         `episodes`: number of episodes with a bound.
 
     Raises:
-        ValueError: If `bound_s` has another length, or holds a time that is not positive and finite.
+        ValueError: If `bound_s` has another length, or holds a time that is neither NaN nor positive and finite.
     """
     bound = np.asarray(bound_s, np.float64)
     with_bound = ~np.isnan(bound)

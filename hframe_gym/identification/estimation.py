@@ -213,8 +213,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        The fitted machine; its `uncertainty` holds the covariance of the free parameters' values, SI. It is None if a
-        prediction with the fitted parameters diverges.
+        The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k). It is
+        None if a prediction with the fitted parameters diverges.
 
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".

@@ -41,7 +41,8 @@ def measured_initial_state(
     - An encoder may have been switched on anew before this run. Its zero of the session is not used if it puts the
       pulley further away from static equilibrium than `zero_tolerance` permits (mainly what friction can hold).
       Instead, the pulley is assumed to be in equilibrium at rest, which gives a zero for this run.
-    - If no position is known without the zeros of the session, none of them is used if sensors contradict each other.
+    - If only the zeros of the session would give positions (without lasers), and the sensors then disagree about the
+      position by more than that tolerance, no zero of the session is used; the result is `alone`.
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.
@@ -49,7 +50,7 @@ def measured_initial_state(
             model).
         zeros: Zeros of the encoders in the session.
         quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
-        alone: Initial state that the run gives without zeros of the session. Default: `estimate_initial_state`.
+        alone: Initial state without zeros of the session. Default: that of `estimate_initial_state`.
 
     Returns:
         Initial state: positions at rest, m or rad, shape (coordinates,), and zeros of the sensors, m or rad, shape

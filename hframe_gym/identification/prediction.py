@@ -133,7 +133,7 @@ def predict(
         extra_measurement: Value added to the sensors' output, m or rad, shape (batch, n, sensors). Default: none.
         initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero), shape
             (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
-            observer shifts the measurements of encoders so that they agree with the (first) initial state.
+            observer shifts the measurements of encoders so that they agree with the first of these states.
         longest_step: Maximum integration step, s; stiff belts may need shorter ones (`resolved_step`).
         states: Whether to return positions and velocities too.
 

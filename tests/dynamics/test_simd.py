@@ -150,6 +150,24 @@ def test_sine_and_cosine_of_large_angles() -> None:
 
 
 @njit
+def hyperbolic(A, out):  # type: ignore[no-untyped-def]
+    for i in range(A.shape[0]):
+        store(out, 2 * i, simd_math.tanh(load(A, i)))
+        store(out, 2 * i + 1, simd_math.sign(load(A, i)))
+
+
+def test_tanh_and_sign() -> None:
+    """The relative error of tanh is a few units in the last place, for small arguments too."""
+    sizes = np.geomspace(1e-300, 1e3, 3000 * LANES).reshape(-1, LANES)
+    special = np.resize([0.0, -0.0, 0.4, -0.4, np.nextafter(0.4, 0.0), np.inf, -np.inf, 1e-320], (1, LANES))
+    A = np.concatenate([sizes, -sizes, special])
+    out = np.empty((2 * len(A), LANES))
+    hyperbolic(A, out)
+    np.testing.assert_allclose(out[0::2], np.tanh(A), rtol=1e-15)
+    np.testing.assert_array_equal(out[1::2], np.sign(A))
+
+
+@njit
 def one_exp(A, out):  # type: ignore[no-untyped-def]
     store(out, 0, simd_math.exp(load(A, 0)))
 

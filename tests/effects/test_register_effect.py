@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hframe_gym.dynamics import effect_forces, simulate
-from hframe_gym.dynamics.elementwise import maximum
+from hframe_gym.dynamics.elementwise import maximum, sign, tanh
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect, register_effect, unregister_effect
-from hframe_gym.machine import Effect, EffectParameter, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Effect, EffectParameter, Machine
 
 pytestmark = pytest.mark.unit
 
@@ -76,3 +77,46 @@ def test_library_cannot_be_changed_by_assignment() -> None:
     """Registration is the only way in."""
     with pytest.raises(TypeError):
         EFFECTS["toy_drag"] = TOY  # type: ignore[index]
+
+
+def with_force(force: Callable[..., Any]) -> Machine:
+    """Return the axis with an effect of a given force, which is not registered."""
+    axis = BUILTIN_MACHINES["axis"]()
+    return axis.with_effects(dataclasses.replace(TOY, name=f"toy_{force.__name__}", force=force).at("x", c=0.8))
+
+
+def smooth_friction(v, c):  # type: ignore[no-untyped-def]
+    """Return a friction force that changes smoothly at rest, with all functions of the sign."""
+    return -c * tanh(v / 0.01) * abs(sign(v))
+
+
+def with_numpy(v, c):  # type: ignore[no-untyped-def]
+    """Return a force by a function that cannot be compiled."""
+    return -c * np.tanh(v / 0.01)
+
+
+def with_branch(v, c):  # type: ignore[no-untyped-def]
+    """Return a force that branches on the speed."""
+    return -c if v > 0.0 else c
+
+
+def test_tanh_and_sign_act_in_the_kernel() -> None:
+    """At a speed well above 0.01 m/s, the effect is Coulomb friction."""
+    time_s, inputs = np.arange(400) * 1e-3, np.full((400, 1), 3.0)
+    machine = with_force(smooth_friction)
+    plain = machine.replace(effects=())
+    coulomb = plain.replace({"x.coulomb": plain.coordinates[0].coulomb + 0.8})
+    smooth, dry, free = (simulate(m, time_s, inputs).outputs[-1, 0] for m in (machine, coulomb, plain))
+    assert smooth == pytest.approx(dry, abs=0.02 * (free - dry))
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        (with_numpy, r"toy_with_numpy@x, force: .*ufuncs.*; use hframe_gym.dynamics.elementwise"),
+        (with_branch, r"toy_with_branch@x, force: a formula cannot branch on its arguments, `where` selects a value"),
+    ],
+)
+def test_a_formula_that_cannot_be_compiled_is_named(force: Callable[..., Any], message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        simulate(with_force(force), np.arange(10) * 1e-3, np.zeros((10, 1)))

@@ -123,12 +123,12 @@ def _write_points(s: Any, curve: Any, points: Any) -> None:
 
 @inlined
 def points_at(s: Any, curve: Any, scratch: Any) -> Any:
-    """Compute the points of a curve at the arc lengths of one SIMD register; callable in compiled code only.
+    """Compute the points of a curve at several arc lengths; only other compiled functions can call it.
 
     Args:
-        s: Arc lengths from the start of the curve, m, any real numbers, SIMD register. Beyond its ends a closed curve
-            repeats, an open one stops.
-        curve: Radius, vertices and arc lengths of the curve (`CurveData`).
+        s: Arc lengths from the start of the curve, m, any real numbers: a SIMD register with LANES (8 or 16) float64
+            values, as `simd.load` returns it. Beyond its ends a closed curve repeats, an open one stops.
+        curve: Radius of a circle, m, or 0 and the vertices of a polyline, m, with their arc lengths, m (`CurveData`).
         scratch: Array for intermediate values, float64, shape (2 or more, LANES); the first two rows are overwritten.
 
     Returns:
