@@ -114,7 +114,10 @@ def test_tanh_and_sign_act_in_the_kernel() -> None:
     ("force", "message"),
     [
         (with_numpy, r"toy_with_numpy@x, force: .*ufuncs.*; use hframe_gym.dynamics.elementwise"),
-        (with_branch, r"toy_with_branch@x, force: a formula cannot branch on its arguments, `where` selects a value"),
+        (
+            with_branch,
+            r"toy_with_branch@x, force: a formula cannot branch on its arguments \(`elementwise.where`",
+        ),
     ],
 )
 def test_a_formula_that_cannot_be_compiled_is_named(force: Callable[..., Any], message: str) -> None:
