@@ -126,10 +126,11 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         if not np.isfinite(bound.relative_std):
             findings.append(Finding("advice", "", bound.name, "has no influence on these runs"))
             continue
-        message = f"standard error at least {100 * bound.relative_std:.2g} %"
-        if abs(bound.correlation) > _INSEPARABLE:
-            message += f"; cannot be separated from {bound.partner} (correlation {bound.correlation:+.3f})"
-        severity = "advice" if bound.relative_std > _LARGE_STD else "note"
+        message, severity = f"standard error at least {100 * bound.relative_std:.2g} %", "note"
+        if bound.relative_std > _LARGE_STD:
+            severity = "advice"
+            if abs(bound.correlation) > _INSEPARABLE:
+                message += f"; cannot be separated from {bound.partner} (correlation {bound.correlation:+.3f})"
         findings.append(Finding(severity, "", bound.name, message))
     return findings
 
@@ -149,7 +150,7 @@ def _inseparable_damping(bounds: Sequence[CramerRaoBound], machine: Machine) -> 
 
 def _first_rows(run: PreparedRecording, count: int) -> PreparedRecording:
     """Return a run without the rows after the first ones."""
-    by_row = ("time_s", "inputs", "outputs", "noise", "weights")
+    by_row = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
     return dataclasses.replace(run, **{name: getattr(run, name)[:count] for name in by_row})
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.data_validation import cramer_rao_bounds
-from hframe_gym.data_validation.identifiability import check_parameters
+from hframe_gym.data_validation import cramer_rao_bounds, identifiability
+from hframe_gym.data_validation.identifiability import CramerRaoBound, check_parameters
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording
@@ -88,3 +88,22 @@ def test_the_sum_of_viscous_friction_and_back_emf_is_reported_and_not_each_alone
     assert "only their sum can be determined" in damping.message
     stated = float(damping.message.partition("at least ")[2].partition(" %")[0])
     assert stated == pytest.approx(100 * expected.relative_std, rel=0.05)
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(
+    ("relative_std", "severity", "message"),
+    [
+        (0.001, "note", "standard error at least 0.1 %"),
+        (0.3, "advice", "standard error at least 30 %; cannot be separated from x.viscous (correlation +0.990)"),
+    ],
+)
+def test_correlated_parameters_are_inseparable_only_if_they_are_inaccurate(
+    cart: Machine, monkeypatch: pytest.MonkeyPatch, relative_std: float, severity: str, message: str
+) -> None:
+    bounds = [CramerRaoBound("x.mass", relative_std, "x.viscous", 0.99)]
+    monkeypatch.setattr(identifiability, "_relative_information", lambda *_: (["x.mass"], np.eye(1)))
+    monkeypatch.setattr(identifiability, "_joint_bounds", lambda *_: bounds)
+    data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
+    (finding,) = check_parameters(data, cart)
+    assert (finding.severity, finding.message) == (severity, message)
