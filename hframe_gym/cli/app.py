@@ -27,10 +27,23 @@ class RunFormats(StrEnum):
 
 
 class CommandGroup(TyperGroup):
-    """Group of commands; paragraphs of their help pages fill the width of the terminal.
+    """Group of commands that runs its command `list`, if it has one, where none is given.
 
-    Typer alone would keep the line breaks of the docstrings.
+    Paragraphs of the help pages fill the width of the terminal; Typer alone would keep the line breaks of docstrings.
     """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line of the group, as Click does.
+
+        Args:
+            ctx: Click context of the group.
+            args: Words of the command line after the name of the group.
+
+        Returns:
+            Words that are left for the command.
+        """
+        rest: list[str] = super().parse_args(ctx, args or ["list"] * ("list" in self.commands))
+        return rest
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command, without line breaks within the paragraphs of its help, so that these fill the terminal.

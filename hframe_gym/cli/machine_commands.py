@@ -18,8 +18,16 @@ if TYPE_CHECKING:
     from ..identification.formulas import ProposedFormula
     from ..identification.saved_result import SavedResult
 
-app.add_typer(effects_app := typer.Typer(cls=CommandGroup), name="effects")
-app.add_typer(machines_app := typer.Typer(cls=CommandGroup), name="machines")
+_EFFECTS_HELP = """List the effects that identification can add to a machine's model (the default), or write a new one.
+
+Example:  hframe effects
+"""
+_MACHINES_HELP = """List the built-in machines (the default), show a machine, create one, or print the JSON Schema.
+
+Example:  hframe machines
+"""
+app.add_typer(effects_app := typer.Typer(cls=CommandGroup, help=_EFFECTS_HELP), name="effects")
+app.add_typer(machines_app := typer.Typer(cls=CommandGroup, help=_MACHINES_HELP), name="machines")
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -51,17 +59,16 @@ def simulate(
     log(f"wrote {out}: {len(recording.time_s)} rows of {declared.name}")
 
 
-@machines_app.callback(invoke_without_command=True)
-def machines(context: typer.Context) -> None:
-    """List the built-in machines. Subcommands show a machine, create a new one and print the JSON Schema.
+@machines_app.command("list")
+def list_machines() -> None:
+    """List the built-in machines.
 
     Example:  hframe machines
     """
-    if context.invoked_subcommand is None:
-        from .tables import machine_table
+    from .tables import machine_table
 
-        console.print(machine_table())
-        log("Yours: hframe machines new --like corexy --out my.json (see docs/machine.md)")
+    console.print(machine_table())
+    log("Yours: hframe machines new --like corexy --out my.json (see docs/machine.md)")
 
 
 @machines_app.command("show")
@@ -151,19 +158,18 @@ def new_machine_file(
     create_machine_file(answers, force=force, log=log)
 
 
-@effects_app.callback(invoke_without_command=True)
-def effects(context: typer.Context) -> None:
+@effects_app.command("list")
+def list_effects() -> None:
     """List the effects (friction, delay, ...) that identification can add to a machine's model, with their formulas.
 
     Forces are in N at x or y and in Nm at a motor.
 
     Example:  hframe effects
     """
-    if context.invoked_subcommand is None:
-        from .tables import effect_table
+    from .tables import effect_table
 
-        console.print(effect_table())
-        log("If none fits, lookup tables: smooth_force[VARIABLE], smooth_friction[VARIABLE]")
+    console.print(effect_table())
+    log("If none fits, lookup tables: smooth_force[VARIABLE], smooth_friction[VARIABLE]")
 
 
 @effects_app.command("new")
