@@ -87,6 +87,8 @@ class SelectionCriteria:
             where the initial value is large.
         max_table_cost_fraction: Cost relative to the best model of known effects below which a table is accepted
             although the residual is not yet noise.
+        max_table_cost_of_several_effects: Cost relative to that of two or more known effects below which a single table
+            replaces them; `max_table_cost_fraction` then applies to the cost of the refitted machine alone.
         max_partial_excess: Error beyond the noise, relative to that of the refitted model, below which known effects
             are reported although they leave more than noise: excess of chi-squared per sample over `one_step_floor`, or
             root mean square error in simulation.
@@ -136,6 +138,7 @@ class SelectionCriteria:
     max_residue_bandwidth: float = 30.0
     explained_fraction: float = 1e-4
     max_table_cost_fraction: float = 0.1
+    max_table_cost_of_several_effects: float = 0.5
     max_partial_excess: float = 0.25
     min_saturated_fraction: float = 0.01
     second_end_factor: float = 0.2

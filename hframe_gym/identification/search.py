@@ -253,6 +253,9 @@ class _Search:
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
                 limit = criteria.max_table_cost_fraction * min(self.base.cost, wide.cost)
+                if start is self.base and len(effects) > 1:  # several effects may only imitate one unknown curve
+                    ratio = criteria.max_table_cost_of_several_effects
+                    limit = min(criteria.max_table_cost_fraction * self.base.cost, ratio * wide.cost)
                 if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
                     return candidate, kept
         return None

@@ -65,6 +65,7 @@ CALIBRATED = SelectionCriteria(
     max_residue_bandwidth=30.0,
     explained_fraction=0.0001,
     max_table_cost_fraction=0.1,
+    max_table_cost_of_several_effects=0.5,
     max_partial_excess=0.25,
     min_saturated_fraction=0.01,
     second_end_factor=0.2,

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, search
-from hframe_gym.machine import Machine
-from tests.identification.scripted_fits import AXIS, COUNT, CRITERIA, PUSH, SPRING, fit_with, runs, selected
+from hframe_gym.machine import AppliedEffect, Machine
+from tests.identification.scripted_fits import AXIS, COUNT, CRITERIA, PUSH, SPRING, STRIBECK, fit_with, runs, selected
 
 pytestmark = pytest.mark.unit
 
@@ -24,6 +24,7 @@ class ScriptedSearch:
         self.tables: list[tuple[Fit, tuple[SelectedEffect, ...]]] = []
         self.pruned: tuple[SelectedEffect, ...] | None = None
         self.wide = 10.0  # chi-squared at the bandwidth of the search
+        self.with_effects = 10.0  # the same of a fit with effects
         self.suspect: str | None = None
         self.bandwidth = 0.0  # of the observer that the machine without effects needs
         self.simulated: float | None = None  # chi-squared of a fit in simulation that replaces one with an observer
@@ -45,7 +46,9 @@ class ScriptedSearch:
                 return current, chosen if script.pruned is None or current.bandwidth else script.pruned
 
         replaced: Mapping[str, Callable[..., Any]] = {
-            "fit": lambda machine, free, data, bandwidth, theta=None: fit_with(*machine.effects, chi2=script.before),
+            "fit": lambda machine, free, data, bandwidth, theta=None: fit_with(
+                *machine.effects, chi2=script.with_effects if machine.effects else script.before
+            ),
             "default_free_parameters": lambda machine: (),
             "polish": lambda fitted, data: fitted,
             "converge": lambda fitted, data, thorough: fitted,
@@ -156,6 +159,20 @@ def test_a_table_is_found_if_it_explains_or_removes_nine_tenths(
     outcome = scripted_search.run()
     assert outcome.verdict == ("effect_found" if found else "unexplained")
     assert [s.effect for s in outcome.selected] == ([SPRING] if found else [])
+
+
+@pytest.mark.parametrize(
+    ("effects", "wide", "found"),
+    [((PUSH, STRIBECK), 0.9, [PUSH, STRIBECK]), ((PUSH, STRIBECK), 0.7, [SPRING]), ((PUSH,), 0.7, [PUSH])],
+)
+def test_one_table_replaces_several_effects_that_leave_twice_the_error(
+    scripted_search: ScriptedSearch, effects: tuple[AppliedEffect, ...], wide: float, found: list[AppliedEffect]
+) -> None:
+    """With the widest observer, the effects leave 1.6 and the refitted machine 10."""
+    scripted_search.effects, scripted_search.after = tuple(map(selected, effects)), 2.0
+    scripted_search.tables = [(fit_with(SPRING, chi2=2.0), (selected(SPRING),))]
+    scripted_search.wide, scripted_search.with_effects = wide, 1.6
+    assert [s.effect for s in scripted_search.run().selected] == found
 
 
 def test_a_table_beside_an_effect_must_add_to_it(scripted_search: ScriptedSearch) -> None:
