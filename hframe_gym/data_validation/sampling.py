@@ -90,7 +90,7 @@ def check_sampling(recording: Recording) -> list[Finding]:
         duration = f"{lost:.3g} s" if lost >= 1.0 else f"{1e3 * lost:.3g} ms"
         message = (
             f"{int(gaps.sum())} gaps ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
-            "dropped or taken late; identification estimates the inputs in the gaps from the motion"
+            "dropped or taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
     if np.sum(steps) > _LONG_RUN:
