@@ -41,7 +41,8 @@ def simulate(
     """Simulate a machine with the voltages of a recording; write what its sensors would have measured.
 
     The file --out has the times and voltages of --inputs and a simulated measurement of every sensor of the machine.
-    Measurements in --inputs, if any, give the state at the beginning; they do not correct the simulation afterwards.
+    Measurements in --inputs, if any, give the state at the beginning and the voltages of rows that the logger dropped;
+    they do not correct the simulation otherwise.
 
     Example:  hframe simulate --machine hframe --inputs examples/rig_b/run_01.csv.gz --out predicted.csv
     """

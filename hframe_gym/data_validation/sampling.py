@@ -18,6 +18,7 @@ from scipy import special
 
 from ..identification import MIN_ROWS, Dataset, PreparedRecording, default_free_parameters, fit
 from ..identification.prediction import SEARCH_BANDWIDTH
+from ..identification.rest_measurement import rigid_basis
 from ..machine import Machine
 from ..recordings import GAP_PERIODS, Recording, repetitions
 from .findings import Finding, Severity
@@ -90,7 +91,7 @@ def check_sampling(recording: Recording) -> list[Finding]:
         duration = f"{lost:.3g} s" if lost >= 1.0 else f"{1e3 * lost:.3g} ms"
         message = (
             f"{int(gaps.sum())} gaps ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
-            "dropped or taken late; identification estimates the inputs in the gaps from the motion"
+            "dropped or taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
     if np.sum(steps) > _LONG_RUN:
@@ -188,8 +189,8 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
 
     The machine's parameters are fitted twice, with the voltages as logged and with the voltages of the next row. Of the
     runs with at most 20,000 rows, the three with the largest changes of the voltages are used. A force or a mass that
-    the machine lacks can make earlier voltages fit better too, but a measurement then never depends on the voltage
-    that is applied from its own time on.
+    the machine lacks can make earlier voltages fit better too, but the voltage that is applied from the time of a
+    measurement on never moves this measurement.
 
     Args:
         data: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad), without other faults.
@@ -219,7 +220,7 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
         f"{logged.chi2:.3g})"
     )
     remedy = "shift the voltages up by one row and delete the last row"
-    if _feedthrough_probability(runs.runs) < _CHANCE:
+    if _feedthrough_probability(runs.runs, machine) < _CHANCE:
         return [Finding("fault", "", "", f"{channels} {verb} logged one row late: {evidence}. {remedy.capitalize()}")]
     message = (
         f"{channels} may be logged one row late, or the machine lacks a force or a mass: {evidence}. If the logger "
@@ -228,38 +229,55 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     return [Finding("advice", "", "", message)]
 
 
-def _feedthrough_probability(runs: Sequence[PreparedRecording]) -> float:
+def _feedthrough_probability(runs: Sequence[PreparedRecording], machine: Machine) -> float:
     """Return how probable measurements are if none depends on the voltages of its own row, which act only afterwards.
 
     Each measurement is predicted by linear regression from the voltages and measurements of the previous four rows,
     then from the voltages of its own row as well. An F-test compares the two. In open loop, the test holds for any
-    missing effect, because the part of a voltage that previous rows do not predict is independent of the motion.
+    missing effect, because the part of a voltage that previous rows do not predict is independent of the motion. A
+    controller makes voltages depend on the measurements of their own row, but with the opposite sign: it pulls back.
+    Such a dependence does not count. Sensors that measured in less than half of the rows are ignored.
 
     Args:
         runs: Runs of a machine (voltages, V, shape (n, drives); measurements, m or rad, shape (n, sensors)).
+        machine: Declared machine, for the directions in which voltages move the sensors.
 
     Returns:
         Smallest probability over the sensors, times their number (dimensionless); 1 if too few rows are complete or
         nothing moves.
     """
-    drives, sensors = runs[0].inputs.shape[1], runs[0].outputs.shape[1]
-    windows = [sliding_window_view(np.hstack([r.inputs, r.outputs]), _PAST_ROWS + 1, axis=0) for r in runs]
-    rows = np.concatenate(windows)  # (rows, channels, previous rows and the row itself)
-    complete = np.isfinite(rows[..., :-1]).all(axis=(1, 2))
+    drives = runs[0].inputs.shape[1]
+    measured = np.isfinite(np.concatenate([r.outputs for r in runs])).mean(axis=0) > 0.5
+    directions = _directions(machine)[measured]
+    channels = [np.hstack([r.inputs, r.outputs[:, measured]]) for r in runs]
+    rows = np.concatenate([sliding_window_view(values, _PAST_ROWS + 1, axis=0) for values in channels])
+    rows = rows[np.isfinite(rows[..., :-1]).all(axis=(1, 2))]  # (rows, channels, previous rows and the row itself)
     probability = 1.0
-    for j in range(drives, drives + sensors):
-        used = rows[complete & np.isfinite(rows[:, j, -1])]
-        past = np.column_stack([used[..., :-1].reshape(len(used), -1), np.ones(len(used))])
-        freedom = len(used) - past.shape[1] - drives
+    for j, direction in enumerate(directions, start=drives):
+        used = rows[np.isfinite(rows[:, j, -1])]
+        freedom = len(used) - rows[0, :, :-1].size - 1 - drives if len(rows) else 0
         if freedom < MIN_ROWS or np.ptp(used[:, j, -1]) == 0.0:
             continue
+        past = np.column_stack([used[..., :-1].reshape(len(used), -1), np.ones(len(used))])
         present = np.column_stack([used[:, :drives, -1], used[:, j, -1]])
         present -= past @ np.linalg.lstsq(past, present)[0]
         voltages, response = present[:, :drives], present[:, drives]
-        left = response - voltages @ np.linalg.lstsq(voltages, response)[0]
+        explained = voltages @ np.linalg.lstsq(voltages, response)[0]
+        left = response - explained
         ratio = (response @ response / (left @ left) - 1.0) * freedom / drives
-        probability = min(probability, sensors * float(special.fdtrc(drives, freedom, ratio)))
+        if explained @ (voltages @ direction) > 0.0:
+            probability = min(probability, len(directions) * float(special.fdtrc(drives, freedom, ratio)))
     return probability
+
+
+def _directions(machine: Machine) -> Array:
+    """Return the accelerations of the sensors per volt of each drive, with stiff belts, SI, shape (sensors, drives)."""
+    rigid = rigid_basis(machine)
+    mass = np.array([c.mass for c in machine.coordinates])
+    force = np.column_stack([machine.coefficients({d.coordinate: d.gain}) for d in machine.drives])
+    return np.asarray(
+        machine.sensor_matrix @ rigid @ np.linalg.solve(rigid.T @ (mass[:, None] * rigid), rigid.T @ force)
+    )
 
 
 def _input_changes(run: PreparedRecording) -> float:

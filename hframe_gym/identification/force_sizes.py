@@ -141,8 +141,9 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Args:
         machine: Machine to evaluate.
-        data: Measured runs (times, voltages, measurements, SI). Missing measurements are interpolated up to a length of
-            5 ms (half a period of the filter); rows near longer gaps are not used, nor runs of fewer than 20 rows.
+        data: Measured runs (times, voltages, measurements, SI). Missing measurements are interpolated between
+            measurements up to 5 ms apart (half a period of the filter; more if rows are more than 3 ms apart). Rows
+            near longer gaps are not used, nor runs of fewer than 20 rows.
 
     Returns:
         Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
@@ -166,7 +167,8 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         run = dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows])
         period = float(np.median(np.diff(run.time_s)))
         cutoff = min(0.45 / period, _FORCE_CUTOFF)  # Hz
-        measured = bridge_blanks(measured[rows], run.time_s, max(0.5 / cutoff, GAP_PERIODS * period))
+        longest_gap = max(0.505 / cutoff, GAP_PERIODS * period)  # s; 1 % more than 5 ms, because times are rounded
+        measured = bridge_blanks(measured[rows], run.time_s, longest_gap)
         known = np.asarray(np.isfinite(measured).all(axis=1))
         measured = bridge_blanks(measured, run.time_s, np.inf)
         position = signal.sosfiltfilt(signal.butter(4, 2 * cutoff * period, output="sos"), measured, axis=0)

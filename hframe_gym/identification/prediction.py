@@ -37,7 +37,7 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 
 # Bandwidth of lasers relative to that of encoders beside them, whose noise is smaller.
 _LASER_BANDWIDTH_RATIO = 25.0 / 60.0
-_LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
+LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
 
@@ -95,7 +95,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
-    rates = sensor_bandwidths(machine, bandwidth) * min(period, _LONGEST_OBSERVER_PERIOD)  # rad per sample
+    rates = sensor_bandwidths(machine, bandwidth) * min(period, LONGEST_OBSERVER_PERIOD)  # rad per sample
     for j, (sensor, rate) in enumerate(zip(machine.sensors, rates, strict=True)):
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)

@@ -123,13 +123,15 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
 def _cleaned(recording: Recording, machine: Machine) -> Recording:
     """Return a recording without outliers, gaps, and measurements before the machine came to rest.
 
-    The measurements also determine the voltages in the gaps.
+    The measurements also determine the voltages in the gaps, except saturated measurements.
     """
     usable = without_moving_start(only_measurements(recording, machine), machine)
     filled = fill_gaps(usable)
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled
-    (run,) = estimate_lost_voltages(prepare([usable], machine), machine).runs
+    data = prepare([usable], machine)
+    data = prepare([_without_saturated(machine, usable, data.noise)], machine)
+    (run,) = estimate_lost_voltages(data, machine).runs
     return dataclasses.replace(filled, inputs=run.inputs)
 
 

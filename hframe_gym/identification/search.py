@@ -13,7 +13,7 @@ from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection
 from .free_parameters import default_free_parameters
-from .lost_voltages import estimate_lost_voltages
+from .lost_voltages import count_unknown_rows, estimate_lost_voltages
 from .model_error import (
     CONTRADICTION,
     contradicting_run,
@@ -64,13 +64,13 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
         machine: Machine as declared.
         data: Runs to fit (times, voltages, measurements, SI).
         held_out: Runs that are not fitted.
-        log: Called with a line of text if rows were dropped.
+        log: Called with a line of text if voltages are estimated.
 
     Returns:
         The fitted and the held-out runs, with estimated voltages, V, shape (n, drives) for each run.
     """
-    dropped = sum(int(run.dropped.sum()) for run in data.runs + held_out.runs)
-    if not dropped:
+    unknown = count_unknown_rows(data) + count_unknown_rows(held_out)
+    if not unknown:
         return data, held_out
     free = default_free_parameters(machine)
     fitted = fit(machine, free, data, SEARCH_BANDWIDTH)
@@ -79,7 +79,7 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
         if refined is data:
             break
         data, fitted = refined, fit(machine, free, refined, SEARCH_BANDWIDTH, theta=fitted.theta)
-    log(f"voltages of {dropped} dropped rows are estimated from the measurements")
+    log(f"voltages of {unknown} dropped rows are estimated from the measurements")
     return data, estimate_lost_voltages(held_out, fitted.machine)
 
 

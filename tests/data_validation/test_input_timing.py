@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from hframe_gym.data_validation import check_before_fit
+from hframe_gym.data_validation.sampling import check_input_timing
 from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording
 
@@ -58,12 +60,13 @@ def test_voltages_that_act_when_they_are_logged_are_no_fault(effect: AppliedEffe
     assert late_findings(machine, 0) == []
 
 
-def with_hidden_mass(noise: float, late: int) -> list[Recording]:
+def with_hidden_mass(noise: float, late: int, controlled: bool = False) -> list[Recording]:
     """Return runs of an axis that carries a second mass on a spring which slips, simulated here step by step.
 
     Args:
         noise: Standard deviation of the measured position, m.
         late: Rows by which the voltage is logged late.
+        controlled: Whether a PD controller of the measured position determines the voltages.
     """
     coordinate, drive = AXIS.coordinates[0], AXIS.drives[0]
     mass, stiffness, damping, limit, step = 0.3, 20_000.0, 15.0, 1.0, 1e-4  # kg, N/m, N s/m, N, s
@@ -73,21 +76,25 @@ def with_hidden_mass(noise: float, late: int) -> list[Recording]:
     for k in range(3):
         volts = np.repeat(rng.uniform(-3.0, 3.0, 120), 10)
         volts[:100] = 0.0
+        goals = np.repeat(volts[::50] / 150.0, 50)  # m
+        errors = rng.normal(0.0, noise, len(volts))
         position = speed = hidden_speed = stretch = 0.0
-        positions = []
-        for volt in volts:
-            positions.append(position)
+        positions = np.zeros(len(volts))
+        for n, error in enumerate(errors):
+            positions[n] = position + error
+            if controlled:
+                measured_speed = (positions[n] - positions[max(n - 1, 0)]) / 1e-3
+                volts[n] = np.clip(300.0 * (goals[n] - positions[n]) - 5.0 * measured_speed, -3.0, 3.0)
             for _ in range(10):
                 relative = hidden_speed - speed
                 stretch = float(np.clip(stretch + step * relative, -limit / stiffness, limit / stiffness))
                 coupling = stiffness * stretch + damping * relative
                 friction = coordinate.coulomb * np.tanh(speed / 1e-3) + viscous * speed
-                speed += step * (drive.gain * volt - friction + coupling) / coordinate.mass
+                speed += step * (drive.gain * volts[n] - friction + coupling) / coordinate.mass
                 hidden_speed -= step * coupling / mass
                 position += step * speed
-        measured = np.array(positions)[:, None] + rng.normal(0.0, noise, (len(volts), 1))
         logged = np.concatenate([np.zeros(late), volts[: len(volts) - late]])[:, None]
-        runs.append(Recording(f"run_{k}", np.arange(len(volts)) * 1e-3, logged, measured))
+        runs.append(Recording(f"run_{k}", np.arange(len(volts)) * 1e-3, logged, positions[:, None]))
     return runs
 
 
@@ -106,6 +113,36 @@ def test_a_missing_mass_is_no_fault_of_the_recordings(noise: float) -> None:
 def test_late_voltages_are_a_fault_beside_a_missing_mass() -> None:
     ((severity, _),) = timing_findings(with_hidden_mass(1e-6, late=1))
     assert severity == "fault"
+
+
+def test_a_controller_whose_voltages_depend_on_the_measurements_of_their_row_is_no_fault() -> None:
+    """Noise that is fed back correlates with the voltage of its row, against the direction of the drive."""
+    (finding,) = timing_findings(with_hidden_mass(15e-6, late=0, controlled=True))
+    assert finding[0] == "advice"
+    assert finding[1].startswith("v_V may be logged one row late")
+
+
+def test_late_voltages_of_a_controller_are_a_fault() -> None:
+    ((severity, _),) = timing_findings(with_hidden_mass(1e-6, late=1, controlled=True))
+    assert severity == "fault"
+
+
+@pytest.mark.parametrize("every", [20, 10_000])
+def test_late_voltages_are_a_fault_although_a_sensor_measures_rarely_or_never(every: int) -> None:
+    runs = recordings(RIG, 1)
+    for run in runs:
+        run.outputs[np.arange(len(run.time_s)) % every != 1, 3] = np.nan
+    (finding,) = check_input_timing(prepare(runs, DECLARED), DECLARED)
+    assert finding.severity == "fault"
+
+
+def test_late_voltages_are_advised_if_every_sensor_is_slow() -> None:
+    """No four successive rows show what a measurement depends on."""
+    runs = recordings(RIG, 1)
+    for run in runs:
+        run.outputs[np.arange(len(run.time_s)) % 5 > 0] = np.nan
+    (finding,) = check_input_timing(prepare(runs, DECLARED), DECLARED)
+    assert finding.severity == "advice"
 
 
 def test_a_delay_that_is_declared_too_long_is_no_fault_of_the_recordings() -> None:

@@ -88,6 +88,13 @@ def test_single_missing_measurements_are_interpolated() -> None:
     assert force_error_without([500, 700, 1950, 1951, 1952, 3500]) == pytest.approx(complete, rel=1e-3)
 
 
+@pytest.mark.parametrize("first", [1950, 1951])
+def test_measurements_5_ms_apart_are_interpolated_however_times_are_rounded(first: int) -> None:
+    complete = force_error_without([])
+    assert force_error_without(slice(first, first + 4)) == pytest.approx(complete, rel=1e-3)
+    assert force_error_without(slice(first, first + 5)) != pytest.approx(complete, rel=0.1)
+
+
 def test_rows_near_a_long_gap_have_no_force_error() -> None:
     """The wrong voltages in the gap do not count; what remains is the error of the mass."""
     assert force_error_without(slice(1880, 2120)) == pytest.approx(0.077, rel=0.05)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_gym.identification import identify, prepare
-from hframe_gym.identification.lost_voltages import estimate_lost_voltages
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import identify, lost_voltages, prediction, prepare
+from hframe_gym.identification.lost_voltages import count_unknown_rows, estimate_lost_voltages
 from hframe_gym.identification.recording_simulation import simulate_recording
+from hframe_gym.identification.search import with_lost_voltages
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -123,3 +127,95 @@ def test_a_machine_that_lacks_nothing_is_recognized_despite_dropped_rows() -> No
     ratio = result.after.held_out.channels["x_m"].noise_ratio
     assert ratio is not None
     assert ratio < 2.0  # in open loop; with interpolated voltages it is 15
+
+
+def jacobians(run: Recording, machine: Machine, bandwidth: float) -> tuple[Array, Array]:
+    """Return the Jacobian with several rows in one prediction, and with one row in each prediction."""
+    data = prepare([run], machine)
+    rows = np.flatnonzero(data.runs[0].dropped)
+    together, _ = lost_voltages._linearize(machine, data.runs[0], data, rows, bandwidth)
+    alone = [
+        lost_voltages._linearize(machine, data.runs[0], data, rows[k : k + 1], bandwidth)[0] for k in range(len(rows))
+    ]
+    return together.toarray(), np.hstack([one.toarray() for one in alone])
+
+
+@pytest.mark.parametrize("measured_every", [1, 5])
+def test_rows_that_are_perturbed_together_have_the_derivatives_of_single_rows(measured_every: int) -> None:
+    """The observer corrects only where a sensor measures, and all rows determine the zero of the sensor."""
+    inputs = np.where(np.arange(8 * ROWS) < 100, 0.0, 3.0)[:, None]  # the axis never sticks after the rest
+    complete = recorded(AXIS, inputs, 1)
+    complete.outputs[np.arange(8 * ROWS) % measured_every > 0] = np.nan
+    together, alone = jacobians(without_rows(complete, np.arange(501, 8 * ROWS, 499)), AXIS, 60.0)
+    assert np.linalg.norm(together - alone) < 0.05 * np.linalg.norm(alone)
+
+
+def test_few_histories_are_predicted_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The memory must not grow with the number of dropped rows; the result does not depend on the division."""
+    run = without_rows(recorded(HFRAME, random_steps(1, 2), 1), random_rows(1))
+    data = prepare([run], HFRAME)
+    estimated = estimate_lost_voltages(data, HFRAME).runs[0].inputs
+    sizes = []
+
+    def predict(*arguments: Any, inputs: Array, **options: Any) -> Any:
+        sizes.append(inputs.shape[0] * data.runs[0].outputs.size)
+        return prediction.predict(*arguments, inputs=inputs, **options)
+
+    monkeypatch.setattr(lost_voltages, "predict", predict)
+    monkeypatch.setattr(lost_voltages, "_VALUES", 30_000)
+    np.testing.assert_array_equal(estimate_lost_voltages(data, HFRAME).runs[0].inputs, estimated)
+    assert max(sizes) <= 30_000
+
+
+def test_voltages_are_estimated_although_no_recorded_row_lies_between_two_others() -> None:
+    """With a row of three missing, no row shows how accurate interpolation is."""
+    complete = recorded(AXIS, random_steps(1), 1)
+    run = without_rows(complete, np.arange(100, ROWS - 1, 3))
+    error = simulate_recording(AXIS, run).error
+    assert np.sqrt(np.mean(error**2)) < 50.0 * NOISE  # with interpolated voltages it is 250
+
+
+def test_the_row_in_which_a_constant_voltage_begins_is_estimated() -> None:
+    """All recorded rows but four are predicted exactly, which says nothing about the step."""
+    inputs = np.where(np.arange(ROWS) < 101, 0.0, 1.5)[:, None]
+    run = without_rows(recorded(AXIS, inputs, 1), [101, 500])
+    error = simulate_recording(AXIS, run).error
+    assert np.sqrt(np.mean(error**2)) < 1.1 * NOISE
+    estimated = estimate_lost_voltages(prepare([run], AXIS), AXIS).runs[0].inputs
+    np.testing.assert_allclose(estimated, inputs, atol=5e-3)
+    assert estimated[500] == 1.5  # equal on both sides
+
+
+def test_voltages_at_which_the_machine_starts_and_stops_are_estimated() -> None:
+    """The response to a voltage depends on it where friction holds the machine; one linearization is not enough."""
+    inputs = np.random.default_rng(7).uniform(-3.0, 3.0, (ROWS, 1))
+    inputs[:100] = 0.0
+    run = without_rows(recorded(AXIS, inputs, 7), random_rows(7))
+    assert np.sqrt(np.mean(simulate_recording(AXIS, run).error ** 2)) < 1.5 * NOISE
+
+
+def test_saturated_measurements_determine_no_voltages() -> None:
+    complete = recorded(HFRAME, random_steps(3, 2), 3)
+    x = HFRAME.output_channels.index("x_m")
+    saturated = complete.outputs.copy()
+    saturated[:, x] = np.minimum(saturated[:, x], np.quantile(saturated[:, x], 0.9))
+    gaps = without_rows(dataclasses.replace(complete, outputs=saturated), random_rows(3))
+    difference = simulate_recording(HFRAME, gaps).outputs - without_rows(complete, random_rows(3)).outputs
+    assert np.sqrt(np.mean(difference[:, x] ** 2)) < 2.0 * NOISE  # 20 if the end of the range counts as a position
+
+
+def test_delays_between_two_rows_are_resolved() -> None:
+    machine = HFRAME.with_effects(EFFECTS["input_delay"].at("drives", d=2.3e-3))
+    inputs = random_steps(1, 2)
+    run = without_rows(recorded(machine, inputs, 1), random_rows(1))
+    error = simulate_recording(machine, run).error
+    assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 1.2 * np.array([5e-4, 5e-4, NOISE, NOISE]))
+
+
+def test_rows_in_long_gaps_are_not_counted_as_estimated() -> None:
+    complete = [recorded(AXIS, random_steps(seed), seed) for seed in range(2)]
+    data = prepare([without_rows(run, np.arange(300, 321)) for run in complete], AXIS)
+    lines: list[str] = []
+    assert with_lost_voltages(AXIS, data, data, lines.append) == (data, data)
+    assert lines == []
+    assert count_unknown_rows(prepare([without_rows(complete[0], [*range(300, 321), 500])], AXIS)) == 1
