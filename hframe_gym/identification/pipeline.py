@@ -140,12 +140,15 @@ def _search(
     data, unused = with_known_positions(all_runs.with_runs(fitted_names))
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out")
     data, held_out = with_lost_voltages(machine, data, held_out, log)
-    outcome = search_effects(machine, data, criteria, log)
-    differing = _contradicting_held_out_runs(outcome, held_out)
-    if outcome.contradiction and differing:
-        log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
-        outcome = search_effects(machine, data, criteria, log, leave_out=False)
+
+    def confirmed(outcome: SearchOutcome) -> bool:
         differing = _contradicting_held_out_runs(outcome, held_out)
+        if differing:
+            log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
+        return not differing
+
+    outcome = search_effects(machine, data, criteria, log, confirmed=confirmed)
+    differing = _contradicting_held_out_runs(outcome, held_out)
     return _Found(outcome, held_out, differing, (*unused, *excluded))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
 
@@ -84,7 +85,12 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
 
 
 def search_effects(
-    machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log, *, leave_out: bool = True
+    machine: Machine,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    *,
+    confirmed: Callable[[SearchOutcome], bool] = lambda outcome: True,
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
@@ -101,16 +107,23 @@ def search_effects(
         data: Runs to fit.
         criteria: Decision thresholds.
         log: Called with a line of text at each stage.
-        leave_out: Whether a run that contradicts the others may be left out.
+        confirmed: Function that tells whether held-out runs confirm the outcome without a run that contradicts the
+            others. If they do not, the outcome of a search in all runs is returned. Default: they always do.
 
     Returns:
         Verdict ("effect_found", "no_effect" or "unexplained"), fits of the machine without and with the effects, and
         the selected and the rejected effects.
     """
     all_runs = _Search(machine, data, criteria, log)
-    suspect = contradicting_run(all_runs.base, data) if leave_out else None
+    suspect = contradicting_run(all_runs.base, data)
     if suspect is None:
         return all_runs.run()
+
+    def without_suspect(outcome: SearchOutcome) -> SearchOutcome:
+        log(f"no effect explains {suspect}; it is not used")
+        outcome = outcome._replace(contradiction=suspect)
+        return outcome if confirmed(outcome) else all_runs.run()
+
     log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
     if not others.needs_no_effect and all_runs.known_effects_explain:
@@ -122,8 +135,7 @@ def search_effects(
         complete = all_runs.run()
         if complete.explained or _wide_chi2(complete) < CONTRADICTION * _wide_chi2(outcome):
             return complete
-        log(f"no effect explains {suspect}; it is not used")
-        return outcome._replace(contradiction=suspect)
+        return without_suspect(outcome)
     log(f"searching for an effect that explains {suspect}")
     after, effects = outcome.after, outcome.selected
     wide = converge(fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta), data, thorough=True)
@@ -133,8 +145,7 @@ def search_effects(
     if explains(extended[0], others.base.chi2, criteria):
         log(f"{suspect} is used")
         return all_runs.run(extended)
-    log(f"no effect explains {suspect}; it is not used")
-    return outcome._replace(contradiction=suspect)
+    return without_suspect(outcome)
 
 
 def _wide_chi2(outcome: SearchOutcome) -> float:

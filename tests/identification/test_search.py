@@ -224,3 +224,21 @@ def test_a_suspect_run_that_spoils_everything_is_left_out_although_the_others_ar
     outcome = scripted_search.run()
     assert outcome.contradiction == ("c" if left_out else None)
     assert len(outcome.data.runs) == (3 if left_out else 4)
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_all_runs_are_used_if_held_out_runs_do_not_confirm_that_one_is_wrong(
+    scripted_search: ScriptedSearch, monkeypatch: pytest.MonkeyPatch, confirmed: bool
+) -> None:
+    scripted_search.suspect = "c"
+    monkeypatch.setattr(search, "_wide_chi2", lambda outcome: {4: 101.0, 3: 10.0}[len(outcome.data.runs)])
+    shown: list[str | None] = []
+
+    def confirms(outcome: search.SearchOutcome) -> bool:
+        shown.append(outcome.contradiction)
+        return confirmed
+
+    outcome = search.search_effects(AXIS, runs("abcd"), CRITERIA, lambda line: None, confirmed=confirms)
+    assert shown == ["c"]
+    assert outcome.contradiction == ("c" if confirmed else None)
+    assert len(outcome.data.runs) == (3 if confirmed else 4)
