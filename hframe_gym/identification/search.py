@@ -84,13 +84,11 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
     return data, estimate_lost_voltages(held_out, fitted.machine)
 
 
+Confirmed = Callable[[SearchOutcome], bool]
+
+
 def search_effects(
-    machine: Machine,
-    data: Dataset,
-    criteria: SelectionCriteria,
-    log: Log,
-    *,
-    confirmed: Callable[[SearchOutcome], bool] = lambda outcome: True,
+    machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log, *, confirmed: Confirmed | None = None
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
@@ -108,7 +106,7 @@ def search_effects(
         criteria: Decision thresholds.
         log: Called with a line of text at each stage.
         confirmed: Function that tells whether held-out runs confirm the outcome without a run that contradicts the
-            others. If they do not, the outcome of a search in all runs is returned. Default: they always do.
+            others. If they do not, the outcome of a search in all runs is returned. Default: they do.
 
     Returns:
         Verdict ("effect_found", "no_effect" or "unexplained"), fits of the machine without and with the effects, and
@@ -122,7 +120,7 @@ def search_effects(
     def without_suspect(outcome: SearchOutcome) -> SearchOutcome:
         log(f"no effect explains {suspect}; it is not used")
         outcome = outcome._replace(contradiction=suspect)
-        return outcome if confirmed(outcome) else all_runs.run()
+        return outcome if confirmed is None or confirmed(outcome) else all_runs.run()
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
