@@ -30,7 +30,7 @@ from hframe_gym.identification.estimation import Fit, with_uncertainty
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.model_error import fit_with_model_error, polish
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.start_uncertainty import refine_starts
+from hframe_gym.identification.start_uncertainty import refine_dataset
 from hframe_gym.identification.trial_fits import typical_scales
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import without_outliers
@@ -120,7 +120,7 @@ def fit_rig(rig: RandomRig) -> Fitted:
         theta = np.concatenate([base.theta, np.zeros(len(added))])
         fitted = fit(machine, (*free, *added), data, SEARCH_BANDWIDTH, theta=theta)
     fitted = fit_with_model_error(fitted, data)
-    data = refine_starts(data, fitted.machine)
+    data = refine_dataset(data, fitted.machine)
     return Fitted(rig, polish(fitted, data), data)
 
 

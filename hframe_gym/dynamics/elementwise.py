@@ -79,7 +79,7 @@ def cos(x: Any) -> Any:
 
 
 def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent (not available in a simulation kernel).
+    """Return the hyperbolic tangent.
 
     Args:
         x: Operand, dimensionless: number, array of any shape, or symbolic expression.
@@ -115,9 +115,7 @@ def absolute(x: Any) -> Any:
 
 
 def sign(x: Any) -> Any:
-    """Return the sign of a value, which is 0 for x = 0 (not available in a simulation kernel).
-
-    Formulas for the kernel use `copysign(1.0, x)`, which is never 0: it is 1 for x = 0.0 and -1 for x = -0.0.
+    """Return the sign of a value, which is 0 for x = 0; `copysign(1.0, x)` is never 0.
 
     Args:
         x: Operand, any unit: number, array of any shape, or symbolic expression.

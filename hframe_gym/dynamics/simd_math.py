@@ -110,39 +110,19 @@ _sign = inlined(_vector_sign)
 _sin_shifted = inlined(_vector_sin_shifted)
 
 
-@overload(exp, inline="never")
-def _exp_of_vector(x):  # type: ignore[no-untyped-def]
-    if isinstance(x, SimdVector):
-        return lambda x: _exp(x)
-    return None
+def _register(function: Any, implementation: Any) -> None:
+    """Let compiled code call an implementation where a function of `elementwise` gets a SIMD register."""
+
+    @overload(function, inline="never")
+    def of_vector(x):  # type: ignore[no-untyped-def]
+        return (lambda x: implementation(x)) if isinstance(x, SimdVector) else None
 
 
-@overload(sin, inline="never")
-def _sin_of_vector(x):  # type: ignore[no-untyped-def]
-    if isinstance(x, SimdVector):
-        return lambda x: _sin_shifted(x, 0.0)
-    return None
-
-
-@overload(cos, inline="never")
-def _cos_of_vector(x):  # type: ignore[no-untyped-def]
-    if isinstance(x, SimdVector):
-        return lambda x: _sin_shifted(x, 1.0)
-    return None
-
-
-@overload(tanh, inline="never")
-def _tanh_of_vector(x):  # type: ignore[no-untyped-def]
-    if isinstance(x, SimdVector):
-        return lambda x: _tanh(x)
-    return None
-
-
-@overload(sign, inline="never")
-def _sign_of_vector(x):  # type: ignore[no-untyped-def]
-    if isinstance(x, SimdVector):
-        return lambda x: _sign(x)
-    return None
+_register(exp, _exp)
+_register(sin, inlined(lambda x: _sin_shifted(x, 0.0)))
+_register(cos, inlined(lambda x: _sin_shifted(x, 1.0)))
+_register(tanh, _tanh)
+_register(sign, _sign)
 
 
 @overload(floor)

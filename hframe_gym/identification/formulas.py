@@ -34,7 +34,7 @@ from .free_parameters import FreeParameter, default_free_parameters
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION
 from .residual import channel_errors
 from .result import IdentificationResult
-from .start_uncertainty import refine_starts
+from .start_uncertainty import refine_dataset
 from .trial_fits import typical_scales
 
 Array = NDArray[np.float64]
@@ -287,7 +287,7 @@ class _Runs:
     def __init__(self, result: IdentificationResult) -> None:
         self._result = result
         machine = result.after.machine
-        self._data = refine_starts(result.fitted, machine)
+        self._data = refine_dataset(result.fitted, machine)
         self._bandwidth = self._observer_bandwidth(machine)
         self._step = POLISH_STEP if self._bandwidth == SIMULATION else SEARCH_STEP
         without_parameters = Fit(machine, (), np.zeros(0), 0.0, 1, self._bandwidth, np.zeros((0, 0)))
@@ -308,7 +308,7 @@ class _Runs:
 
     def held_out(self, machine: Machine) -> dict[str, float]:
         """Return the error of the simulated held-out runs by channel, in units of the sensor noise."""
-        errors = channel_errors(machine, refine_starts(self._result.held_out, machine, self._result.fitted))
+        errors = channel_errors(machine, refine_dataset(self._result.held_out, machine, self._result.fitted))
         return {channel: e.noise_ratio for channel, e in errors.items() if e.noise_ratio is not None}
 
     def fit(self, machine: Machine, target_chi2: float) -> Fit:

@@ -36,7 +36,7 @@ from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
 from .search import SearchOutcome, search_effects, with_lost_voltages
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
-from .start_uncertainty import refine_starts
+from .start_uncertainty import refine_dataset
 from .trial_fits import without_effect
 
 _CONTRADICTION = (
@@ -186,7 +186,7 @@ def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset)
     them, does not count: it refutes the effects, see `_without_unconfirmed`.
     """
     after = outcome.after
-    refined = refine_starts(held_out_runs, after.machine, outcome.data)
+    refined = refine_dataset(held_out_runs, after.machine, outcome.data)
 
     def caused_by_effects(name: str) -> bool:
         run = refined.with_runs([name])
@@ -248,13 +248,13 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
     """
     before, before_explains, _, verdict, after, selected, considered, data, _ = outcome
     while selected and validation.runs:
-        runs = refine_starts(validation, after.machine, data)
+        runs = refine_dataset(validation, after.machine, data)
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
         excited = [s for s in selected if is_excited(s, after.machine, runs, after.bandwidth)]
         refuted = [s for s in excited if gains[s.effect.label] <= 0.0]
         if not refuted and worsens_simulation(before.machine, after.machine, runs):
             refuted = excited
-        refined = refine_starts(data, after.machine)
+        refined = refine_dataset(data, after.machine)
         ordered = sorted(refuted, key=lambda s: gains[s.effect.label])
         fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)
         # The weakest that can be removed: no other effect requires it or acts on a coordinate that it added.
@@ -281,7 +281,7 @@ def _result(
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
     before, _, _, verdict, after, selected, considered, data, _ = outcome
-    refined = refine_starts(data, after.machine)
+    refined = refine_dataset(data, after.machine)
     corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     declared_evaluation, refitted_evaluation, corrected_evaluation = (
@@ -291,7 +291,7 @@ def _result(
     experiments = (
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
     )
-    validation = refine_starts(validation, corrected, data)
+    validation = refine_dataset(validation, corrected, data)
     drives = drive_force(corrected, data)
     return IdentificationResult(
         verdict="effect_found" if selected and verdict == "no_effect" else verdict,

@@ -33,7 +33,7 @@ from .rest_measurement import (
 )
 from .result import ModelEvaluation, PredictionErrors
 from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
-from .start_uncertainty import most_probable_start, refine_starts
+from .start_uncertainty import most_probable_start, refine_dataset
 
 Array = NDArray[np.float64]
 
@@ -210,7 +210,7 @@ def evaluate_held_out(
         KeyError: If the recording of a run is missing.
     """
     machine = with_encoder_zeros(machine, fitted)
-    refined = refine_starts(held_out, machine, fitted)
+    refined = refine_dataset(held_out, machine, fitted)
     measured = {recording.name: recording for recording in recordings}
 
     def simulated(run: PreparedRecording) -> tuple[Array, tuple[str, ...], bool]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 from ..machine import Machine
@@ -26,7 +26,7 @@ from .model_error import (
 from .nonparametric import add_tables
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
-from .start_uncertainty import refine_starts
+from .start_uncertainty import refine_dataset
 from .trial_fits import converge
 
 _VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
@@ -84,7 +84,7 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
     return data, estimate_lost_voltages(held_out, fitted.machine)
 
 
-Confirmed = Callable[[SearchOutcome], bool]
+Confirmed = Callable[[SearchOutcome], bool]  # whether held-out runs confirm an outcome
 
 
 def search_effects(
@@ -113,24 +113,24 @@ def search_effects(
         the selected and the rejected effects.
     """
     all_runs = _Search(machine, data, criteria, log)
-    suspect = contradicting_run(all_runs.base, data)
+    suspect, in_all_runs = contradicting_run(all_runs.base, data), cache(all_runs.run)
     if suspect is None:
-        return all_runs.run()
+        return in_all_runs()
 
     def without_suspect(outcome: SearchOutcome) -> SearchOutcome:
         log(f"no effect explains {suspect}; it is not used")
         outcome = outcome._replace(contradiction=suspect)
-        return outcome if confirmed is None or confirmed(outcome) else all_runs.run()
+        return outcome if confirmed is None or confirmed(outcome) else in_all_runs()
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
     if not others.needs_no_effect and all_runs.known_effects_explain:
-        return all_runs.run()
+        return in_all_runs()
     log(f"searching for effects without {suspect}")
     outcome = others.run()
     if not outcome.explained:
         log(f"no effects explain the others without {suspect}; searching in all runs")
-        complete = all_runs.run()
+        complete = in_all_runs()
         if complete.explained or _wide_chi2(complete) < CONTRADICTION * _wide_chi2(outcome):
             return complete
         return without_suspect(outcome)
@@ -223,7 +223,7 @@ class _Search:
         if after is self.before:
             after = before
         else:
-            after = refined_in_simulation(after, refine_starts(self._data, after.machine))
+            after = refined_in_simulation(after, refine_dataset(self._data, after.machine))
             selected = tuple(s.with_values(after.machine) for s in selected)
         return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data)
 
@@ -233,7 +233,7 @@ class _Search:
         log("searching for effects")
         search = EffectSearch(data, self.before.machine, criteria, log)
         current, effects = search.run(*start)
-        refined = refine_starts(data, current.machine)
+        refined = refine_dataset(data, current.machine)
         if refined is not data:
             # With the effects, the encoders' zeros are more accurate, which may reveal further effects.
             data, search = refined, search.with_data(refined)

@@ -254,13 +254,13 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
     return most_probable_start(machine, run.initial, state, errors)
 
 
-def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Copy a data set, with what a fitted machine corrects: zeros of encoders, lost voltages, and states of effects.
+def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
+    """Copy a data set, with the values corrected that were estimated from the recordings without a fitted machine.
 
-    The zeros are the measurements at position 0; forces that stretch the belts at rest falsify their first estimate.
-    The voltages are those in rows that the logger dropped. The states are those of effects that remember motion before
-    the recording, such as hysteresis. They must be close to the true ones, because a fit linearizes the influence of
-    their uncertainty.
+    - Zeros of encoders (measurements at position 0): forces that stretch the belts at rest falsify their estimate.
+    - Voltages in rows that the logger dropped, which were interpolated: see `estimate_lost_voltages`.
+    - Initial states of effects that remember motion before the recording, such as hysteresis. They must be close to the
+      true ones, because a fit linearizes the influence of their uncertainty.
 
     Args:
         data: Data set to correct (times, voltages, measurements, SI).
@@ -269,8 +269,8 @@ def refine_starts(data: Dataset, machine: Machine, reference: Dataset | None = N
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states, and with measurements minus the corrected zeros, m or rad, shape
-        (n, sensors) for each run; `data` itself if there is nothing to correct.
+        Copy with corrected initial states, voltages, V, shape (n, drives), and measurements minus the corrected zeros,
+        m or rad, shape (n, sensors), of each run; `data` itself if there is nothing to correct.
     """
     data = estimate_lost_voltages(refine_encoder_zeros(data, machine, reference), machine)
     if not np.any(_effect_state_spreads(machine) > 0.0):

@@ -53,7 +53,7 @@ class ScriptedSearch:
             "polish": lambda fitted, data: fitted,
             "converge": lambda fitted, data, thorough: fitted,
             "fit_with_model_error": lambda fitted, data: dataclasses.replace(fitted, bandwidth=script.bandwidth),
-            "refine_starts": lambda data, machine: data,
+            "refine_dataset": lambda data, machine: data,
             # The simulation has no say: it is as bad with the effects as without.
             "prediction_cost": lambda machine, data, bandwidth: (
                 COUNT * (script.wide if bandwidth and machine.effects else 10.0)

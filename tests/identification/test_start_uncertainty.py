@@ -10,7 +10,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import prepare, simulate_recording
 from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.identification.prediction import SIMULATION
-from hframe_gym.identification.start_uncertainty import initial_state_projection, refine_starts
+from hframe_gym.identification.start_uncertainty import initial_state_projection, refine_dataset
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 
@@ -85,11 +85,11 @@ def test_a_hysteresis_remembers_motion_before_the_recording(axis: Machine, name:
     assert simulated.initial.effect_states == {(f"{name}@x", "x"): pytest.approx(-0.8, abs=0.05)}
     assert np.abs(simulated.error).max() < 2e-6
     data = prepare([run], machine)
-    refined = refine_starts(data, machine)
+    refined = refine_dataset(data, machine)
     assert refined.runs[0].initial_state(machine)[2] == pytest.approx(-0.8, abs=0.05)
     assert prediction_cost(machine, refined, SIMULATION) < 0.1 * prediction_cost(machine, data, SIMULATION)
 
 
 def test_nothing_to_refine_without_hysteresis(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
-    assert refine_starts(data, axis) is data
+    assert refine_dataset(data, axis) is data
