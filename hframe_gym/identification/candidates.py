@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from ..effects import EFFECTS, effect_sites
 from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, EffectParameter, Machine
-from .dataset import Dataset, TypicalScales
+from .dataset import Dataset
+from .force_sizes import TypicalScales
 from .free_parameters import FreeParameter
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_peaks, slow_rates
 from .screening import replaces_model_part

@@ -1,9 +1,13 @@
-"""Recordings prepared for identification, and the typical size of the quantities in them."""
+"""Recordings prepared for identification: gaps filled, initial states, zeros and noise of the sensors estimated.
+
+The zero of a sensor is its measurement at position 0. A laser has a fixed zero; that of an encoder is wherever the
+encoder was switched on, and common to all runs in which it stayed on.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,7 +17,6 @@ from numpy.typing import NDArray
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
-from .free_parameters import typical_force
 from .initial_state import correct_encoder_zeros, encoder_zero_errors, measured_initial_state, model_initial_state
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
@@ -32,10 +35,10 @@ class PreparedRecording:
         inputs: Drive voltages, V, shape (n, drives).
         outputs: Measurements minus zeros (readings at position 0), m or rad, shape (n, sensors), NaN where missing.
         initial: Measured initial state.
-        noise: Standard deviation of each measurement, m or rad, shape (n, sensors): the sensor's noise and
-            the jitter of the clock times the speed.
-        weights: Number of independent values that each measurement counts as, at most 1, shape (n, sensors), see
-            `independent_values`; 0 where not measured.
+        noise: Standard deviation of each measurement, m or rad, shape (n, sensors): sqrt(noise^2 + (jitter * speed)^2)
+            with the sensor's noise at rest and the jitter of the clock, s.
+        weights: Weight of each measurement in a fit, shape (n, sensors), from 0 (not measured) to 1 (independent of the
+            measurements beside it), see `independent_values`.
         dropped: True for rows that the logger dropped; their voltages are interpolated or estimated, shape (n,).
     """
 
@@ -78,7 +81,7 @@ class Dataset:
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         quantum: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
         behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        zeros: Zeros (measurements at position 0) of the encoders that kept them in all runs. None: unknown.
+        zeros: Zeros of the encoders that have the same one in all runs, because they stayed on. None: unknown.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -119,35 +122,49 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     Returns:
         Data set with one prepared recording per run: its initial state, and its measurements minus the sensors' zeros
         (measurements at position 0), m or rad, shape (n, sensors). For all runs: noise and quantization step of each
-        sensor, m or rad, shape (sensors,), and the zeros of those encoders that kept them in all runs.
+        sensor, m or rad, shape (sensors,), and the zeros of the encoders that have the same one in all runs.
     """
-    recorded, recordings = recordings, [fill_gaps(recording) for recording in recordings]
-    channels = [[recording.outputs[:, j] for recording in recordings] for j in range(len(machine.sensors))]
+    filled = [fill_gaps(recording) for recording in recordings]
+    channels = [[recording.outputs[:, j] for recording in filled] for j in range(len(machine.sensors))]
     quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
-    # The zeros that each run alone gives show which encoders kept theirs; those then improve the initial states.
-    separate = [estimate_initial_state(recording, machine) for recording in recordings]
+    # Each run is estimated alone, which shows the encoders with the same zero in all runs, then again with these zeros.
+    separate = [estimate_initial_state(recording, machine) for recording in filled]
     zeros = common_encoder_zeros(separate, machine, quanta)
-    initial = [measured_initial_state(r, machine, zeros, quanta, s) for r, s in zip(recordings, separate, strict=True)]
+    initial = [measured_initial_state(r, machine, zeros, quanta, s) for r, s in zip(filled, separate, strict=True)]
     rows = [state.resting_rows for state in initial]
-    noise = [
-        sensor_noise(channel, rows, quantum, sensor.noise)
-        for channel, quantum, sensor in zip(channels, quanta, machine.sensors, strict=True)
-    ]
-    jitter = _common_jitter(recordings, machine, noise)
+    noise = np.array(
+        [
+            sensor_noise(channel, rows, quantum, sensor.noise)
+            for channel, quantum, sensor in zip(channels, quanta, machine.sensors, strict=True)
+        ]
+    )
+    jitter = _common_jitter(filled, machine, noise)
     runs = tuple(
         PreparedRecording(
-            r.name,
-            r.time_s,
-            r.inputs,
-            r.outputs - state.offset,
-            state,
-            noise_by_row(r.time_s, r.outputs, np.array(noise), jitter),
-            independent_values(r.time_s, r.outputs, quanta),
-            np.isin(r.time_s, before.time_s, invert=True),
+            name=run.name,
+            time_s=run.time_s,
+            inputs=run.inputs,
+            outputs=run.outputs - state.offset,
+            initial=state,
+            noise=noise_by_row(run.time_s, run.outputs, noise, jitter),
+            weights=independent_values(run.time_s, run.outputs, quanta),
+            dropped=np.isin(run.time_s, recorded.time_s, invert=True),  # `fill_gaps` keeps recorded times exactly
         )
-        for before, r, state in zip(recorded, recordings, initial, strict=True)
+        for recorded, run, state in zip(recordings, filled, initial, strict=True)
     )
-    return Dataset(runs, np.array(noise), quanta, behind_belts(machine), zeros)
+    return Dataset(runs, noise, quanta, behind_belts(machine), zeros)
+
+
+def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Array) -> float:
+    """Return the jitter of the clock, s: the smallest estimate of all encoders or, if none measured, of all sensors.
+
+    Encoders resolve the jitter best. The smallest estimate is used, because vibration at one sensor looks like jitter.
+    """
+    channels = {j: [r.outputs[:, j] for r in recordings] for j in range(len(machine.sensors))}
+    measured = [j for j, channel in channels.items() if any(np.isfinite(values).any() for values in channel)]
+    encoders = [j for j in measured if machine.sensors[j].incremental]
+    times = [r.time_s for r in recordings]
+    return min((clock_jitter(times, channels[j], noise[j]) for j in encoders or measured), default=0.0)
 
 
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
@@ -167,25 +184,8 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     return data.with_runs(located), (f"Not used, because no sensor with a known zero measures the start: {lost}.",)
 
 
-def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Sequence[float]) -> float:
-    """Return the jitter of the clock, s: the smallest estimate of all encoders, or of all sensors without encoders.
-
-    Encoders resolve the jitter best. The smallest estimate is used, because vibration of a single channel looks alike.
-    """
-    encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
-    measured = np.isfinite(np.concatenate([r.outputs for r in recordings])).any(axis=0)
-    return min(
-        (
-            clock_jitter([r.time_s for r in recordings], [r.outputs[:, j] for r in recordings], noise[j])
-            for j in encoders or range(len(machine.sensors))
-            if measured[j]
-        ),
-        default=0.0,
-    )
-
-
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Copy a data set, with the saturated measurements (at the ends of a sensor's range) that a fit leaves out.
+    """Copy a data set and put back the measurements at the ends of a sensor's range, which a fit leaves out.
 
     Args:
         data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
@@ -252,80 +252,3 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
     """
     zeros = refine_encoder_zeros(data, machine).zeros
     return machine if zeros is None else zeros.in_machine(machine)
-
-
-@dataclass(frozen=True)
-class TypicalScales:
-    """Typical sizes of physical quantities on a machine during its recordings.
-
-    The keys are the units that effect parameters declare; `scales_of_motion` documents how the sizes are computed.
-
-    Attributes:
-        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "force", "speed",
-            "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V) and "A" (its current, A).
-        general: Sizes that belong to no coordinate, by key: of belts, extension "m" (m), force "N" (N), "1/m^2".
-    """
-
-    by_coordinate: Mapping[str, Mapping[str, float]]
-    general: Mapping[str, float]
-
-    def of(self, coordinate: str) -> Mapping[str, float]:
-        """Return the typical sizes at a coordinate together with the sizes that belong to no coordinate.
-
-        Args:
-            coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
-
-        Returns:
-            Typical size, SI, by key: "force", "speed", "position", "viscous" (force / speed), "drag" (force / speed^2),
-            "stiffness" (force / position), "voltage", "A" (current); of belts "m" (extension), "N" (force), "1/m^2".
-        """
-        return {**self.general, **self.by_coordinate.get(coordinate, {})}
-
-
-def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
-    """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
-
-    Starting values of effect parameters are multiples of these sizes.
-
-    Args:
-        machine: Machine that moved.
-        positions: Positions over all rows of all runs, m or rad, shape (n, coordinates).
-        velocities: Velocities over the same rows, m/s or rad/s, shape (n, coordinates).
-        inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
-
-    Returns:
-        by_coordinate: By coordinate, sizes by key, in N, m/s and m (linear) or in Nm, rad/s and rad (rotary):
-
-            - "force": a tenth of the force of all drives together at standstill and rated voltage.
-            - "speed": 99th percentile of its magnitude. "position": largest minus smallest position.
-            - "viscous": force / speed. "drag": force / speed^2. "stiffness": force / position.
-            - With a drive, "voltage": largest magnitude of its voltage, V.
-            - With a drive, "A": largest magnitude of its current, A, which is (voltage - back-EMF) / resistance.
-        general: Empty without belts; with belts, sizes by key:
-
-            - "m": 99th percentile of the magnitude of the belts' extensions, m. "1/m^2": 1 / this size squared.
-            - "N": largest magnitude of a belt's force, N, which is extension * EA / rest length.
-    """
-    force = typical_force(machine)
-    top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)
-    span = np.maximum(np.ptp(positions, axis=0), 1e-9)
-    by_coordinate: dict[str, dict[str, float]] = {}
-    for i, c in enumerate(machine.coordinates):
-        drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
-        speed, distance = float(top_speed[i]), float(span[i])
-        by_coordinate[c.name] = {"force": drive, "speed": speed, "position": distance}
-        by_coordinate[c.name] |= {"viscous": drive / speed, "drag": drive / speed**2, "stiffness": drive / distance}
-    for d, voltage in zip(machine.drives, np.concatenate(list(inputs)).T, strict=True):
-        i = machine.coordinate_names.index(d.coordinate)
-        # Ohm's law with the back-EMF of the motor, which turns gear_ratio times as fast as the coordinate.
-        current = (voltage - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
-        sizes = by_coordinate[d.coordinate]
-        for key, values in (("A", current), ("voltage", voltage)):
-            sizes[key] = max(float(np.abs(values).max()), sizes.get(key, 1e-9))
-    general: dict[str, float] = {}
-    if machine.belts:
-        extension = positions @ machine.belt_matrix.T  # (n, belts)
-        stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
-        largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)
-        general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}
-    return TypicalScales(by_coordinate, general)

@@ -1,13 +1,15 @@
-"""Sizes of forces during recordings: of effects, of the drives, and of what a fitted model lacks.
+"""Sizes of forces during recordings: of effects, of the drives, of what a fitted model lacks, and typical ones.
 
-The last one is measured in two ways: `residue_force` by the corrections of an observer, and `force_error` by comparing
-the force of the drives with the one that the model needs for the measured motion (inverse dynamics).
+What a model lacks is measured in two ways: `residue_force` by the corrections of an observer, and `force_error` by
+comparing the force of the drives with the one that the model needs for the measured motion (inverse dynamics).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from ..machine import AppliedEffect, Machine
 from ..recordings import GAP_PERIODS, bridge_blanks
 from .dataset import MIN_ROWS, Dataset, PreparedRecording
 from .estimation import Fit
+from .free_parameters import typical_force
 from .model_error import BANDWIDTHS, search_step
 from .prediction import SEARCH_BANDWIDTH, map_runs, observer_gains, predict, prediction_error
 
@@ -224,3 +227,80 @@ def _centered_mean(time_s: Array, values: Array, delay: float) -> Array:
     edges = np.concatenate([time_s - delay - period / 2, time_s - delay + period / 2])
     before, after = np.interp(edges, time_s, integral).reshape(2, -1)
     return (after - before) / period
+
+
+@dataclass(frozen=True)
+class TypicalScales:
+    """Typical sizes of physical quantities on a machine during its recordings.
+
+    The keys are the units that effect parameters declare; `scales_of_motion` documents how the sizes are computed.
+
+    Attributes:
+        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "force", "speed",
+            "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V) and "A" (its current, A).
+        general: Sizes that belong to no coordinate, by key: of belts, extension "m" (m), force "N" (N), "1/m^2".
+    """
+
+    by_coordinate: Mapping[str, Mapping[str, float]]
+    general: Mapping[str, float]
+
+    def of(self, coordinate: str) -> Mapping[str, float]:
+        """Return the typical sizes at a coordinate together with the sizes that belong to no coordinate.
+
+        Args:
+            coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
+
+        Returns:
+            Typical size, SI, by key: "force", "speed", "position", "viscous" (force / speed), "drag" (force / speed^2),
+            "stiffness" (force / position), "voltage", "A" (current); of belts "m" (extension), "N" (force), "1/m^2".
+        """
+        return {**self.general, **self.by_coordinate.get(coordinate, {})}
+
+
+def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
+    """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
+
+    Starting values of effect parameters are multiples of these sizes.
+
+    Args:
+        machine: Machine that moved.
+        positions: Positions over all rows of all runs, m or rad, shape (n, coordinates).
+        velocities: Velocities over the same rows, m/s or rad/s, shape (n, coordinates).
+        inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
+
+    Returns:
+        by_coordinate: By coordinate, sizes by key, in N, m/s and m (linear) or in Nm, rad/s and rad (rotary):
+
+            - "force": a tenth of the force of all drives together at standstill and rated voltage.
+            - "speed": 99th percentile of its magnitude. "position": largest minus smallest position.
+            - "viscous": force / speed. "drag": force / speed^2. "stiffness": force / position.
+            - With a drive, "voltage": largest magnitude of its voltage, V.
+            - With a drive, "A": largest magnitude of its current, A, which is (voltage - back-EMF) / resistance.
+        general: Empty without belts; with belts, sizes by key:
+
+            - "m": 99th percentile of the magnitude of the belts' extensions, m. "1/m^2": 1 / this size squared.
+            - "N": largest magnitude of a belt's force, N, which is extension * EA / rest length.
+    """
+    force = typical_force(machine)
+    top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)
+    span = np.maximum(np.ptp(positions, axis=0), 1e-9)
+    by_coordinate: dict[str, dict[str, float]] = {}
+    for i, c in enumerate(machine.coordinates):
+        drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
+        speed, distance = float(top_speed[i]), float(span[i])
+        by_coordinate[c.name] = {"force": drive, "speed": speed, "position": distance}
+        by_coordinate[c.name] |= {"viscous": drive / speed, "drag": drive / speed**2, "stiffness": drive / distance}
+    for d, voltage in zip(machine.drives, np.concatenate(list(inputs)).T, strict=True):
+        i = machine.coordinate_names.index(d.coordinate)
+        # Ohm's law with the back-EMF of the motor, which turns gear_ratio times as fast as the coordinate.
+        current = (voltage - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
+        sizes = by_coordinate[d.coordinate]
+        for key, values in (("A", current), ("voltage", voltage)):
+            sizes[key] = max(float(np.abs(values).max()), sizes.get(key, 1e-9))
+    general: dict[str, float] = {}
+    if machine.belts:
+        extension = positions @ machine.belt_matrix.T  # (n, belts)
+        stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
+        largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)
+        general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}
+    return TypicalScales(by_coordinate, general)

@@ -16,8 +16,9 @@ from ..effects.smooth_table import KNOTS, definition
 from ..machine import Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
-from .dataset import Dataset, PreparedRecording, TypicalScales
+from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, fit
+from .force_sizes import TypicalScales
 from .forward_selection import Log, SelectedEffect, Selection, describe_gain
 from .model_error import left_out_cost
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict

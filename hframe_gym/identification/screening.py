@@ -26,8 +26,9 @@ from ..dynamics.simulation import Motion, parameter_batch
 from ..effects import EFFECTS, effect_sites
 from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, Machine
-from .dataset import Dataset, PreparedRecording, TypicalScales
+from .dataset import Dataset, PreparedRecording
 from .estimation import Fit
+from .force_sizes import TypicalScales
 from .free_parameters import prior_precision, second_difference_penalty
 from .linearization import DIFFERENCE_STEP, ResidualModel, Responses
 from .prediction import mechanical_rows_per_block, predict

@@ -17,9 +17,9 @@ from ..dynamics import share_kernel
 from ..machine import AppliedEffect, Machine
 from .candidates import candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
-from .dataset import Dataset, TypicalScales, scales_of_motion
+from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
-from .force_sizes import effect_force, residue_force
+from .force_sizes import TypicalScales, effect_force, residue_force, scales_of_motion
 from .free_parameters import FreeParameter, default_free_parameters, values_at
 from .model_error import search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, noise_floor, predict

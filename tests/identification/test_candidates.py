@@ -8,7 +8,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.candidates import Candidate, candidates, effect_parameters
 from hframe_gym.identification.criteria import SelectionCriteria
-from hframe_gym.identification.dataset import TypicalScales
+from hframe_gym.identification.force_sizes import TypicalScales
 from hframe_gym.identification.nonparametric import table_candidates
 from hframe_gym.identification.periodogram import periodogram_peaks, slow_rates
 from hframe_gym.machine import Machine

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import prepare
-from hframe_gym.identification.dataset import scales_of_motion, with_all_measurements
+from hframe_gym.identification.dataset import with_all_measurements
+from hframe_gym.identification.force_sizes import scales_of_motion
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -42,6 +43,21 @@ def test_the_quantum_is_that_of_the_moving_runs(hframe: Machine) -> None:
         runs.append(resting(outputs, f"run_{k}"))
     data = prepare(runs, hframe)
     np.testing.assert_allclose(data.quantum[:2], QUANTUM)
+
+
+@pytest.mark.parametrize("encoders", [True, False])
+def test_lasers_show_the_jitter_of_the_clock_where_no_encoder_measured(hframe: Machine, encoders: bool) -> None:
+    """The stage moves fast; the times of the samples err by 0.2 ms. The encoders are blank or show none."""
+    rng = np.random.default_rng(3)
+    time_s = np.arange(2000) * 1e-3
+    late = time_s + rng.normal(0.0, 2e-4, 2000)
+    outputs = np.zeros((2000, 4))
+    outputs[:, 2] = 0.1 * np.sin(20.0 * late) + rng.normal(0.0, 20e-6, 2000)
+    outputs[:, 3] = 0.1 * np.cos(20.0 * late) + rng.normal(0.0, 20e-6, 2000)
+    outputs[:, :2] = 0.0 if encoders else np.nan
+    noise = prepare([Recording("run", time_s, np.ones((2000, 2)), outputs)], hframe).runs[0].noise
+    largest = np.max(noise[:, 2]) / hframe.sensors[2].noise
+    assert largest == pytest.approx(1.0 if encoders else 2e-4 * 2.0 / hframe.sensors[2].noise, rel=0.25)
 
 
 def test_runs_are_chosen_by_name_and_all_measurements_return(hframe: Machine) -> None:
