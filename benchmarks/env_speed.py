@@ -34,6 +34,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "wide randomization": {"randomize": "wide"},
     "sensors and drives of the rig": {"sensors": "rig", "drives": "rig"},
     "task track": {"task": "track"},
+    "normalized, reward progress": {"normalize": True},
 }
 
 

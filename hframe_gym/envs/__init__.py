@@ -4,7 +4,7 @@ The adapter for stable-baselines3 is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`;
 needs an extra.
 """
 
-from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike
+from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike, action_space
 from .config import EnvConfig, EnvOptions, MachineLike, as_machine
 from .domain_randomization import (
     DISTRIBUTIONS,
@@ -29,7 +29,7 @@ from .sensors import (
     as_sensors,
     observed_machine,
 )
-from .spaces import SignalSpec, action_space, observation_space
+from .spaces import SignalSpec, observation_space
 from .tasks import TASKS, Reach, Task, TaskLike, Track, as_task
 from .vector_env import HFrameTrackVectorEnv, HFrameVectorEnv
 

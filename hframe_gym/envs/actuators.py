@@ -1,4 +1,4 @@
-"""Actuators: conversion of actions to motor voltages by D/A converters, with dead times and current limits.
+"""Actions and actuators: conversion of actions to motor voltages, with D/A converters, dead time and current limit.
 
 The machine declares the D/A converter of each drive (bits, voltage range). Dead time and current limit are effects of
 the machine (modeled deviations from the basic model), `input_delay` and `current_limit`. `ActuatorModel` simulates
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
@@ -106,6 +107,7 @@ ACTUATOR_PRESETS: dict[str, Actuators | None] = {
     "rig": Actuators(bits=12, current_limit=12.0),
     "machine": None,
 }
+_FLOAT32 = np.dtype(np.float32)
 ActuatorsLike: TypeAlias = Literal["ideal", "rig", "machine"] | Actuators
 
 
@@ -130,6 +132,54 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
         raise InputError(f"drives is {drives!r}; choose one of {', '.join(ACTUATOR_PRESETS)}, or give Actuators(...)")
     preset = ACTUATOR_PRESETS[drives]
     return machine if preset is None else preset.apply(machine)
+
+
+def action_space(machine: Machine) -> spaces.Box:
+    """Create the action space: the voltage of each drive as a fraction of its rated voltage.
+
+    Args:
+        machine: Machine with its drives.
+
+    Returns:
+        Box from -1 to 1, float32, shape (drives,).
+    """
+    return spaces.Box(-1.0, 1.0, (len(machine.drives),), np.float32)
+
+
+def check_actions(actions: Any, shape: tuple[int, int], machine: Machine) -> NDArray[Any]:
+    """Check that actions have the right shape and are finite; convert them to a contiguous float array.
+
+    Args:
+        actions: Voltages as fractions of the rated voltages. They may exceed [-1, 1]; the actuators limit them.
+        shape: Required shape, (environments, drives).
+        machine: Machine with its drives, for messages.
+
+    Returns:
+        Actions, float32 if they were float32, else float64, of the required shape.
+
+    Raises:
+        ValueError: If actions are not numbers, have another shape, or an entry is not finite.
+    """
+    values = np.ascontiguousarray(actions)
+    if values.dtype != _FLOAT32:
+        if values.dtype.kind not in "fiub":
+            raise ValueError(f"actions have the type {values.dtype}, they must be numbers")
+        values = values.astype(np.float64, copy=False)
+    if values.shape != shape:
+        raise ValueError(f"actions have shape {values.shape}, they must have {shape}")
+    if not _all_finite(values):
+        b, k = np.argwhere(~np.isfinite(values))[0].tolist()
+        raise ValueError(f"action of environment {b}, {machine.drives[k].name}: {values[b, k]} is not finite")
+    return values
+
+
+@compiled
+def _all_finite(actions: Any) -> bool:
+    """Return whether all entries of actions (B, drives) are finite."""
+    values, bad = actions.reshape(-1), 0
+    for i in range(len(values)):  # without an exit at the first one, so that the compiler vectorizes the loop
+        bad += not abs(values[i]) < math.inf
+    return bad == 0
 
 
 class ActuatorModel:

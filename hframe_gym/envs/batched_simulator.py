@@ -9,13 +9,13 @@ that rounds alike everywhere. A machine therefore gets the same bits in any batc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import LANES, Equations, MotionPoint, NotFiniteError, in_blocks, in_parallel, kernel_for
+from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
 from ..errors import InputError
 from ..machine import Machine, rest_state
 from .actuators import ActuatorModel
@@ -26,8 +26,6 @@ from .workspace import tool_terms, with_end_stops, write_tool_positions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-# With fewer machines, one thread finishes before a second one has started.
-COUNT_FOR_THREADS = 512
 
 
 def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
@@ -150,7 +148,7 @@ class BatchedSimulator:
         self._delay_line: DelayLine | None = None
         if sensors and self._kernel.lagged:
             self._delay_line = DelayLine(machine, self.blocks, self.h)
-        self._steps_done = 0
+        self._steps_done = 0  # at the end of the present control period
 
     def _rest_travel(self, name: str) -> Array:
         """Return the travel of every coordinate at rest, m, for a position of 1 m along x or y."""
@@ -200,67 +198,43 @@ class BatchedSimulator:
         if delay_line is not None:
             delay_line.fill(index, self._undelayed)
 
-    def advance(self, actions: NDArray[Any], clipped: NDArray[np.int64], finish: Callable[[int, int], int]) -> None:
-        """Advance all machines by one control period.
+    def begin_period(self) -> None:
+        """Begin a control period; call it once for all machines, before `advance`."""
+        self.actuators.begin_period()
+        self._steps_done += self.steps
+
+    def advance(self, actions: NDArray[Any], clipped: NDArray[np.int64], first: int, last: int) -> None:
+        """Advance the machines in blocks first to last - 1 by the control period that `begin_period` began.
+
+        Calls for different blocks may run in several threads at once.
 
         Args:
             actions: Voltages as fractions of the rated voltages, finite, shape (count, drives) for all `count`
                 machines; limited to [-1, 1] here.
             clipped: Number of action entries outside [-1, 1] since the reset, shape (count,); increased here.
-            finish: Function of (first, last) that evaluates blocks first to last - 1 (LANES machines each), for example
-                writes their observations. It is called once these blocks are advanced, for different blocks possibly
-                in several threads at once. It returns the index of a machine whose state is not finite, or -1.
-
-        Raises:
-            NotFiniteError: If a state is not finite; the message names the environment, which is the machine's index.
+            first: Index of the first block; block i holds machines i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
+            last: Index after the last block.
         """
-        self.actuators.begin_period()
-        if self.count < COUNT_FOR_THREADS:
-            broken = self._advance_period(actions, clipped, finish, 0, self.blocks)
-        else:
-            results: list[int] = []
-            in_parallel(
-                lambda first, last: results.append(self._advance_period(actions, clipped, finish, first, last)),
-                self.blocks,
-            )
-            broken = min((b for b in results if b >= 0), default=-1)
-        self._steps_done += self.steps
-        if broken >= 0:
-            raise NotFiniteError(
-                f"environment {broken}: the motion of machine {self.machine.name!r} is not finite; its "
-                "parameters are impossible, or it needs a smaller longest_step"
-            )
-
-    def _advance_period(
-        self,
-        actions: NDArray[Any],
-        clipped: NDArray[np.int64],
-        finish: Callable[[int, int], int],
-        first: int,
-        last: int,
-    ) -> int:
-        """Advance blocks first..last-1 by one control period; arguments and result are those of `advance`, `finish`."""
         self.actuators.command(actions, first, last, clipped)
-        if self._delay_line is None:
-            inputs, h, steps = self.actuators.inputs, self.h, self.steps
-            self._kernel.advance_blocks(self.state, self.parameters, self._derived, inputs, h, steps, first, last)
-            if self._sensors:
-                self._kernel.read_blocks(self.state, self.parameters, first, last, self.readings)
-        else:
+        if self._delay_line is not None:
             self._advance_with_delay_line(self._delay_line, first, last)
-        return finish(first, last)
+            return
+        inputs, kernel = self.actuators.inputs, self._kernel
+        kernel.advance_blocks(self.state, self.parameters, self._derived, inputs, self.h, self.steps, first, last)
+        if self._sensors:
+            kernel.read_blocks(self.state, self.parameters, first, last, self.readings)
 
     def _advance_with_delay_line(self, delay_line: DelayLine, first: int, last: int) -> None:
         """Advance blocks first..last-1 by one control period and record their readings after every step."""
         inputs = self.actuators.inputs
-        drives = len(self.machine.drives)
+        drives, begin = len(self.machine.drives), self._steps_done - self.steps
         for step in range(self.steps):
             row = step * drives if self._kernel.delayed else 0
             voltages = np.ascontiguousarray(inputs[:, row : row + drives])
             self._kernel.advance_blocks(self.state, self.parameters, self._derived, voltages, self.h, 1, first, last)
             self._kernel.read_blocks(self.state, self.parameters, first, last, self._undelayed)
-            delay_line.record(self._undelayed, self._steps_done + step + 1, first, last)
-        delay_line.read(self._steps_done + self.steps, first, last, self.readings)
+            delay_line.record(self._undelayed, begin + step + 1, first, last)
+        delay_line.read(self._steps_done, first, last, self.readings)
 
     # -- reading ---------------------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Literal, Protocol, TypeAlias, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,14 +214,17 @@ class RandomizeParameter:
         Returns:
             Samples for `apply`, shape (k,). Dimensionless if `how` is "scale", else in the parameter's SI unit.
         """
-        assert isinstance(self.distribution, Distribution)
-        return self.distribution.quantile(u)
+        return self._distribution.quantile(u)
 
     @property
     def bounded(self) -> bool:
         """Whether all samples of the rule's distribution lie between two finite numbers."""
-        assert isinstance(self.distribution, Distribution)
-        return self.distribution.bounded
+        return self._distribution.bounded
+
+    @property
+    def _distribution(self) -> Distribution:
+        """The distribution, checked when the rule was made: a check against a protocol would be most of a reset."""
+        return cast("Distribution", self.distribution)
 
     def apply(self, value: Array, sample: Array) -> Array:
         """Change a parameter of k environments by samples of the distribution, as the attribute `how` says.

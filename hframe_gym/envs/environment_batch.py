@@ -7,29 +7,20 @@ when an episode ends.
 
 from __future__ import annotations
 
-import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import error
 from numpy.typing import ArrayLike, NDArray
 
-from ..dynamics import LANES
+from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError
-from .actuators import with_actuators
+from .actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
 from .machine_sampler import MachineSampler
 from .observations import Observation, ObservationBuilder
-from .random_numbers import compiled
-from .rewards import (
-    BuiltinReward,
-    Evaluation,
-    PenalizedReward,
-    as_reward,
-    distances,
-)
+from .rewards import PenalizedReward, as_reward, distances
 from .sensors import as_sensors
 from .spaces import ObservationFormat, observation_signals
 from .step_rewards import StepRewards
@@ -40,21 +31,20 @@ from .workspace import outside_workspace, workspace_of
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
-_FLOAT32 = np.dtype(np.float32)
+# With fewer environments, one thread finishes before a second one has started.
+_COUNT_FOR_THREADS = 512
 
 
 class StepResult(NamedTuple):
-    """Result of one control period of `count` environments, in new arrays.
+    """Arrays into which a step of `count` environments writes everything but the observation.
 
     Attributes:
-        observation: Observation arrays by key, float32, first axis count.
         reward: Rewards, shape (count,).
         terminated: Whether the tool is outside the workspace; always False unless `ends` is "terminate". (count,) bool.
         distance: Distance of the true tool position to the goal, m, shape (count,).
         contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a path.
     """
 
-    observation: Observation
     reward: Array
     terminated: Flags
     distance: Array
@@ -96,8 +86,8 @@ class EnvironmentBatch:
         self.task = as_task(config.task)
         self.task.check(self.workspace)
         reward = as_reward(config.chosen_reward, self.task.band, len(self.workspace))
-        penalized = config.ends == "terminate"
-        if penalized:
+        self._ends = config.ends == "terminate"
+        if self._ends:
             reward = PenalizedReward(reward, self.workspace, config.penalty)
         self.sampler = MachineSampler(self.machine, config.randomize, count, self.task.parameters)
         self.simulator = BatchedSimulator(
@@ -110,23 +100,17 @@ class EnvironmentBatch:
             sensors=sensors is not None,
         )
         observed = None if sensors is None else sensors.observed(self.machine)
-        self.observations = ObservationBuilder(self.simulator, observed, self.sampler, privileged=config.privileged)
-        signals = observation_signals(
-            self.machine,
-            len(self.task.ahead_s),
-            observed=self.observations.entries,
-            privileged=self.observations.privileged,
-        )
+        builder = ObservationBuilder(self.simulator, observed, self.sampler, privileged=config.privileged)
+        previews, entries = len(self.task.ahead_s), builder.entries
+        signals = observation_signals(self.machine, previews, observed=entries, privileged=builder.privileged)
+        self.observations = builder
         self.format = ObservationFormat(signals, normalize=config.normalize, flat=config.flat)
         # Values that every step needs, looked up once: look-ups are a large part of a step of a single environment.
         self._expected_shape = count, len(self.machine.drives)
         self._has_path = self.task.metrics == "track"
-        self._ends = config.ends == "terminate"
         self._edges = self.workspace.astype(np.float32)
-        # Computed in the pass of the simulation, from goals that are not rounded by `normalize`.
-        self._builtin = reward if isinstance(reward, BuiltinReward) and not config.normalize else None
         self.references = ReferenceTrajectories(self.task, count, config.period, axes=len(self.workspace))
-        self.rewards = StepRewards(reward, self.format, moving=self.references.moving)
+        self.rewards = StepRewards(reward, self.format, count=count, moving=self.references.moving)
         self.clipped = np.zeros(count, np.int64)
         self.values = np.tile(self.sampler.space.nominal, (count, 1))
         self._was_reset = False
@@ -162,7 +146,9 @@ class EnvironmentBatch:
         self.simulator.reset(index, position if starts is None else starts, values)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
         if self.rewards.compares_steps:
-            self.rewards.begin(index, self._observe_rows(index))
+            observation = self._blank()
+            self._write_rows(index, observation)
+            self.rewards.begin(index, observation)
         self._was_reset = True
 
     def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
@@ -190,11 +176,10 @@ class EnvironmentBatch:
     # -- step ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Check that actions have the right shape and are finite; convert them to a contiguous float array.
+        """Check actions as `actuators.check_actions` does, which describes argument and errors.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives) for `count` environments. They
-                may exceed [-1, 1]; `step` limits them.
+            actions: Voltages as fractions of the rated voltages, shape (count, drives) for `count` environments.
 
         Returns:
             Actions, float32 if they were float32, else float64, shape (count, drives).
@@ -205,80 +190,109 @@ class EnvironmentBatch:
         """
         if not self._was_reset:
             raise error.ResetNeeded("call reset before step")
-        values = np.ascontiguousarray(actions)
-        if values.dtype != _FLOAT32:
-            if values.dtype.kind not in "fiub":
-                raise ValueError(f"actions have the type {values.dtype}, they must be numbers")
-            values = values.astype(np.float64, copy=False)
-        if values.shape != self._expected_shape:
-            raise ValueError(f"actions have shape {values.shape}, they must have {self._expected_shape}")
-        if not _all_finite(values):
-            b, k = np.argwhere(~np.isfinite(values))[0].tolist()
-            drive = self.machine.drives[k].name
-            raise ValueError(f"action of environment {b}, {drive}: {values[b, k]} is not finite")
-        return values
+        return check_actions(actions, self._expected_shape, self.machine)
 
-    def step(self, actions: NDArray[Any]) -> StepResult:
+    def result(self) -> StepResult:
+        """Allocate the arrays into which `step` writes; rewards, distances and contour errors without initial values.
+
+        Returns:
+            New arrays, shape (count,) each; without contour errors for a task without a path.
+        """
+        count = self.count
+        contour = np.empty(count) if self._has_path else None
+        return StepResult(np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
+
+    def step(self, actions: NDArray[Any], result: StepResult) -> Observation:
         """Advance all environments by one control period.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives); limited to [-1, 1].
+            actions: Voltages as fractions of the rated voltages, shape (count, drives), as `check_actions` returns
+                them; limited to [-1, 1].
+            result: Output: rewards, terminations, and distances to goal and path; its arrays are overwritten.
 
         Returns:
-            Observations by key, float32, shape (count, entries of the key); rewards, dimensionless, terminations, and
-            distances to goal and path, m, shape (count,) each, for `count` environments. All arrays are new.
+            New arrays by key, float32, SI, shape (count, entries of the key) for `count` environments.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
         """
         self.references.advance()
-        observation, tool = self._blank()
-        count, builtin = self.count, self._builtin
-        contour = np.empty(count) if self._has_path else None
-        result = StepResult(observation, np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
-        evaluation = None if builtin is None else (builtin.kind, builtin.band, result.distance, result.reward)
-        self.simulator.advance(actions, self.clipped, partial(self._finish_blocks, result, tool, evaluation))
-        if builtin is None:
+        self.simulator.begin_period()
+        observation = self._blank()
+        tool = self.observations.tool_array(observation)
+        if self.count < _COUNT_FOR_THREADS:
+            broken = self._advance_blocks(actions, observation, tool, result, 0, self.simulator.blocks)
+        else:
+            broken = self._advance_in_threads(actions, observation, tool, result)
+        if broken >= 0:
+            raise NotFiniteError(
+                f"environment {broken}: the motion of machine {self.machine.name!r} is not finite; its "
+                "parameters are impossible, or it needs a smaller longest_step"
+            )
+        if self.rewards.compares_steps:
+            self.rewards.keep_goals(observation)
+        if not self.rewards.compiled:
             result.distance[:] = distances(tool, observation["desired_goal"])
             result.reward[:] = self.rewards.of_step(observation)
         if self._ends:
             result.terminated[:] = outside_workspace(tool, self._edges)
-        return result
+        return observation
 
-    def _finish_blocks(
-        self, result: StepResult, tool: NDArray[np.float32], evaluation: Evaluation | None, first: int, last: int
+    def _advance_in_threads(
+        self, actions: NDArray[Any], observation: Observation, tool: NDArray[np.float32], result: StepResult
     ) -> int:
-        """Write what follows from the new states of blocks first..last-1 to result and to tool (count, axes), m.
+        """Do `_advance_blocks` for all blocks in several threads."""
+        found: list[int] = []
 
-        Return the index of an environment whose state is not finite, or -1.
+        def advance(first: int, last: int) -> None:
+            found.append(self._advance_blocks(actions, observation, tool, result, first, last))
+
+        in_parallel(advance, self.simulator.blocks)
+        return min((b for b in found if b >= 0), default=-1)
+
+    def _advance_blocks(
+        self,
+        actions: NDArray[Any],
+        observation: Observation,
+        tool: NDArray[np.float32],
+        result: StepResult,
+        first: int,
+        last: int,
+    ) -> int:
+        """Advance blocks first..last-1 of LANES environments by one control period, and evaluate their new states.
+
+        observation, tool (count, axes) in m and result are outputs. Return the index of a broken environment, or -1.
         """
+        self.simulator.advance(actions, self.clipped, first, last)
+        rows = slice(first * LANES, min(last * LANES, self.count))
         if self.observations.measured:
             self.observations.measure(first, last, self.elapsed)
         if self.references.moving:
-            rows = slice(first * LANES, min(last * LANES, self.count))
-            self.references.write(rows, result.observation)
-        broken = self.observations.write(first, last, result.observation, tool, evaluation)
+            self.references.write(rows, observation)
+        rewards, evaluation = self.rewards, None
+        if rewards.depends_on_distance:
+            evaluation = rewards.evaluation(result.distance, result.reward)
+        broken = self.observations.write(first, last, observation, tool, evaluation)
+        if rewards.compiled and evaluation is None:
+            rewards.write(rows, observation, tool, result.distance, result.reward)
         if result.contour is not None and broken < 0:
             result.contour[rows] = self.references.contour(rows, self.simulator.tool_positions(first, last))
         return broken
 
-    def restart(self, index: Index, result: StepResult) -> None:
-        """Begin new episodes in k environments whose episodes ended, and write their first observations to `result`.
+    def restart(self, index: Index, observation: Observation, result: StepResult) -> None:
+        """Begin new episodes in k environments whose episodes ended, and write their first observations.
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            result: Result of the last `step`. Rows `index` of its observation, distance and contour are overwritten
-                with those of the new episodes; rewards and terminations remain those of the step.
+            observation: Observation after the last `step`; rows `index` are overwritten.
+            result: Result of the last `step`. Rows `index` of its distances to goal and path are overwritten with those
+                of the new episodes; rewards and terminations remain those of the step.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
         """
         self.reset(index)
-        observation = result.observation
-        tool = self.observations.tool_array(observation)
-        self.references.write(index, observation)
-        for first, last in block_ranges(index):
-            self.observations.write(first, last, observation, tool)
+        tool = self._write_rows(index, observation)
         result.distance[index] = distances(tool[index], observation["desired_goal"][index])
         if result.contour is not None:
             result.contour[index] = self.contour(index)
@@ -292,24 +306,23 @@ class EnvironmentBatch:
             New float32 arrays by key of the observation, SI (the options `normalize` and `flat` are not applied), shape
             (count, entries of the key) for `count` environments.
         """
-        observation, tool = self._blank()
-        self.references.write(slice(None), observation)
-        self.observations.write(0, self.simulator.blocks, observation, tool)
+        observation = self._blank()
+        self._write_rows(np.arange(self.count), observation)
         return observation
 
-    def _observe_rows(self, index: Index) -> Observation:
-        """Return observations of which only the rows of environments index (k,) are written."""
-        observation, tool = self._blank()
+    def _write_rows(self, index: Index, observation: Observation) -> NDArray[np.float32]:
+        """Write the present observations of environments index (k,); return true tool positions, m, (count, axes)."""
+        tool = self.observations.tool_array(observation)
         self.references.write(index, observation)
         for first, last in block_ranges(index):
             self.observations.write(first, last, observation, tool)
-        return observation
+        return tool
 
-    def _blank(self) -> tuple[Observation, NDArray[np.float32]]:
-        """Allocate an observation of all environments, and true tool positions, shape (count, axes)."""
-        observation, tool = self.observations.blank()
+    def _blank(self) -> Observation:
+        """Allocate an observation of all environments."""
+        observation = self.observations.blank()
         self.references.add_blank(observation)
-        return observation, tool
+        return observation
 
     def contour(self, index: Index | slice) -> Array | None:
         """Compute the contour error: the distance from the true tool position to the path on which the goal moves.
@@ -335,12 +348,3 @@ class EnvironmentBatch:
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)
         return distances(tool[index], self.references.goals(index))
-
-
-@compiled
-def _all_finite(actions: Any) -> bool:
-    """Return whether all entries of actions (B, drives) are finite."""
-    values, bad = actions.reshape(-1), 0
-    for i in range(len(values)):  # without an exit at the first one, so that the compiler vectorizes the loop
-        bad += not abs(values[i]) < math.inf
-    return bad == 0

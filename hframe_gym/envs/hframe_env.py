@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .actuators import action_space
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
-from .spaces import SignalSpec, action_space
+from .spaces import SignalSpec
 
 _ONLY = np.zeros(1, np.intp)
 
@@ -162,6 +163,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.batch.config.period)}  # type: ignore[misc]
         self.observation_space = self.batch.format.space  # type: ignore[assignment]
         self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
+        self._result = self.batch.result()  # the arrays of all steps
+        self._parameters: dict[str, float] = {}  # those that are randomized, in this episode
         self._seeded_by: np.random.Generator | None = None
         self._formats = self.batch.format.active  # a step looks nothing up that it does not need
         self._renderer: Renderer | None = None
@@ -191,6 +194,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             self._seeded_by = self.np_random
             self.batch.sampler.seed(0, self.np_random)
         self.batch.reset(_ONLY, **check_reset_options(options))
+        self._parameters = {name: value.item() for name, value in self.batch.randomized(_ONLY).items()}
         observation = self._first(self.batch.observe())
         info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))
         self._trail.clear()
@@ -218,9 +222,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             gymnasium.error.ResetNeeded: If `reset` was not called.
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
-        result = self.batch.step(self.batch.check_actions(np.asarray(action)[None]))
-        arrays = result.observation
-        observation = self._first(arrays) if self._formats else {key: v[0] for key, v in arrays.items()}
+        batch, result = self.batch, self._result
+        observation = self._first(batch.step(batch.check_actions(np.asarray(action)[None]), result))
         if self.render_mode is not None:
             self._update_picture()
         info = self._info(result.distance.item(), result.contour)
@@ -233,7 +236,9 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             if not isinstance(formatted, dict):
                 return formatted[0]
             observation = formatted
-        return {key: values[0] for key, values in observation.items()}
+        for key, values in observation.items():
+            observation[key] = values[0]
+        return observation
 
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
         """Return the info of a step or reset."""
@@ -246,9 +251,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             info["contour_m"] = contour.item()
         if self.batch.rewards.compares_steps:
             info |= {key: goals[0] for key, goals in self.batch.rewards.info().items()}
-        if self.batch.sampler.names:
-            values = self.batch.randomized(_ONLY)
-            info["parameters"] = {name: value.item() for name, value in values.items()}
+        if self._parameters:
+            info["parameters"] = self._parameters.copy()
         return info
 
     # -- rendering -------------------------------------------------------------------------------------------------

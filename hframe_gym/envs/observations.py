@@ -108,9 +108,10 @@ class ObservationBuilder:
             self._goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
         self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
         self._all_state = StateView.of(simulator, [s for s in self.privileged if s.coordinate])
-        self._shapes = {"observation": (count, len(self.entries)), "achieved_goal": (count, len(machine.tool_axes))}
+        shapes = {"observation": (count, len(self.entries)), "achieved_goal": (count, len(machine.tool_axes))}
         if privileged:
-            self._shapes["privileged"] = count, len(self.privileged)
+            shapes["privileged"] = count, len(self.privileged)
+        self._shapes = tuple(shapes.items())
         self._parameters = np.zeros((count, len(sampler.names) if privileged else 0), np.float32)
 
     def _observe(
@@ -158,16 +159,17 @@ class ObservationBuilder:
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, elapsed, first, last)
 
-    def blank(self) -> tuple[Observation, NDArray[np.float32]]:
+    def blank(self) -> Observation:
         """Allocate arrays, without initial values, that `write` fills.
 
         Returns:
-            observation: Arrays `observation`, `achieved_goal` and, with the constructor's `privileged`, `privileged`;
-                float32, shape (count, entries of the key) for `count` environments.
-            tool: Array for true tool positions, m, float32, shape (count, axes), see `tool_array`.
+            Arrays `observation`, `achieved_goal` and, with the constructor's `privileged`, `privileged`; float32, shape
+            (count, entries of the key) for `count` environments.
         """
-        observation = {key: np.empty(shape, _FLOAT32) for key, shape in self._shapes.items()}
-        return observation, self.tool_array(observation) if self.measured else observation["achieved_goal"]
+        observation: Observation = {}
+        for key, shape in self._shapes:  # quicker than a comprehension, and every step does it
+            observation[key] = np.empty(shape, _FLOAT32)
+        return observation
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
         """Choose the array into which `write` puts the true tool positions.

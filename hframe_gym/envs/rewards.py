@@ -10,6 +10,7 @@ is called with the task's tolerance band in m.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -33,7 +34,8 @@ REWARDS: Registry[Callable[[float], Reward]] = Registry("reward")
 
 # m. One scale per decade, so that halving the distance pays about the same from 0.5 m down to 10 um.
 SCALES = (2e-1, 2e-2, 2e-3, 2e-4, 2e-5)
-_DENSE, _SPARSE = 0, 1
+PROGRESS_SCALE = 1e-3  # m; below this distance, coming closer pays less and less in the reward "progress"
+_DENSE, _SPARSE, PROGRESS = 0, 1, 2
 
 
 @compiled
@@ -77,8 +79,9 @@ def evaluate_rows(
         desired: Goal positions, m, shape (n, axes).
         first: Index of the first row.
         last: Index after the last row.
-        kind: Built-in reward: 0 dense, -1 (far) to 0 (at the goal); 1 sparse, 0 within `band` and -1 outside.
-        band: Distance to the goal within which the sparse reward is 0, m; not used by the dense one.
+        kind: Built-in reward: 0 dense, -1 (far) to 0 (at the goal); 1 sparse, 0 within `band` and -1 outside; 2 the
+            potential of "progress", -ln(1 + d / 1 mm).
+        band: Distance to the goal within which the sparse reward is 0, m; others do not use it.
         distance: Output, distances from `tool` to `desired`, m, shape (n,); other rows are not changed.
         reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,); other rows
             are not changed.
@@ -94,6 +97,9 @@ def evaluate_rows(
     if kind == _SPARSE:
         for b in range(first, last):
             reward[b] = 0.0 if reward[b] <= band else -1.0
+    elif kind == PROGRESS:
+        for b in range(first, last):
+            reward[b] = -math.log1p(reward[b] / PROGRESS_SCALE)
     else:
         for b in range(first, last):
             d = reward[b]
@@ -128,7 +134,7 @@ class BuiltinReward:
         band: Distance to the goal that counts as a success, m.
 
     Attributes:
-        kind: Number of the reward in `evaluate_rows`: 0 dense, 1 sparse.
+        kind: Number of the reward in `evaluate_rows`: 0 dense, 1 sparse, 2 progress.
     """
 
     band: float

@@ -1,4 +1,4 @@
-"""Action and observation spaces: bounds of every entry, and the options `normalize` and `flat`."""
+"""Observation spaces: bounds of every entry, and the options `normalize` and `flat`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from ..machine import Machine, Sensor, observed_coordinates, rest_state
+from .random_numbers import compiled
 from .workspace import workspace_of
 
 Array = NDArray[np.float64]
@@ -247,18 +248,6 @@ def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
     return np.array([s.low for s in signals]), np.array([s.high for s in signals])
 
 
-def action_space(machine: Machine) -> spaces.Box:
-    """Create the action space: the voltage of each drive as a fraction of its rated voltage.
-
-    Args:
-        machine: Machine with its drives.
-
-    Returns:
-        Box from -1 to 1, float32, shape (drives,).
-    """
-    return spaces.Box(-1.0, 1.0, (len(machine.drives),), np.float32)
-
-
 class ObservationFormat:
     """Convert observations in SI units to the form that the options `normalize` and `flat` select.
 
@@ -283,9 +272,9 @@ class ObservationFormat:
         self._scale = {k: np.array([s.scale for s in specs], np.float32) for k, specs in signals.items()}
         boxes = {}
         for key, specs in signals.items():
-            low, high = (edge.astype(np.float32) for edge in bounds_of(specs))
+            edges = np.stack(bounds_of(specs)).astype(np.float32)
             # The bounds are converted by the same operations as the values, which therefore stay inside them.
-            boxes[key] = (self._normalized(key, low), self._normalized(key, high)) if normalize else (low, high)
+            boxes[key] = tuple(self._normalized(key, edges) if normalize else edges)
         # The true state of `privileged` has the same entries as `observation`.
         named = {
             **signals,
@@ -299,8 +288,10 @@ class ObservationFormat:
         )
 
     def _normalized(self, key: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return (values - center) / scale of the entries of a key, values (..., n)."""
-        return (values - self._center[key]) / self._scale[key]
+        """Return (values - center) / scale of the entries of a key, values (rows, n)."""
+        normalized = np.empty(values.shape, np.float32)
+        _normalize(values, self._center[key], self._scale[key], normalized)
+        return normalized
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
         """Convert observations to the format that the environment's options `normalize` and `flat` select.
@@ -317,6 +308,15 @@ class ObservationFormat:
             return observation
         values = {k: self._normalized(k, observation[k]) if self.normalize else observation[k] for k in self._center}
         return values if self.entries is None else np.concatenate(list(values.values()), axis=1)
+
+    def goal_rounding(self) -> NDArray[np.float32]:
+        """Return the numbers by which goals are normalized.
+
+        Returns:
+            Center and scale, m, of the goal on each axis, shape (2, axes); scale 0 if goals are observed in meters.
+        """
+        center, scale = self._center["desired_goal"], self._scale["desired_goal"]
+        return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
 
     def goal_in_meters(self, goal: ArrayLike) -> NDArray[np.float32]:
         """Convert goals as they are observed (in meters or normalized) to positions.
@@ -340,3 +340,11 @@ class ObservationFormat:
             Goals, m, or dimensionless if observations are normalized, float32, shape (n, axes).
         """
         return self._normalized("desired_goal", goal) if self.normalize else goal
+
+
+@compiled
+def _normalize(values: Any, center: Any, scale: Any, out: Any) -> None:
+    """Write (values - center) / scale to out; values and out (rows, n), center and scale (n,), float32."""
+    for b in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            out[b, j] = (values[b, j] - center[j]) / scale[j]

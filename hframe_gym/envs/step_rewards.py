@@ -9,9 +9,7 @@ References:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,18 +17,28 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .random_numbers import compiled
-from .rewards import REWARDS, Array, PenalizedReward, Positions, Reward, distances, row_distance
+from .rewards import (
+    PROGRESS,
+    REWARDS,
+    Array,
+    BuiltinReward,
+    Evaluation,
+    PenalizedReward,
+    Positions,
+    Reward,
+    distances,
+    evaluate_rows,
+    row_distance,
+)
 from .spaces import ObservationFormat
 
-PROGRESS_SCALE = 1e-3  # m; below this distance, coming closer pays less and less
 # Per step at the goal, and the distance at which it is halved, m. Without it nothing but the discount makes an agent
 # prefer to stay close, and exploration hides that: PPO was then still at 2 mm after 100 000 steps.
 PRECISION_BONUS, BONUS_SCALE = 1.0, 2e-3
 
 
 @REWARDS.register("progress")
-@dataclass(frozen=True)
-class ProgressReward:
+class ProgressReward(BuiltinReward):
     """Reward for coming closer to the goal in a step and for being there.
 
     It is ln((d0 + d before) / (d0 + d after)) + 1 / (1 + d after / d1) with d0 = 1 mm and d1 = 2 mm. Each halving of
@@ -39,27 +47,14 @@ class ProgressReward:
     The first term is the potential-based shaping of Ng, Harada and Russell (1999): it changes the best policy only as
     far as the future is discounted. The second term pays for precision.
 
-    Calling the object gives the potential; `StepRewards` holds the goals of the step before.
+    Calling the object gives the potential -ln(1 + d / d0), whose increase in a step is the first term; `StepRewards`
+    keeps the potential before the step and adds the second term.
 
     Args:
         band: Not used.
     """
 
-    band: float
-
-    def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute the potential -ln(1 + d / d0) of tool positions, whose increase in a step is the reward.
-
-        Args:
-            achieved: Achieved tool positions, m, float32, shape (n, axes).
-            desired: Goal positions, m, float32, shape (n, axes).
-
-        Returns:
-            Potentials, shape (n,).
-        """
-        potential = np.empty(len(achieved))
-        _potential(achieved, desired, potential)
-        return potential
+    kind = PROGRESS
 
     @staticmethod
     def bonus(achieved: Positions, desired: Positions) -> Array:
@@ -76,10 +71,42 @@ class ProgressReward:
 
 
 @compiled
-def _potential(achieved: Any, desired: Any, potential: Any) -> None:
-    """Write -ln(1 + d / PROGRESS_SCALE) of the rows of two arrays of positions (n, axes) to potential (n,)."""
-    for b in range(len(achieved)):
-        potential[b] = -math.log1p(row_distance(achieved, desired, b) / PROGRESS_SCALE)
+def _evaluate_step(
+    tool: Any,
+    achieved: Any,
+    desired: Any,
+    rounding: Any,
+    kind: int,
+    band: float,
+    first: int,
+    last: int,
+    before: Any,
+    distance: Any,
+    reward: Any,
+) -> None:
+    """Write distances from tool to desired and built-in rewards of rows first..last-1; arguments as `evaluate_rows`.
+
+    rounding (2, axes): center and scale by which achieved and desired are normalized and restored, as an agent sees
+    them; scale 0: not at all. before (n,): potentials of "progress" before the step, replaced by those after it.
+    """
+    count, axes = last - first, desired.shape[1]
+    goals = np.empty((2, count, axes), np.float32)
+    for i in range(count):
+        distance[first + i] = row_distance(tool, desired, first + i)
+        for axis in range(axes):
+            center, scale = rounding[0, axis], rounding[1, axis]
+            goals[0, i, axis], goals[1, i, axis] = achieved[first + i, axis], desired[first + i, axis]
+            if scale > 0.0:
+                for j in range(2):
+                    goals[j, i, axis] = (goals[j, i, axis] - center) / scale * scale + center
+    seen, values = np.empty(count), np.empty(count)
+    evaluate_rows(goals[0], goals[0], False, goals[1], 0, count, kind, band, seen, values)
+    for i in range(count):
+        if kind == PROGRESS:
+            reward[first + i] = values[i] - before[first + i] + PRECISION_BONUS / (1.0 + seen[i] / BONUS_SCALE)
+            before[first + i] = values[i]
+        else:
+            reward[first + i] = values[i]
 
 
 class StepRewards:
@@ -88,15 +115,25 @@ class StepRewards:
     Args:
         reward: Function of achieved and desired positions, m.
         observation_format: Converts between positions and goals as observed.
+        count: Number of environments.
         moving: Whether goals move, so that the desired goal before a step differs from that after it.
 
     Attributes:
         reward: As given.
         compares_steps: Whether the reward needs the goals of the step before.
+        compiled: Whether `write` computes the rewards; if not, `of_step` does.
+        depends_on_distance: Whether the reward of a step is a built-in function of the distance alone, for which
+            `evaluation` gives the arguments of `evaluate_rows`.
     """
 
-    def __init__(self, reward: Reward, observation_format: ObservationFormat, *, moving: bool) -> None:
+    def __init__(self, reward: Reward, observation_format: ObservationFormat, *, count: int, moving: bool) -> None:
         self.reward, self._format = reward, observation_format
+        self._builtin = reward if isinstance(reward, BuiltinReward) else None
+        self.compiled = self._builtin is not None
+        self._kind, self._band = (self._builtin.kind, self._builtin.band) if self._builtin is not None else (0, 0.0)
+        self._rounding = observation_format.goal_rounding()
+        self.depends_on_distance = self.compiled and self._kind != PROGRESS and not observation_format.normalize
+        self._potential = np.zeros(count)
         inside = reward.reward if isinstance(reward, PenalizedReward) else reward
         self._progress = inside if isinstance(inside, ProgressReward) else None
         # Of the goals before and after the last step, m, these are kept; none unless the reward compares two steps.
@@ -120,11 +157,55 @@ class StepRewards:
         for key in self._keys:
             for goals in (self._before, self._after):
                 goals.setdefault(key, np.zeros_like(observation[key]))[index] = observation[key][index]
+        if self._kind == PROGRESS:
+            goals_seen = (
+                self._format.goal_as_observed(observation[f"{k}_goal"][index]) for k in ("achieved", "desired")
+            )
+            self._potential[index] = self._evaluate(self.reward, *goals_seen)
+
+    def evaluation(self, distance: Array, reward: Array) -> Evaluation:
+        """Return the last arguments of `evaluate_rows`; only if `depends_on_distance`.
+
+        Args:
+            distance: Output, distances to the goal, m, shape (count,).
+            reward: Output, rewards, dimensionless, shape (count,).
+
+        Returns:
+            Number of the reward, distance of success in m, and the two arrays.
+        """
+        return self._kind, self._band, distance, reward
+
+    def write(
+        self, rows: slice, observation: Mapping[str, Positions], tool: Positions, distance: Array, reward: Array
+    ) -> None:
+        """Compute distances and rewards of the last step for some environments; only if `compiled`.
+
+        Calls for different rows may run in several threads at once. Call it once per step and environment, because it
+        replaces the potential of "progress" with which the next step is compared.
+
+        Args:
+            rows: Environments, a slice with start and stop.
+            observation: Arrays by key, of which `achieved_goal` and `desired_goal` are used, m, shape (count, axes) for
+                `count` environments.
+            tool: True tool positions, m, shape (count, axes).
+            distance: Output, distances from `tool` to the goals, m, shape (count,); other rows are not changed.
+            reward: Output, rewards, dimensionless, shape (count,); other rows are not changed.
+        """
+        achieved, desired = observation["achieved_goal"], observation["desired_goal"]
+        constants = self._rounding, self._kind, self._band, rows.start, rows.stop
+        _evaluate_step(tool, achieved, desired, *constants, self._potential, distance, reward)
+
+    def keep_goals(self, observation: Mapping[str, Positions]) -> None:
+        """Keep the goals after a step, for the info of this step and the next; for "progress" only.
+
+        Args:
+            observation: Arrays by key after the step, of which `achieved_goal` and, if goals move, `desired_goal` are
+                kept, m, shape (count, axes) for `count` environments.
+        """
+        self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
 
     def of_step(self, observation: Mapping[str, Positions]) -> Array:
-        """Compute the rewards of the last step from the observation after it.
-
-        For the reward "progress", also store the goals of this observation, with which the next step is compared.
+        """Compute the rewards of the last step from the observation after it; call `keep_goals` before.
 
         Args:
             observation: Arrays by key, of which `achieved_goal` and `desired_goal` are used, m, shape (count, axes) for
@@ -133,7 +214,6 @@ class StepRewards:
         Returns:
             Rewards, dimensionless, shape (count,).
         """
-        self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
         achieved, desired = (
             self._format.goal_as_observed(observation[f"{key}_goal"]) for key in ("achieved", "desired")
         )

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
+from .actuators import action_space
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
 from .hframe_env import BatchProperties, check_reset_options, require_path
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
-from .spaces import action_space
 
 Array = NDArray[np.float64]
 _KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode")
@@ -193,30 +193,31 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             raise RuntimeError(
                 f"the episode of environment {resetting[0]} is over; reset it with options['reset_mask']"
             )
-        result = self.batch.step(checked)
+        result = self.batch.result()
+        observation = self.batch.step(checked, result)
         limit = np.inf if self.max_episode_steps is None else self.max_episode_steps
         terminated, truncated = result.terminated, self.batch.elapsed >= limit
         info: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             if len(resetting):
-                self._restart(resetting, result)
+                self._restart(resetting, observation, result)
                 result.reward[resetting] = 0.0
                 terminated[resetting] = truncated[resetting] = False
             self._over = terminated | truncated
         elif self.autoreset_mode is AutoresetMode.SAME_STEP:
             resetting = np.flatnonzero(terminated | truncated)
             if len(resetting):
-                info = self._final_info(resetting, result)
-                self._restart(resetting, result)
+                info = self._final_info(resetting, observation, result)
+                self._restart(resetting, observation, result)
         else:
             self._over = terminated | truncated
         self._describe(info, None, result.distance, result.contour)
         self._update_trails(resetting)
-        return self.batch.format.apply(result.observation), result.reward, terminated, truncated, info
+        return self.batch.format.apply(observation), result.reward, terminated, truncated, info
 
-    def _restart(self, index: Index, result: StepResult) -> None:
+    def _restart(self, index: Index, observation: Observation, result: StepResult) -> None:
         """Begin new episodes of environments index (k,) within a step."""
-        self.batch.restart(index, result)
+        self.batch.restart(index, observation, result)
         self._collect_parameters()
 
     # -- info: each key with its mask "_key" -----------------------------------------------------------------------
@@ -244,11 +245,11 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         for column in self._parameters.values():
             column.setflags(write=False)
 
-    def _final_info(self, index: Index, result: StepResult) -> dict[str, Any]:
+    def _final_info(self, index: Index, observation: Observation, result: StepResult) -> dict[str, Any]:
         """Return `final_obs` and `final_info` of environments index (k,), whose episodes end in this step."""
         mask = self._mask(index)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        copies = self.batch.format.apply({key: values[index] for key, values in result.observation.items()})
+        copies = self.batch.format.apply({key: values[index] for key, values in observation.items()})
         for i, b in enumerate(index.tolist()):
             final_obs[b] = {k: v[i] for k, v in copies.items()} if isinstance(copies, dict) else copies[i]
         final_info: dict[str, Any] = {}

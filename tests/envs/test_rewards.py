@@ -65,3 +65,39 @@ def test_a_function_can_be_the_reward():
 def test_a_function_of_another_shape_is_refused():
     with pytest.raises(ValueError, match="one finite number per row"):
         HFrameEnv(reward=lambda achieved, desired: 0.0)
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize("reward", ["dense", "sparse", "progress"])
+@pytest.mark.parametrize("task", ["reach", "track"])
+def test_the_compiled_rewards_equal_those_from_goals_as_observed(reward, normalize, task):
+    envs = HFrameVectorEnv(19, reward=reward, normalize=normalize, task=task, sensors="rig", max_episode_steps=11)
+    envs.reset(seed=2)
+    rng = np.random.default_rng(0)
+    compared = 0
+    for _ in range(30):
+        observation, rewards, _, _, info = envs.step(rng.uniform(-1.0, 1.0, (19, 2)))
+        infos = [{key: info[key][b] for key in info if key.startswith("previous")} for b in range(19)]
+        going_on = envs.batch.elapsed > 0  # in the step that begins an episode, the reward is zero
+        again = envs.compute_reward(observation["achieved_goal"], observation["desired_goal"], infos)
+        np.testing.assert_array_equal(again[going_on], rewards[going_on])
+        compared += int(going_on.sum())
+    assert compared > 500
+
+
+def test_results_of_earlier_steps_are_not_overwritten():
+    envs = HFrameVectorEnv(3, normalize=True, randomize="default")
+    envs.reset(seed=0)
+    _, rewards, terminated, _, info = envs.step(np.full((3, 2), 0.4))
+    kept = rewards.copy(), terminated.copy(), info["distance_m"].copy()
+    envs.step(np.full((3, 2), -0.9))
+    for now, before in zip((rewards, terminated, info["distance_m"]), kept, strict=True):
+        np.testing.assert_array_equal(now, before)
+
+
+def test_changing_an_info_changes_nothing_in_the_environment():
+    env = HFrameEnv(randomize="default")
+    _, info = env.reset(seed=0)
+    expected = dict(info["parameters"])
+    info["parameters"].clear()
+    assert env.step(np.zeros(2))[4]["parameters"] == expected

@@ -7,7 +7,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import hframe_gym  # noqa: F401  (registers the environments)
 from hframe_gym.envs import HFrameVectorEnv
-from hframe_gym.envs import batched_simulator as simulator_module
+from hframe_gym.envs import environment_batch as batch_module
 from hframe_gym.errors import InputError
 
 
@@ -94,7 +94,7 @@ def run(n, steps, seed=3, **options):
 
 @pytest.mark.parametrize("threads", ["2", "3"])
 def test_the_thread_count_changes_no_bit(monkeypatch, threads):
-    monkeypatch.setattr(simulator_module, "COUNT_FOR_THREADS", 1)
+    monkeypatch.setattr(batch_module, "_COUNT_FOR_THREADS", 1)
     monkeypatch.setenv("HFRAME_THREADS", "1")
     alone = run(70, 90)
     monkeypatch.setenv("HFRAME_THREADS", threads)
