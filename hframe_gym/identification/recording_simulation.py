@@ -129,20 +129,26 @@ def _cleaned(recording: Recording, machine: Machine) -> Recording:
     filled = fill_gaps(usable)
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled
-    data = prepare([usable], machine)
-    data = prepare([_without_saturated(machine, usable, data.noise)], machine)
+    _, _, noise = _rest_and_noise(filled, machine)
+    data = prepare([_without_saturated(machine, usable, noise)], machine)
     (run,) = estimate_lost_voltages(data, machine).runs
     return dataclasses.replace(filled, inputs=run.inputs)
 
 
-def _initial_state(machine: Machine, recording: Recording) -> InitialState:
-    """Return the initial state of a recording without gaps and outliers."""
+def _rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, Array]:
+    """Return the number of rows at rest, and quantization steps and noise of the sensors, m or rad, (sensors,) each."""
     rows = count_resting_rows(recording, machine)
     channels = recording.outputs.T
     quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
     noise = np.array(
         [sensor_noise([c], [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
     )
+    return rows, quanta, noise
+
+
+def _initial_state(machine: Machine, recording: Recording) -> InitialState:
+    """Return the initial state of a recording without gaps and outliers."""
+    rows, quanta, noise = _rest_and_noise(recording, machine)
     usable = _without_saturated(machine, recording, noise)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.offset_known.any())
