@@ -331,7 +331,7 @@ def blank_saturated(
 
 
 def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
-    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the readings of a machine.
+    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the measurements of a machine.
 
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad.

@@ -18,8 +18,8 @@ from hframe_gym.identification import (
     recording_simulation,
     simulate_recording,
 )
-from hframe_gym.identification.dataset import with_encoder_zeros, with_known_positions
-from hframe_gym.identification.recording_simulation import _rest_and_noise, evaluate_held_out
+from hframe_gym.identification.dataset import with_known_positions
+from hframe_gym.identification.recording_simulation import _rest_and_noise, evaluate_held_out, with_encoder_zeros
 from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import Recording, fill_gaps, load_machine, save_machine
 
@@ -80,8 +80,13 @@ def test_a_single_run_starts_with_its_true_stretch(
 def test_a_zero_that_the_lasers_contradict_is_not_used(hframe: Machine, identified: Machine) -> None:
     run = record(hframe, 1, zeros=ZEROS + np.array([0.0, 0.7]))
     initial = initial_state_of_recording(identified, run)
-    assert initial_state_of_recording(identified, record(hframe, 1)).offset_known.tolist() == [True, True, False, False]
-    assert initial.offset_known.tolist() == [True, False, False, False]
+    assert initial_state_of_recording(identified, record(hframe, 1)).resolves_stretch.tolist() == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert initial.resolves_stretch.tolist() == [True, False, False, False]
     assert "phi2_rad does not count from its zero in the other runs" in initial.warnings[0]
     np.testing.assert_allclose(initial.state[:2], STARTS[1], atol=20e-6)
     assert initial_state_of_recording(identified, record(hframe, 1)).warnings == ()
@@ -192,11 +197,11 @@ def test_a_laser_that_measures_checks_the_zeros_where_another_one_does_not(
     hframe: Machine, identified: Machine
 ) -> None:
     initial = initial_state_of_recording(identified, without_x(record(hframe, 0)))
-    assert initial.offset_known.tolist() == [True, True, False, False]
+    assert initial.resolves_stretch.tolist() == [True, True, False, False]
     np.testing.assert_allclose(initial.state[:2], STARTS[0], atol=45e-6)
     # One of the encoders, it is unknown which, was switched on anew.
     initial = initial_state_of_recording(identified, without_x(record(hframe, 0, zeros=ZEROS + np.array([0.0, 0.7]))))
-    assert not initial.offset_known.any()
+    assert not initial.resolves_stretch.any()
     assert not initial.position_known
     assert len(initial.warnings) == 2
 
