@@ -73,9 +73,9 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
     for values, count in zip(channel, resting_rows, strict=True):
         at_rest = values[:count][np.isfinite(values[:count])]
         if len(at_rest) >= 10:
-            # A parabola is subtracted, because a machine that still creeps to rest is not noise.
+            # A parabola is subtracted: a machine that still creeps to rest is not noise. Equal values have none.
             grid = np.linspace(-1.0, 1.0, len(at_rest))
-            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
+            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2) if np.ptp(at_rest) > 0.0 else at_rest[:1]
             squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
             rows += len(at_rest) - 3
     return float(np.sqrt(squares / rows)) if rows >= _MIN_RESTING_ROWS else None
