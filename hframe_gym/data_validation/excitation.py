@@ -11,7 +11,7 @@ from ..dynamics import mode_frequencies
 from ..identification import Dataset
 from ..machine import Machine, rigid_motions
 from ..recordings import Recording, bridge_blanks, comparison_window
-from .findings import Finding
+from .findings import Finding, channel_unit
 from .wiring import sensor_motions
 
 Array = NDArray[np.float64]
@@ -65,7 +65,10 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
     """
     return [
         Finding(
-            "advice", recording.name, channel, f"never changes, it is {values[0]:.4g} {_input_unit(channel)} throughout"
+            "advice",
+            recording.name,
+            channel,
+            f"never changes, it is {values[0]:.4g} {channel_unit(channel, machine)} throughout",
         )
         for recording in recordings
         for channel, values in zip(machine.input_channels, recording.inputs.T, strict=True)
@@ -79,17 +82,11 @@ def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Find
     for column, drive in enumerate(machine.drives):
         largest = max(float(np.abs(recording.inputs[:, column]).max()) for recording in recordings)
         if largest > _OVERVOLTAGE * drive.rated_voltage:
-            unit = _input_unit(drive.channel)
+            unit = channel_unit(drive.channel, machine)
             rated = f"rated {drive.rated_voltage:.4g} {unit}"
             message = f"reaches {largest:.4g} {unit}, {rated}: is the column in another unit or in %?"
             findings.append(Finding("advice", "", drive.channel, message))
     return findings
-
-
-def _input_unit(channel: str) -> str:
-    """Return the unit that the name of an input channel ends with, A or Nm of a drive without back-EMF, else V."""
-    ending = channel.rpartition("_")[2]
-    return ending if ending in ("A", "Nm") else "V"
 
 
 def _amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:

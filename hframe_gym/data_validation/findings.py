@@ -15,6 +15,7 @@ from rich.table import Table
 
 from ..atomic_files import write_text
 from ..errors import InputError, name_runs
+from ..machine import Machine
 
 Severity = Literal["fault", "advice", "note"]
 
@@ -43,6 +44,22 @@ class Finding:
         """Return the finding as one line of text: "severity: run, channel: message"."""
         subject = ", ".join(part for part in (self.run, self.channel) if part)
         return f"{self.severity}: {subject}: {self.message}" if subject else f"{self.severity}: {self.message}"
+
+
+def channel_unit(channel: str, machine: Machine) -> str:
+    """Return the unit of a channel, as a finding states it: the unit with which the channel's name ends, else SI.
+
+    Args:
+        channel: Name of an input or output channel of the machine, for example "v1_V".
+        machine: Declared machine.
+
+    Returns:
+        Of an input: V, or A or Nm of a drive without back-EMF. Of an output: m or rad.
+    """
+    ending = channel.rpartition("_")[2]
+    if channel in machine.input_channels:
+        return ending if ending in ("A", "Nm") else "V"
+    return ending if ending in ("m", "rad") else machine.coordinate(machine.sensor(channel).coordinate).unit("position")
 
 
 def group_findings(findings: Sequence[Finding]) -> list[Finding]:

@@ -18,7 +18,7 @@ from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, Sensor, rigid_motions
 from ..recordings import bridge_blanks, comparison_window
-from .findings import Finding
+from .findings import Finding, channel_unit
 
 Array = NDArray[np.float64]
 
@@ -247,7 +247,7 @@ def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -
         size = float(np.std(simulated[rows, j])) if rows.any() else 0.0
         if size == 0.0:
             continue
-        unit = _channel_unit(sensor, machine)
+        unit = channel_unit(sensor.channel, machine)
         factor = float(np.std(measured[rows, j])) / size
         if 1 / _SPEED_FACTOR < factor < _SPEED_FACTOR or (factor < 1 and _is_resting(measured[rows, j], data, j)):
             continue
@@ -267,12 +267,6 @@ def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -
             message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, {_LESS_VOLTAGE}"
         findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
     return findings
-
-
-def _channel_unit(sensor: Sensor, machine: Machine) -> str:
-    """Return the unit, m or rad, that the name of a channel ends with, else that of the sensor's coordinate."""
-    ending = sensor.channel.rpartition("_")[2]
-    return ending if ending in _SUSPECTS else machine.coordinate(sensor.coordinate).unit("position")
 
 
 def _ratios(data: Dataset, machine: Machine) -> list[Finding]:

@@ -79,7 +79,9 @@ class Expression:
         return self.trace.let(role, index, self)
 
     def __bool__(self) -> bool:
-        raise TypeError("a formula cannot branch on its arguments (`elementwise.where` selects a value)")
+        raise TypeError(
+            "a formula cannot branch on its arguments (`hframe_gym.dynamics.elementwise.where` selects a value)"
+        )
 
     __hash__ = object.__hash__
 

@@ -11,6 +11,7 @@ from typing import Any
 from ..machine import AppliedEffect, Coordinate, Drive, Machine, argument_names
 from .effect_instances import effect_instances
 from .elementwise import named
+from .tracing import describe_formula_error
 
 Value = Any
 IndexRow = Mapping[int, float]
@@ -226,11 +227,10 @@ class ParameterizedMachine:
                 (m or rad) and speed v (m/s or rad/s): floats, arrays of one common shape (...) or symbolic expressions.
 
         Returns:
-            Value of the formula, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N or Nm
-            for "force".
+            Value of the formula, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N.
 
         Raises:
-            TypeError: If the formula uses a function that cannot be compiled, such as one of NumPy.
+            TypeError: If the formula cannot be evaluated, for example because it uses a function of NumPy.
         """
         function = getattr(effect.definition, hook)
         names = argument_names(function)
@@ -238,7 +238,7 @@ class ParameterizedMachine:
         try:
             return function(*values)
         except TypeError as error:
-            raise TypeError(f"{effect.label}, {hook}: {error}; use hframe_gym.dynamics.elementwise") from error
+            raise TypeError(f"{effect.label}, {hook}: {describe_formula_error(error)}") from error
 
     def position(self, point: MotionPoint, i: int) -> Value:
         """Return the position of a coordinate at a point of the motion: belt travel divided by radius.

@@ -10,12 +10,24 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from .elementwise import where
 from .expressions import Expression, Statement, simplified
+
+# Parts of the messages of Python and NumPy about functions and operators that accept neither expressions nor arrays.
+_NUMBERS_ONLY = (
+    r"\bufunc",  # np.tanh(v)
+    r"real number, not '?Expression",  # math.sin(v), float(v)
+    r"(Expression|numpy\.ndarray) doesn't define __\w+__",  # round(v)
+    r"only (0-dimensional|length-1|size-1) arrays",  # math.sin of an array
+    r"'Expression' and '(Expression|float|int)'|'(float|int)' and 'Expression'",  # v % 0.1
+)
 
 
 class Trace:
@@ -287,3 +299,20 @@ def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -
     for condition, value in reversed(list(zip(conditions, values, strict=True))):
         selected = where(condition, value, selected)
     return selected
+
+
+def describe_formula_error(error: TypeError) -> str:
+    """Describe an error in a formula by its line, its message and, where a function of `elementwise` is needed, advice.
+
+    Args:
+        error: Error that the evaluation of the formula raised with expressions, arrays or numbers.
+
+    Returns:
+        Text, for example "drag.py, line 7: must be real number, not Expression; use the functions of ..."; without a
+        line if the error was not raised in Python code outside this package.
+    """
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent != Path(__file__).parent]
+    in_formula = [f for f in frames if f.filename == frames[0].filename]  # without functions of NumPy that it calls
+    place = f"{Path(in_formula[-1].filename).name}, line {in_formula[-1].lineno}: " if in_formula else ""
+    advise = re.search("|".join(_NUMBERS_ONLY), str(error))
+    return f"{place}{error}{'; use the functions of hframe_gym.dynamics.elementwise' if advise else ''}"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
-from .initial_state import correct_encoder_zeros, encoder_zero_errors, measured_initial_state, model_initial_state
+from .initial_state import measured_initial_state, model_initial_state
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
 
@@ -33,7 +33,7 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus zeros (readings at position 0), m or rad, shape (n, sensors), NaN where missing.
+        outputs: Measurements minus zeros (measurements at position 0), m or rad, shape (n, sensors), NaN where missing.
         initial: Measured initial state.
         noise: Standard deviation of each measurement, m or rad, shape (n, sensors): sqrt(noise^2 + (jitter * speed)^2)
             with the sensor's noise at rest and the jitter of the clock, s.
@@ -144,7 +144,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
             name=run.name,
             time_s=run.time_s,
             inputs=run.inputs,
-            outputs=run.outputs - state.offset,
+            outputs=run.outputs - state.zeros,
             initial=state,
             noise=noise_by_row(run.time_s, run.outputs, noise, jitter),
             weights=independent_values(run.time_s, run.outputs, quanta),
@@ -201,54 +201,9 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
     runs = (
         dataclasses.replace(
             run,
-            outputs=outputs[run.name] - run.initial.offset,
+            outputs=outputs[run.name] - run.initial.zeros,
             weights=independent_values(run.time_s, outputs[run.name], data.quantum),
         )
         for run in data.runs
     )
     return dataclasses.replace(data, runs=tuple(runs))
-
-
-def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
-    """Copy a data set, with zeros (measurements at position 0) of the encoders corrected by a fitted machine.
-
-    `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
-    forces that stretch the belts at rest; this stretch is the error of the zeros.
-
-    Args:
-        data: Data set to correct (times, voltages, measurements, SI).
-        machine: Fitted machine with its effects (deviations from the nominal model).
-        reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
-            Default: `data`.
-
-    Returns:
-        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run. `data` itself if
-        the machine has no effects, or no encoder with a known zero resolves the stretch of the belts.
-    """
-    runs = (data if reference is None else reference).runs
-    if not machine.effects or not any(np.any(run.initial.offset_known) for run in data.runs):
-        return data
-    errors = encoder_zero_errors(machine, [run.initial for run in runs])
-    initial = [correct_encoder_zeros(run.initial, machine, errors) for run in data.runs]
-    corrected = (
-        dataclasses.replace(run, initial=state, outputs=run.outputs - errors)
-        for run, state in zip(data.runs, initial, strict=True)
-    )
-    zeros = data.zeros and data.zeros._replace(offset=data.zeros.offset + errors)
-    return dataclasses.replace(data, runs=tuple(corrected), zeros=zeros)
-
-
-def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
-    """Return a copy of a machine whose encoders have the zeros (measurements at position 0) that all runs determine.
-
-    A simulation of a single run with this copy starts from the same state as in the fit to all runs.
-
-    Args:
-        machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
-        data: Data set with the runs (times, voltages, measurements, SI).
-
-    Returns:
-        Copy; sensors whose zero the runs do not determine have none. `machine` itself if no zero is determined.
-    """
-    zeros = refine_encoder_zeros(data, machine).zeros
-    return machine if zeros is None else zeros.in_machine(machine)

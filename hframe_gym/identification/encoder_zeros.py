@@ -38,19 +38,19 @@ class EncoderZeros(NamedTuple):
     """Zeros (measurements at position 0) of the encoders that kept them from run to run.
 
     Attributes:
-        offset: Zero of each sensor, m or rad, NaN where it is unknown, shape (sensors,).
+        values: Zero of each sensor, m or rad, NaN where it is unknown, shape (sensors,).
         spread: Standard deviation of the measured zero from run to run, m or rad, shape (sensors,). Its
             cause is the stretch of the belts at rest, which differs from run to run; 0 where the encoder does not
             resolve this stretch.
     """
 
-    offset: Array
+    values: Array
     spread: Array
 
     @property
     def known(self) -> NDArray[np.bool_]:
         """Mask of the sensors whose zero (measurement at position 0) is known, shape (sensors,)."""
-        return np.isfinite(self.offset)
+        return np.isfinite(self.values)
 
     @property
     def resolves_stretch(self) -> NDArray[np.bool_]:
@@ -88,7 +88,7 @@ class EncoderZeros(NamedTuple):
             sensors=tuple(
                 dataclasses.replace(
                     sensor,
-                    zero=float(self.offset[j]) if self.known[j] else None,
+                    zero=float(self.values[j]) if self.known[j] else None,
                     zero_std=float(self.spread[j]) if self.resolves_stretch[j] else None,
                 )
                 for j, sensor in enumerate(machine.sensors)
@@ -104,7 +104,7 @@ class EncoderZeros(NamedTuple):
         Returns:
             Copy with the zeros, m or rad, shape (sensors,); NaN for these sensors.
         """
-        return EncoderZeros(np.where(sensors, np.nan, self.offset), np.where(sensors, 0.0, self.spread))
+        return EncoderZeros(np.where(sensors, np.nan, self.values), np.where(sensors, 0.0, self.spread))
 
 
 def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quanta: Array) -> EncoderZeros:
@@ -129,16 +129,16 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
         return zeros
     zeros = zeros.without(np.ones(len(machine.sensors), np.bool_))
     # Runs whose position is measured at rest give the better zeros; the others count only if these are too few.
-    positioned = [state.offset for state in initial if state.position_measured]
-    offsets = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.offset for state in initial])
-    median = np.median(offsets, axis=0)  # (sensors,)
+    positioned = [state.zeros for state in initial if state.position_measured]
+    by_run = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.zeros for state in initial])
+    median = np.median(by_run, axis=0)  # (sensors,)
     # Standard deviation from the median absolute deviation, which single deviating runs do not change.
-    spread = 1.4826 * np.median(np.abs(offsets - median), axis=0)
+    spread = 1.4826 * np.median(np.abs(by_run - median), axis=0)
     limit = np.maximum(max_held_angle(machine), 2 * quanta)
     for j, sensor in enumerate(machine.sensors):
         rotary = machine.coordinate(sensor.coordinate).kind == "rotary"
         if sensor.incremental and rotary and spread[j] < limit[j]:
-            zeros.offset[j] = median[j]
+            zeros.values[j] = median[j]
             zeros.spread[j] = spread[j] if spread[j] > max(quanta[j], _MIN_STRETCH) else 0.0
     return zeros
 

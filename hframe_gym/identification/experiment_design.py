@@ -265,8 +265,8 @@ def _difference(first: Array, second: Array, data: Dataset) -> Array:
     The part that the unknown zeros of the sensors absorb is removed.
     """
     difference = first - second
-    offset = np.where(data.behind_belts, difference.mean(axis=1), difference[:, 0])
-    difference = difference - offset[:, None, :]
+    zeros = np.where(data.behind_belts, difference.mean(axis=1), difference[:, 0])
+    difference = difference - zeros[:, None, :]
     return (difference / data.noise).reshape(len(difference), -1)
 
 

@@ -31,6 +31,7 @@ _FORCE_CUTOFF = 100.0  # Hz
 _FORCE_DECIMATION = 10
 _FILTER_TRANSIENT_S = 0.05
 _RESOLVED_SPEED = 3.0  # standard deviations of the noise of the speed
+_NO_MOTION = 1e-9  # m or rad, m/s or rad/s, V, A; size where nothing moves or acts, which permits a division
 _CREEP = 1e-12  # m/s or rad/s; a velocity that has a direction only
 
 
@@ -260,7 +261,9 @@ class TypicalScales:
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
     """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
-    Starting values of effect parameters are multiples of these sizes.
+    Starting values of effect parameters are multiples of these sizes. Sizes of motions, voltages and currents are at
+    least 1e-9: candidates on an axis that never moves have parameters of no meaning there, but change no prediction, so
+    that screening drops them.
 
     Args:
         machine: Machine that moved.
@@ -282,8 +285,8 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
             - "N": largest magnitude of a belt's force, N, which is extension * EA / rest length.
     """
     force = typical_force(machine)
-    top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), 1e-9)
-    span = np.maximum(np.ptp(positions, axis=0), 1e-9)
+    top_speed = np.maximum(np.percentile(np.abs(velocities), 99, axis=0), _NO_MOTION)
+    span = np.maximum(np.ptp(positions, axis=0), _NO_MOTION)
     by_coordinate: dict[str, dict[str, float]] = {}
     for i, c in enumerate(machine.coordinates):
         drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
@@ -296,11 +299,11 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         current = (voltage - d.Ke * d.gear_ratio * velocities[:, i]) / d.resistance
         sizes = by_coordinate[d.coordinate]
         for key, values in (("A", current), ("voltage", voltage)):
-            sizes[key] = max(float(np.abs(values).max()), sizes.get(key, 1e-9))
+            sizes[key] = max(float(np.abs(values).max()), sizes.get(key, _NO_MOTION))
     general: dict[str, float] = {}
     if machine.belts:
         extension = positions @ machine.belt_matrix.T  # (n, belts)
         stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
-        largest = max(float(np.percentile(np.abs(extension), 99)), 1e-9)
+        largest = max(float(np.percentile(np.abs(extension), 99)), _NO_MOTION)
         general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}
     return TypicalScales(by_coordinate, general)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.formulas import Curve, Formula, FormulaEffect, Term, fit_formulas, terms_of
+from ..effects.formulas import Formula, FormulaEffect, curve_of_table, fit_formulas, terms_of_table
 from ..effects.smooth_table import KNOTS, TABLE_FAMILY
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine
@@ -107,7 +107,7 @@ class ProposedFormula:
         Raises:
             InputError: If a term is unknown or the number of parameters does not fit the terms.
         """
-        known = {term.name: term for term in _terms(table)}
+        known = {term.name: term for term in terms_of_table(table)}
         terms = tuple(known[name] for name in entry["terms"] if name in known)
         formula = Formula(terms, (), (), entry["curve_error"])
         if len(terms) != len(entry["terms"]) or formula.complexity != len(entry["parameters"]):
@@ -117,6 +117,33 @@ class ProposedFormula:
             )
         effect = FormulaEffect(_NAME, formula.with_values(entry["parameters"].values()), table, machine)
         return cls(effect, entry["fitted"], entry["held_out"], entry["recommended"])
+
+    def with_name(self, name: str, table_error: float) -> ProposedFormula:
+        """Return a copy whose effect has a name, and notes about its accuracy for the file of the effect.
+
+        Args:
+            name: Name of the effect, a Python identifier in lower case.
+            table_error: Mean over the channels of rms error / sensor noise on the held-out runs with the table,
+                dimensionless; ignored if the formula was fitted only to the values of the table.
+
+        Returns:
+            Copy; its parameters and errors are unchanged.
+
+        Raises:
+            InputError: If the name cannot be used.
+        """
+        if self.fitted is None:
+            note = "It was fitted to the table alone; identify the machine with it to see its error on held-out runs."
+        else:
+            note = (
+                f"Error on the held-out runs: {self.mean_noise_ratio:.3g} times the sensor noise with this formula of "
+                f"{self.effect.formula.complexity} parameters, {table_error:.3g} with the table of {KNOTS} values."
+            )
+        try:
+            effect = dataclasses.replace(self.effect, name=name, notes=(note,))
+        except ValueError as error:
+            raise InputError(str(error)) from None
+        return dataclasses.replace(self, effect=effect)
 
 
 @dataclass(frozen=True)
@@ -185,7 +212,7 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
     Raises:
         ImportError: If scikit-learn is not installed; the message names the extra `formulas`.
     """
-    formulas = fit_formulas(_curve(machine, table), _terms(table), _MAX_FORMULAS)
+    formulas = fit_formulas(curve_of_table(table, machine), terms_of_table(table), _MAX_FORMULAS)
     return _with_recommendation([ProposedFormula(FormulaEffect(_NAME, f, table, machine)) for f in formulas])
 
 
@@ -246,39 +273,6 @@ def _with_recommendation(formulas: Sequence[ProposedFormula]) -> tuple[ProposedF
     errors = [max(1.0, p.effect.formula.error) if p.fitted is None else p.fitted for p in formulas]
     recommended = next((i for i, error in enumerate(errors) if error <= _CLOSE * min(errors)), None)
     return tuple(dataclasses.replace(p, recommended=i == recommended) for i, p in enumerate(formulas))
-
-
-def _terms(table: AppliedEffect) -> tuple[Term, ...]:
-    """Return the terms that a formula for a table may contain."""
-    variable = table.definition.against.partition(" of ")[0]
-    return tuple(terms_of(variable, force=table.name.startswith("smooth_force")))
-
-
-def _curve(machine: Machine, table: AppliedEffect) -> Curve:
-    """Return the values of a table with their covariance; zero if the machine does not have it."""
-    knots = np.array([table.parameters[f"k{i:02d}"] for i in range(KNOTS)])
-    values = np.array([table.parameters[f"f{i:02d}"] for i in range(KNOTS)])
-    covariance = np.zeros((KNOTS, KNOTS))
-    uncertainty = machine.uncertainty
-    names = [f"{table.label}.f{i:02d}" for i in range(KNOTS)]
-    if uncertainty is not None and set(names) <= set(uncertainty.names):
-        index = [uncertainty.names.index(name) for name in names]
-        covariance = uncertainty.covariance[np.ix_(index, index)]
-    return Curve(knots, values, covariance, _friction_basis(table, knots))
-
-
-def _friction_basis(table: AppliedEffect, knots: Array) -> Array:
-    """Return the curves by which the Coulomb and viscous friction of the coordinate can change a table's values.
-
-    The recordings determine the sum of friction and table only, so that formulas need not explain these curves.
-
-    Returns:
-        Values of the curves at the knots, shape (knots, curves).
-    """
-    of_speed = table.definition.against == f"velocity of {table.site}"
-    if table.name.startswith("smooth_friction"):
-        return np.stack([np.ones_like(knots), *([np.abs(knots)] if of_speed else [])], axis=1)
-    return np.stack([knots], axis=1) if of_speed else np.zeros((len(knots), 0))
 
 
 class _Runs:

@@ -1,8 +1,8 @@
 """The initial state of a run for a given machine.
 
 `rest_measurement` estimates the position from the measurements alone. With the effects of a machine (deviations from
-the nominal model, such as cables and tilt) the estimate is better: effects on the sensors' readings are inverted, and
-pulleys are in static equilibrium with the forces that act at rest.
+the nominal model, such as cables and tilt) the estimate is better: effects on measurements are inverted, and pulleys
+are in static equilibrium with the forces that act at rest. This also corrects the zeros of the encoders.
 
 Fits take their initial states from here; `recording_simulation` determines that of a single run for every command.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from ..machine import Machine, rest_state
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros, zero_tolerance
 from .rest_measurement import InitialState, estimate_initial_state, rigid_basis
+
+if TYPE_CHECKING:
+    from .dataset import Dataset
 
 Array = NDArray[np.float64]
 _INVERSION_STEPS = 4  # Each leaves a few hundredths of the error.
@@ -86,18 +90,18 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
     if not alone.position_known:
         # One laser cannot show which of several encoders it contradicts.
         rigid = rigid_basis(machine)
-        checked = (zeros.known | fixed) & np.isfinite(alone.reading)
-        reading = (alone.reading - np.where(zeros.known, zeros.offset, 0.0))[checked]
+        checked = (zeros.known | fixed) & np.isfinite(alone.zeroed_measurement)
+        zeroed = (alone.zeroed_measurement - np.where(zeros.known, zeros.values, 0.0))[checked]
         seen = (machine.sensor_matrix @ rigid)[checked]
         weight = np.where(fixed[checked], 1.0, _ENCODER_WEIGHT)
-        position = np.linalg.lstsq(weight[:, None] * seen, weight * reading, rcond=None)[0]
-        contradicted = np.any(np.abs(reading - seen @ position)[~fixed[checked]] > tolerance[checked][~fixed[checked]])
+        position = np.linalg.lstsq(weight[:, None] * seen, weight * zeroed, rcond=None)[0]
+        contradicted = np.any(np.abs(zeroed - seen @ position)[~fixed[checked]] > tolerance[checked][~fixed[checked]])
         return zeros.known & contradicted
     equilibrium = static_equilibrium(machine, _without_measurement_effects(machine, alone, alone.position.copy()))
-    for j in np.flatnonzero(zeros.known & np.isfinite(alone.reading)):
+    for j in np.flatnonzero(zeros.known & np.isfinite(alone.zeroed_measurement)):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
         row = machine.sensors[j].row[machine.sensors[j].coordinate]
-        angle = concentric_angle(machine, i, (alone.reading[j] - zeros.offset[j]) / row)
+        angle = _concentric_angle(machine, i, (alone.zeroed_measurement[j] - zeros.values[j]) / row)
         moved[j] = abs(row) * abs(angle - equilibrium[i]) > tolerance[j]
     return moved
 
@@ -144,12 +148,12 @@ def _force_at_rest(machine: Machine, position: Array) -> Array:
 def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     """Return the state from which a simulation of a machine starts, given the measurements at rest.
 
-    The state depends on the machine's effects, which may change the sensors' readings and exert forces at rest. If the
-    zero of an encoder (its measurement at position 0) is known, the encoder gives the angle of its pulley. All other
-    angles are those in static equilibrium.
+    The state depends on the machine's effects, which may change measurements and exert forces at rest. If the zero of
+    an encoder (its measurement at position 0) is known, the encoder gives the angle of its pulley. All other angles are
+    those in static equilibrium.
 
     Zeros that were estimated without an effect may be wrong and would indicate a belt stretch that does not exist.
-    Therefore, until `correct_encoder_zeros` has corrected them, the static equilibrium gives the angles of eccentric
+    Therefore, until `refine_encoder_zeros` has corrected them, the static equilibrium gives the angles of eccentric
     pulleys as well, and the angles of all pulleys if an effect changes what a laser measures at rest.
 
     Args:
@@ -165,7 +169,7 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     if not machine.belts:
         return np.concatenate([np.pad(half, (0, added)) for half in np.split(initial.state, 2)])
     # Encoders are not used if an effect changes the position that lasers measure and their zeros are not corrected yet.
-    measured = position_from_measurements(machine, initial)
+    measured = _position_from_measurements(machine, initial)
     position = static_equilibrium(machine, measured)
     if initial.zeros_refined or np.array_equal(measured, initial.position):
         eccentric = [
@@ -173,45 +177,29 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
             for e in machine.effects
             if e.definition.rest_angle_offset
         ]
-        for i, angle in encoder_angles(machine, initial).items():
+        for i, angle in _encoder_angles(machine, initial).items():
             if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
                 position[i] = angle
     return np.concatenate([position, np.pad(initial.velocity, (0, added))])
 
 
-def encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
-    """Return the angles at rest of all pulleys whose encoder has a known zero and resolves the stretch of the belts.
+def _encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
+    """Return the angles at rest, rad, by index of each pulley whose encoder has a zero and resolves the belt stretch.
 
-    The zero of an encoder is its measurement at position 0, from which the angle counts. For an eccentric pulley, the
-    angle is that of a concentric pulley with the same belt travel.
-
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
-        initial: Measured initial state.
-
-    Returns:
-        Angle, rad, by index of the pulley in `Machine.coordinates`; empty if no zero is known.
+    The angle of an eccentric pulley is that of a concentric pulley with the same belt travel.
     """
     angles: dict[int, float] = {}
-    for j in np.flatnonzero(initial.offset_known):
+    for j in np.flatnonzero(initial.resolves_stretch):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
-        angles[i] = concentric_angle(machine, i, float(initial.state[i]))
+        angles[i] = _concentric_angle(machine, i, float(initial.state[i]))
     return angles
 
 
-def concentric_angle(machine: Machine, index: int, angle: float) -> float:
-    """Convert the angle of an eccentric pulley at rest to the angle of a concentric one with the same belt travel.
+def _concentric_angle(machine: Machine, index: int, angle: float) -> float:
+    """Convert the angle of an eccentric pulley at rest to that of a concentric one with the same belt travel, rad.
 
     A simulation starts from the angles of concentric pulleys, whose belt travel is radius * angle. The conversion is
     accurate to first order in the eccentricity.
-
-    Args:
-        machine: Machine with its effects (deviations from the nominal model), such as eccentric pulleys.
-        index: Index of the pulley in `Machine.coordinates`.
-        angle: Measured angle of the pulley, rad.
-
-    Returns:
-        Angle of the concentric pulley, rad; `angle` itself if the pulley is not eccentric.
     """
     converted = angle
     # The formula of eccentricity gives the difference of the two angles, rad.
@@ -222,33 +210,27 @@ def concentric_angle(machine: Machine, index: int, angle: float) -> float:
     return converted
 
 
-def position_from_measurements(machine: Machine, initial: InitialState) -> Array:
-    """Compute the true positions at rest from measurements at rest that the machine's effects falsify.
+def _position_from_measurements(machine: Machine, initial: InitialState) -> Array:
+    """Return the true positions (coordinates,) at rest from measurements at rest that the machine's effects falsify.
 
     Effects on the measurements of lasers (skew, scale) are inverted iteratively. For a laser that measured nothing at
     rest (end of its range), the encoders give the position, after correction of their angles for eccentric pulleys and
     for the belt stretch that forces cause at rest.
-
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
-        initial: Measured initial state.
-
-    Returns:
-        Positions of the coordinates, m or rad, shape (coordinates,).
     """
     if initial.lasers_measured or not machine.effects:
         return _without_measurement_effects(machine, initial, initial.position.copy())
-    encoders = [j for j, s in enumerate(machine.sensors) if s.incremental and np.isfinite(initial.reading[j])]
+    measured = np.flatnonzero(np.isfinite(initial.zeroed_measurement))
+    encoders = [j for j in measured if machine.sensors[j].incremental]
     # The stretch depends on the position and the position on the stretch: a few alternating steps solve both.
     stretch = np.zeros(len(machine.sensors))  # rad
     position = initial.position
     for _ in range(_STRETCH_STEPS):
-        reading = np.nan_to_num(initial.reading)
+        zeroed = np.nan_to_num(initial.zeroed_measurement)
         for j in encoders:
             i = machine.coordinate_names.index(machine.sensors[j].coordinate)
             row = machine.sensors[j].row[machine.sensors[j].coordinate]
-            reading[j] = row * concentric_angle(machine, i, reading[j] / row) - stretch[j]
-        unstretched = initial.position_from_reading @ reading
+            zeroed[j] = row * _concentric_angle(machine, i, zeroed[j] / row) - stretch[j]
+        unstretched = initial.position_matrix @ zeroed
         position = _without_measurement_effects(machine, initial, unstretched)
         at_rest = rest_state(machine, position[_linear(machine)[: len(position)]])
         held = static_equilibrium(machine, position) - at_rest[: len(machine.coordinates)]
@@ -269,7 +251,7 @@ def _without_measurement_effects(machine: Machine, initial: InitialState, positi
             continue
         sensor = machine.sensor(e.site)
         j = machine.output_channels.index(e.site)
-        if len(initial.reading) and not np.isfinite(initial.reading[j]):
+        if len(initial.zeroed_measurement) and not np.isfinite(initial.zeroed_measurement[j]):
             continue  # Encoders determined this position.
         i, other = names.index(sensor.coordinate), machine.other_axis(sensor.coordinate)
         measured, across = float(position[i]), position[names.index(other)] if other else 0.0
@@ -307,7 +289,7 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
         return errors
     located = [state for state in initial if state.lasers_measured] or initial
     runs = [
-        (encoder_angles(machine, state), static_equilibrium(machine, position_from_measurements(machine, state)))
+        (_encoder_angles(machine, state), static_equilibrium(machine, _position_from_measurements(machine, state)))
         for state in located
     ]
     for j, sensor in enumerate(machine.sensors):
@@ -319,26 +301,46 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
     return errors
 
 
-def correct_encoder_zeros(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
-    """Copy an initial state, with corrected encoder zeros (measurements at position 0) and resulting positions.
+def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
+    """Copy a data set, with zeros (measurements at position 0) of the encoders corrected by a fitted machine.
+
+    `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
+    forces that stretch the belts at rest; this stretch is the error of the zeros.
 
     Args:
-        initial: Measured initial state.
-        machine: Machine with the sensors and coordinates of that state.
-        errors: Values to add to the zeros, m or rad, shape (sensors,); 0 for zeros that are kept.
+        data: Data set to correct (times, voltages, measurements, SI).
+        machine: Fitted machine with its effects (deviations from the nominal model).
+        reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
+            Default: `data`.
 
     Returns:
-        Copy with corrected zeros, m or rad, shape (sensors,), and corrected positions; its `zeros_refined` is True.
+        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run. `data` itself if
+        the machine has no effects, or no encoder with a known zero resolves the stretch of the belts.
     """
-    state, reading = initial.state.copy(), initial.reading
-    if len(reading):
-        reading = reading - errors
+    runs = (data if reference is None else reference).runs
+    if not machine.effects or not any(np.any(run.initial.resolves_stretch) for run in data.runs):
+        return data
+    errors = encoder_zero_errors(machine, [run.initial for run in runs])
+    initial = [_with_corrected_zeros(run.initial, machine, errors) for run in data.runs]
+    corrected = (
+        dataclasses.replace(run, initial=state, outputs=run.outputs - errors)
+        for run, state in zip(data.runs, initial, strict=True)
+    )
+    zeros = data.zeros and data.zeros._replace(values=data.zeros.values + errors)
+    return dataclasses.replace(data, runs=tuple(corrected), zeros=zeros)
+
+
+def _with_corrected_zeros(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
+    """Return an initial state with errors (sensors,) added to the zeros, and with the resulting positions."""
+    state, zeroed = initial.state.copy(), initial.zeroed_measurement
+    if len(zeroed):
+        zeroed = zeroed - errors
         if not initial.lasers_measured:
-            position = initial.position_from_reading @ np.nan_to_num(reading)
+            position = initial.position_matrix @ np.nan_to_num(zeroed)
             state[: len(position)] = position
-    for j in np.flatnonzero(initial.offset_known):
+    for j in np.flatnonzero(initial.resolves_stretch):
         sensor = machine.sensors[j]
         i = machine.coordinate_names.index(sensor.coordinate)
         state[i] = initial.state[i] - errors[j] / sensor.row[sensor.coordinate]
-    offset = initial.offset + errors
-    return dataclasses.replace(initial, state=state, reading=reading, offset=offset, zeros_refined=True)
+    zeros = initial.zeros + errors
+    return dataclasses.replace(initial, state=state, zeroed_measurement=zeroed, zeros=zeros, zeros_refined=True)

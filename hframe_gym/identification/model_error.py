@@ -97,7 +97,7 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Fit, bandwidth in rad/s (after 3: 0, a simulation): machine, parameters (theta, shape (k,)), cost (chi-squared).
     """
-    return at_bandwidth(fitted, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1], data)
+    return continue_fit(fitted, data, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1])
 
 
 def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
@@ -134,10 +134,10 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     """
     if fitted.bandwidth == SIMULATION:
         return fitted
-    simulated = at_bandwidth(fitted, SIMULATION, data)
+    simulated = continue_fit(fitted, data, SIMULATION)
     best, least_loss = fitted, likelihood_loss(fitted, data)
     for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
-        narrower = at_bandwidth(best, bandwidth, data)
+        narrower = continue_fit(best, data, bandwidth)
         loss = likelihood_loss(narrower, data)
         if not loss < least_loss:
             break
@@ -186,11 +186,11 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
     best, narrower = fitted, fitted
     least = cost(fitted.machine, SIMULATION) * cost(fitted.machine, fitted.bandwidth)
     for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
-        narrower = at_bandwidth(narrower, bandwidth, data)
+        narrower = continue_fit(narrower, data, bandwidth)
         product = cost(narrower.machine, SIMULATION) * cost(narrower.machine, fitted.bandwidth)
         if product < least:
             best, least = narrower, product
-    simulated = at_bandwidth(best, SIMULATION, data)
+    simulated = continue_fit(best, data, SIMULATION)
     if _cross_validated_cost(simulated, data) * cost(simulated.machine, fitted.bandwidth) < least:
         best = simulated
     return best if best is fitted else polish(best, data)
@@ -200,11 +200,10 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
     """Return the cost of all runs, each third with parameters that were fitted to the other two thirds."""
     names = [run.name for run in data.runs]
     folds = [names[first::_FOLDS] for first in range(min(_FOLDS, len(names)))]
-    step = search_step(fitted.bandwidth)
     total = 0.0
     for left_out in folds:
         others = data.with_runs([name for name in names if name not in left_out])
-        refitted = fit(fitted.machine, fitted.free, others, fitted.bandwidth, theta=fitted.theta, longest_step=step)
+        refitted = continue_fit(fitted, others, fitted.bandwidth)
         total += prediction_cost(refitted.machine, data.with_runs(left_out), fitted.bandwidth, longest_step=POLISH_STEP)
     return total
 
@@ -312,20 +311,18 @@ def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> b
     return fitted.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * initial_chi2)
 
 
-def at_bandwidth(fitted: Fit, bandwidth: float, data: Dataset) -> Fit:
-    """Fit a machine again at another observer bandwidth, starting from the parameters of an earlier fit.
+def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
+    """Fit a machine again from the parameters of an earlier fit, to other data or at another observer bandwidth.
 
     Args:
-        fitted: Earlier fit.
+        fitted: Earlier fit; its parameters are the starting values.
+        data: Runs to fit (times, voltages, measurements, SI).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
         Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise
-        variances), at this bandwidth; `fitted` itself if it has this bandwidth already.
+        variances), with the integration step of the search.
     """
-    if fitted.bandwidth == bandwidth:
-        return fitted
     step = search_step(bandwidth)
     return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)
 

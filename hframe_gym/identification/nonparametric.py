@@ -17,10 +17,10 @@ from ..machine import Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
-from .estimation import Fit, fit
+from .estimation import Fit
 from .force_sizes import TypicalScales
 from .forward_selection import Log, SelectedEffect, Selection, describe_gain
-from .model_error import left_out_cost
+from .model_error import continue_fit, left_out_cost
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import screen
@@ -210,7 +210,7 @@ def add_tables(
         trial = next((t for t in trials if _left_out_cost(t, data, criteria) < limit), None)
         if trial is None:
             break
-        converged = fit(trial.machine, trial.free, data, current.bandwidth, theta=trial.theta)
+        converged = continue_fit(trial, data, current.bandwidth)
         effect = converged.machine.effects[-1]
         gain = (current.cost - converged.cost) / data.count
         log(f"  {effect.label} {describe_gain(current, converged)}")

@@ -17,11 +17,11 @@ from ..dynamics import NotFiniteError, simulate, simulate_batch
 from ..machine import Machine, Trajectory
 from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
-from .dataset import Dataset, PreparedRecording, prepare, with_encoder_zeros
+from .dataset import Dataset, PreparedRecording, prepare
 from .encoder_zeros import EncoderZeros
 from .force_sizes import force_error
 from .initial_rest import count_resting_rows, without_moving_start
-from .initial_state import measured_initial_state, model_initial_state
+from .initial_state import measured_initial_state, model_initial_state, refine_encoder_zeros
 from .lost_voltages import estimate_lost_voltages
 from .prediction import POLISH_STEP, map_runs
 from .residual import ChannelError, errors_by_channel
@@ -42,7 +42,7 @@ class SimulatedRecording(NamedTuple):
     """A machine simulated over a recording, at the n times of that recording.
 
     Attributes:
-        trajectory: Positions, velocities and sensor readings. The readings include the zeros of the sensors (their
+        trajectory: Positions, velocities and simulated measurements. The latter include the zeros of the sensors (their
             measurements at position 0), so that they can be compared with the recording.
         error: Measured minus simulated values, m or rad, shape (n, sensors); NaN where nothing or an
             outlier was measured, in repetitions of slow sensors, and before the machine came to rest.
@@ -84,7 +84,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     cleaned = _cleaned(recording, machine)
     initial = _initial_state(machine, cleaned)
     motion = simulate(
-        machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.offset, longest_step=POLISH_STEP
+        machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.zeros, longest_step=POLISH_STEP
     )
     recorded = np.isin(cleaned.time_s, recording.time_s)  # the rows that `fill_gaps` did not insert
     trajectory = dataclasses.replace(
@@ -111,8 +111,8 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         recording: The run (times, voltages, measurements); outputs may be missing.
 
     Returns:
-        Initial state for `simulate(..., initial.start(machine), offset=initial.offset)`, the simulation whose errors
-        identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `offset` the
+        Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose errors
+        identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `zeros` the
         zeros of the sensors, m or rad, shape (sensors,), with which this simulation fits the recording best. If the
         simulation diverges, the zeros follow from the measurements at rest. `warnings` lists what could not be
         determined.
@@ -129,23 +129,29 @@ def _cleaned(recording: Recording, machine: Machine) -> Recording:
     filled = fill_gaps(usable)
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled
-    data = prepare([usable], machine)
-    data = prepare([_without_saturated(machine, usable, data.noise)], machine)
+    _, _, noise = _rest_and_noise(filled, machine)
+    data = prepare([_without_saturated(machine, usable, noise)], machine)
     (run,) = estimate_lost_voltages(data, machine).runs
     return dataclasses.replace(filled, inputs=run.inputs)
 
 
-def _initial_state(machine: Machine, recording: Recording) -> InitialState:
-    """Return the initial state of a recording without gaps and outliers."""
+def _rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, Array]:
+    """Return the number of rows at rest, and quantization steps and noise of the sensors, m or rad, (sensors,) each."""
     rows = count_resting_rows(recording, machine)
     channels = recording.outputs.T
     quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
     noise = np.array(
         [sensor_noise([c], [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
     )
+    return rows, quanta, noise
+
+
+def _initial_state(machine: Machine, recording: Recording) -> InitialState:
+    """Return the initial state of a recording without gaps and outliers."""
+    rows, quanta, noise = _rest_and_noise(recording, machine)
     usable = _without_saturated(machine, recording, noise)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
-    refined = bool(machine.effects) and bool(initial.offset_known.any())
+    refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
     state = model_initial_state(machine, initial)
     max_means = max_zero_means(behind_belts(machine), quanta)
@@ -169,8 +175,8 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     error = errors(start, recording.outputs)
     if not np.isfinite(error).all():
         return initial
-    offset = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means, quanta)[0, 0]
-    return dataclasses.replace(initial, offset=offset)
+    zeros = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means, quanta)[0, 0]
+    return dataclasses.replace(initial, zeros=zeros)
 
 
 def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> Recording:
@@ -234,3 +240,19 @@ def evaluate_held_out(
     return ModelEvaluation(
         machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings, diverged
     )
+
+
+def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
+    """Return a copy of a machine whose encoders have the zeros (measurements at position 0) that all runs determine.
+
+    A simulation of a single run with this copy starts from the same state as in the fit to all runs.
+
+    Args:
+        machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
+        data: Data set with the runs (times, voltages, measurements, SI).
+
+    Returns:
+        Copy; sensors whose zero the runs do not determine have none. `machine` itself if no zero is determined.
+    """
+    zeros = refine_encoder_zeros(data, machine).zeros
+    return machine if zeros is None else zeros.in_machine(machine)

@@ -16,6 +16,7 @@ from scipy import signal
 
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
+from .free_parameters import typical_force
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, observer_gains, predict, prediction_error
 from .start_uncertainty import most_probable_initial_state
 
@@ -26,6 +27,7 @@ _RESIDUAL_CUTOFF = 30.0
 MISSING_FORCE_CUTOFF = 40.0
 _DEPENDENCE_BINS = 16
 _MINIMUM_DEPENDENCE = 0.05  # fraction of the variance
+_ROUNDING_FORCE = 1e-9  # of the typical force; a smaller missing force is a rounding error, as on an axis at rest
 _WHITENESS_BLOCK_S = 0.02
 _WHITE = 0.6  # standard deviation of block means, in units of the noise
 
@@ -223,7 +225,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     Returns:
         Pairs of coordinate and variable whose bin means explain more than 5 % of the variance of the force, with this
-        fraction, sorted by the explained variance of the force at the belt, largest first.
+        fraction, sorted by the explained variance of the force at the belt, largest first. A coordinate on which the
+        machine lacks no force, because it never moves or the machine is exact, has none.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
@@ -235,7 +238,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         for name, values in variables.items()
     ]
     power = dict(zip(machine.coordinate_names, np.var(force / machine.travel_per_unit, axis=0), strict=True))  # N^2
-    noticeable = (d for d in dependences if d.explained > _MINIMUM_DEPENDENCE)
+    least = (_ROUNDING_FORCE * typical_force(machine)) ** 2
+    noticeable = (d for d in dependences if d.explained > _MINIMUM_DEPENDENCE and power[d.coordinate] > least)
     return sorted(noticeable, key=lambda d: -d.explained * power[d.coordinate])
 
 

@@ -4,7 +4,7 @@ A recording should begin at rest; the rows before the first input change measure
 motion, its first row has a position and a velocity (`initial_rest`). The zero of a sensor is its measurement at
 position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The angles of the pulleys
 follow from unstretched belts or from encoders whose zero is known. An unknown zero is the measurement at rest minus the
-reading that the model computes for the estimated state.
+one that the model computes for the estimated state and a zero of 0.
 """
 
 from __future__ import annotations
@@ -37,21 +37,20 @@ class InitialState:
     Attributes:
         state: Positions (m, rad), then velocities (m/s, rad/s), at the first row, shape (2 * coordinates,). The
             velocities are zero unless the run begins in motion.
-        offset: Zeros of the sensors (measurements at position 0), which `simulate` adds to the readings, in the
-            sensors' units, shape (sensors,).
+        zeros: Zeros of the sensors (measurements at position 0), in the sensors' units, shape (sensors,); the argument
+            `offset` of `simulate`.
         resting_rows: Number of rows at rest at the beginning of the run.
-        offset_known: True for each encoder that kept its zero in all runs and resolves the stretch of the belts, shape
-            (sensors,).
+        resolves_stretch: Whether each encoder kept its zero in all runs and resolves belt stretch, shape (sensors,).
         zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
         position_known: Whether sensors with a known zero determine the position at rest; where none measures at rest,
             by later measurements.
-        reading: Measurements at rest minus the known zeros, m or rad, NaN where there is none, shape
+        zeroed_measurement: Measurements at rest minus the known zeros, m or rad, NaN where there is none, shape
             (sensors,).
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).
-        position_from_reading: Matrix that computes the positions of unstretched belts from `reading` (with 0 instead
-            of NaN), shape (coordinates, sensors).
+        position_matrix: Matrix that computes the positions with unstretched belts from `zeroed_measurement` (with 0
+            instead of NaN), shape (coordinates, sensors).
         velocity_deviations: Independent errors of the velocities, one per row, each of the size of one standard
             deviation, m/s or rad/s, shape (errors, coordinates); no rows if the run begins at rest.
         effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by label and
@@ -60,16 +59,16 @@ class InitialState:
     """
 
     state: Array
-    offset: Array
+    zeros: Array
     resting_rows: int
-    offset_known: NDArray[np.bool_]
+    resolves_stretch: NDArray[np.bool_]
     zeros_refined: bool = False
     position_measured: bool = True
     lasers_measured: bool = True
     position_known: bool = True
-    reading: Array = field(default_factory=lambda: np.zeros(0))
+    zeroed_measurement: Array = field(default_factory=lambda: np.zeros(0))
     measured_at_rest: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
-    position_from_reading: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    position_matrix: Array = field(default_factory=lambda: np.zeros((0, 0)))
     velocity_deviations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     effect_states: Mapping[tuple[str, str], float] = field(default_factory=dict)
     warnings: tuple[str, ...] = field(default=())
@@ -154,40 +153,40 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()
     position_measured = lasers_measured or _rank(seen[(fixed | known) & measured]) == _rank(seen)
 
-    reading = measurement - np.where(known, zeros.offset, 0.0)  # (sensors,)
+    zeroed = measurement - np.where(known, zeros.values, 0.0)  # (sensors,)
     warnings: tuple[str, ...] = ()
     if not position_measured:
         later = _later_measurements(recording, measurement, machine, rigid)
         replaced = fixed & ~measured & np.isfinite(later)
-        reading = np.where(replaced, later, reading)
+        zeroed = np.where(replaced, later, zeroed)
         warnings = (_position_warning(machine, fixed & ~measured, replaced),)
-    usable = np.isfinite(reading)
+    usable = np.isfinite(zeroed)
     velocity = InitialVelocity.at_rest(machine)
     if rows == 1:  # The run may begin in motion, from the position from which it is simulated.
-        position = _position_from_reading(machine, zeros, usable, moving=True) @ np.nan_to_num(reading)
+        position = _position_matrix(machine, zeros, usable, moving=True) @ np.nan_to_num(zeroed)
         velocity = initial_velocity(recording, machine, rigid, position)
-    position_from_reading = _position_from_reading(machine, zeros, usable, moving=len(velocity.deviations) > 0)
-    position = position_from_reading @ np.nan_to_num(reading)
+    position_matrix = _position_matrix(machine, zeros, usable, moving=len(velocity.deviations) > 0)
+    position = position_matrix @ np.nan_to_num(zeroed)
     for j in np.flatnonzero(known & measured & zeros.resolves_stretch):
-        position[site[j]] = reading[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
-    offset = np.where(known, zeros.offset, np.where(measured, measurement - machine.sensor_matrix @ position, 0.0))
+        position[site[j]] = zeroed[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
+    estimated = np.where(measured, measurement - machine.sensor_matrix @ position, 0.0)
     return InitialState(
         np.concatenate([position, velocity.mean]),
-        offset,
+        np.where(known, zeros.values, estimated),
         rows,
         zeros.resolves_stretch,
         position_measured=position_measured,
         lasers_measured=lasers_measured,
         position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),
-        reading=reading,
+        zeroed_measurement=zeroed,
         measured_at_rest=measured,
-        position_from_reading=position_from_reading,
+        position_matrix=position_matrix,
         velocity_deviations=velocity.deviations,
         warnings=warnings,
     )
 
 
-def _position_from_reading(machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool) -> Array:
+def _position_matrix(machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool) -> Array:
     """Return the matrix (coordinates, sensors) that gives positions from measurements minus zeros by least squares.
 
     Args:

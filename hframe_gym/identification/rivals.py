@@ -15,7 +15,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
 from .evidence import long_run_variance
-from .model_error import at_bandwidth, likelihood_loss, polish
+from .model_error import continue_fit, likelihood_loss, polish
 from .prediction import SIMULATION
 from .trial_fits import fit_in_place_of
 
@@ -140,5 +140,5 @@ def _polished(fitted: Fit, data: Dataset) -> Fit:
 
     The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
     """
-    fits = (polish(fitted, data), polish(at_bandwidth(fitted, SIMULATION, data), data))
-    return min(fits, key=lambda candidate: likelihood_loss(candidate, data))
+    fits = [fitted] if fitted.bandwidth == SIMULATION else [fitted, continue_fit(fitted, data, SIMULATION)]
+    return min((polish(start, data) for start in fits), key=lambda candidate: likelihood_loss(candidate, data))

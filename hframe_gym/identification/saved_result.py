@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ..atomic_files import newest
+from ..effects import EFFECTS
 from ..errors import InputError
 from ..file_limits import read_arrays, read_document
 from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine
+from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
 from .result import Verdict
 
 Array = NDArray[np.float64]
@@ -209,6 +211,41 @@ def load_result(folder: Path) -> SavedResult:
     _check_report(saved, folder / "report.json")
     _check_curves(saved, folder / "evidence.npz")
     return saved
+
+
+def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
+    """Return formulas that can take the place of a table of a saved identification.
+
+    A table is a force or friction level interpolated over one variable. The formulas are those that `hframe identify`
+    compared with it, with their fitted parameters and the errors of the machine with each formula on the recorded runs.
+    If it compared none, formulas are fitted to the values of the table; their errors on runs are then unknown.
+
+    Args:
+        folder: Folder that `write_result` wrote.
+        name: Name of the effect that each formula defines: a Python identifier in lower case, different from the names
+            of existing effects.
+        table: Label of the table, for example "smooth_force[position of x]@x". Default: the first one.
+
+    Returns:
+        Formulas by increasing number of parameters; one is recommended.
+
+    Raises:
+        InputError: If the folder has no result or no such table, or the name cannot be used.
+        ImportError: If the formulas must be fitted and scikit-learn is not installed.
+    """
+    saved = load_result(folder)
+    tables = {e.label: e for e in tables_of(saved.machine)}
+    if not tables:
+        raise InputError(f"{folder}: the identified machine has no table for which a formula could be proposed")
+    label = table or next(iter(tables))
+    if label not in tables:
+        raise InputError(f"--table {label}: no such table; the identified machine has {', '.join(tables)}")
+    if name in EFFECTS:
+        raise InputError(f"{name}: an effect of this name exists; choose another name")
+    compared: dict[str, Any] = next((t for t in saved.report["proposed_formulas"] if t["table"] == label), {})
+    proposed = [ProposedFormula.from_json(f, saved.machine, tables[label]) for f in compared.get("formulas", ())]
+    table_error = mean_error(compared.get("held_out", {}))
+    return tuple(p.with_name(name, table_error) for p in proposed or propose_formulas(saved.machine, tables[label]))
 
 
 def _damaged(path: Path, problem: str) -> InputError:

@@ -17,6 +17,7 @@ from .free_parameters import default_free_parameters
 from .lost_voltages import count_unknown_rows, estimate_lost_voltages
 from .model_error import (
     CONTRADICTION,
+    continue_fit,
     contradicting_run,
     explains,
     fit_with_model_error,
@@ -73,13 +74,12 @@ def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: 
     unknown = count_unknown_rows(data) + count_unknown_rows(held_out)
     if not unknown:
         return data, held_out
-    free = default_free_parameters(machine)
-    fitted = fit(machine, free, data, SEARCH_BANDWIDTH)
+    fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     for _ in range(_VOLTAGE_ITERATIONS):
         refined = estimate_lost_voltages(data, fitted.machine)
         if refined is data:
             break
-        data, fitted = refined, fit(machine, free, refined, SEARCH_BANDWIDTH, theta=fitted.theta)
+        data, fitted = refined, continue_fit(fitted, refined, SEARCH_BANDWIDTH)
     log(f"voltages of {unknown} dropped rows are estimated from the measurements")
     return data, estimate_lost_voltages(held_out, fitted.machine)
 
@@ -136,7 +136,7 @@ def search_effects(
         return without_suspect(outcome)
     log(f"searching for an effect that explains {suspect}")
     after, effects = outcome.after, outcome.selected
-    wide = converge(fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta), data, thorough=True)
+    wide = converge(continue_fit(after, data, SEARCH_BANDWIDTH), data, thorough=True)
     start = polish(fit_with_model_error(wide, data), data)
     one_more = dataclasses.replace(criteria, max_effects=len(effects) + 1)
     extended = EffectSearch(data, all_runs.before.machine, one_more, log).run(start, effects)
@@ -254,7 +254,7 @@ class _Search:
         criteria, data, log = self._criteria, self._data, self._log
         log("no known effect explains the residual; searching for a table of force or friction")
         after, effects = selected
-        wide = self.base if not effects else fit(after.machine, after.free, data, SEARCH_BANDWIDTH, theta=after.theta)
+        wide = continue_fit(after, data, SEARCH_BANDWIDTH) if effects else self.base
         for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
             fitted, more = add_tables(start, known, data, criteria=criteria, max_tables=count, log=log)
             if len(more) > len(known):

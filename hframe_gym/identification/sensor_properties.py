@@ -73,9 +73,9 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
     for values, count in zip(channel, resting_rows, strict=True):
         at_rest = values[:count][np.isfinite(values[:count])]
         if len(at_rest) >= 10:
-            # A parabola is subtracted, because a machine that still creeps to rest is not noise.
+            # A parabola is subtracted: a machine that still creeps to rest is not noise. Equal values have none.
             grid = np.linspace(-1.0, 1.0, len(at_rest))
-            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2)
+            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2) if np.ptp(at_rest) > 0.0 else at_rest[:1]
             squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
             rows += len(at_rest) - 3
     return float(np.sqrt(squares / rows)) if rows >= _MIN_RESTING_ROWS else None
@@ -331,7 +331,7 @@ def blank_saturated(
 
 
 def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
-    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the readings of a machine.
+    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the measurements of a machine.
 
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad.

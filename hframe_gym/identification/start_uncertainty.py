@@ -19,8 +19,9 @@ from scipy.linalg import null_space
 
 from ..dynamics import Equations
 from ..machine import Machine
-from .dataset import Dataset, PreparedRecording, refine_encoder_zeros
+from .dataset import Dataset, PreparedRecording
 from .encoder_zeros import stretch_angles, vibration_speeds
+from .initial_state import refine_encoder_zeros
 from .lost_voltages import estimate_lost_voltages
 from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState, rigid_basis
@@ -122,7 +123,7 @@ def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: A
     An encoder without a known zero counts from the state at the start. If that state is displaced, all of its
     measurements are, which an observer feeds back throughout the run.
     """
-    unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.offset_known
+    unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.resolves_stretch
     positions = initial_states[:, : len(machine.coordinates)]
     changes = np.where(unknown, (positions - positions[0]) @ machine.sensor_matrix.T, 0.0)  # (batch, sensors)
     return np.repeat(-changes[:, None], len(run.time_s), axis=1)

@@ -21,7 +21,7 @@ from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
 from .force_sizes import TypicalScales, effect_force, residue_force, scales_of_motion
 from .free_parameters import FreeParameter, default_free_parameters, values_at
-from .model_error import search_step
+from .model_error import continue_fit, search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, noise_floor, predict
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
@@ -294,9 +294,8 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     """
     # The second start keeps the parameters of effects (label name@site) and resets all others to theta = 0.
     of_effects = np.array(["@" in f.name for f in trial.free])
-    starts = [trial.theta, np.where(of_effects, trial.theta, 0.0)][: 2 if thorough else 1]
-    step = search_step(trial.bandwidth)
-    fits = [fit(trial.machine, trial.free, data, trial.bandwidth, theta=t, longest_step=step) for t in starts]
+    reset = dataclasses.replace(trial, theta=np.where(of_effects, trial.theta, 0.0))
+    fits = [continue_fit(start, data, trial.bandwidth) for start in ([trial, reset] if thorough else [trial])]
     return min(fits, key=lambda candidate_fit: candidate_fit.cost)
 
 

@@ -225,7 +225,7 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
 
     Args:
         path: File to write, .csv or .csv.gz (compressed).
-        trajectory: Simulated sample times and sensor readings, n samples.
+        trajectory: Simulated sample times and measurements, n samples.
         inputs: Drive voltages, V, shape (n, drives).
         machine: Machine that was simulated; its channels name the columns.
 

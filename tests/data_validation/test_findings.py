@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import sys
@@ -12,6 +13,8 @@ from rich.console import Console
 
 from hframe_gym.cli import main
 from hframe_gym.data_validation import Finding, group_findings, print_findings
+from hframe_gym.data_validation.findings import channel_unit
+from hframe_gym.machine import BUILTIN_MACHINES
 from tests.example_runs import EXAMPLES
 
 FINDINGS = [Finding("fault", "run_01", "x_m", "stuck [at 0.1]"), Finding("note", "", "", "8 runs")]
@@ -29,6 +32,16 @@ def test_findings_are_lines_in_a_file_and_a_table_on_a_terminal() -> None:
     print_findings(FINDINGS, Console(file=rich, force_terminal=True, width=100))
     assert "channel" in rich.getvalue()
     assert "stuck [at 0.1]" in rich.getvalue()
+
+
+def test_the_unit_of_a_channel_is_in_its_name_else_that_of_its_quantity() -> None:
+    machine = BUILTIN_MACHINES["axis"]()
+    assert [channel_unit(c, machine) for c in (*machine.input_channels, *machine.output_channels)] == ["V", "m"]
+    inputs = {name: dataclasses.replace(machine.drives[0], channel=name) for name in ("torque_Nm", "i_A", "duty")}
+    outputs = {name: dataclasses.replace(machine.sensors[0], channel=name) for name in ("shaft_rad", "counter")}
+    units = [channel_unit(name, machine.replace(drives=(drive,))) for name, drive in inputs.items()]
+    assert units == ["Nm", "A", "V"]
+    assert [channel_unit(name, machine.replace(sensors=(s,))) for name, s in outputs.items()] == ["rad", "m"]
 
 
 def test_equal_findings_of_many_runs_are_printed_once() -> None:

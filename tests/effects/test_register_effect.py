@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -95,6 +96,21 @@ def with_numpy(v, c):  # type: ignore[no-untyped-def]
     return -c * np.tanh(v / 0.01)
 
 
+def with_modulo(v, c):  # type: ignore[no-untyped-def]
+    """Return a force by an operator that cannot be compiled."""
+    return -c * (v % 0.1)
+
+
+def with_interpolation(v, c):  # type: ignore[no-untyped-def]
+    """Return a force by a function of NumPy that is written in Python."""
+    return -c * np.interp(v, [0.0, 1.0], [0.0, 1.0])
+
+
+def with_math(v, c):  # type: ignore[no-untyped-def]
+    """Return a force by a function of numbers."""
+    return -c * math.tanh(v)
+
+
 def with_branch(v, c):  # type: ignore[no-untyped-def]
     """Return a force that branches on the speed."""
     return -c if v > 0.0 else c
@@ -110,16 +126,43 @@ def test_tanh_and_sign_act_in_the_kernel() -> None:
     assert smooth == pytest.approx(dry, abs=0.02 * (free - dry))
 
 
+def with_missing_argument(v, c):  # type: ignore[no-untyped-def]
+    """Return a force by a function that lacks an argument."""
+    return -c * maximum(v)  # type: ignore[call-arg]
+
+
+def with_text(v, c):  # type: ignore[no-untyped-def]
+    """Return a force that is indexed by mistake."""
+    return -c * v["speed"]
+
+
+ADVICE = "; use the functions of hframe_gym.dynamics.elementwise"
+
+
 @pytest.mark.parametrize(
     ("force", "message"),
     [
-        (with_numpy, r"toy_with_numpy@x, force: .*ufuncs.*; use hframe_gym.dynamics.elementwise"),
+        (with_numpy, f"operand 'Expression' does not support ufuncs (__array_ufunc__=None){ADVICE}"),
+        (with_modulo, f"unsupported operand type(s) for %: 'Expression' and 'float'{ADVICE}"),
+        (with_interpolation, f"float() argument must be a string or a real number, not 'Expression'{ADVICE}"),
         (
             with_branch,
-            r"toy_with_branch@x, force: a formula cannot branch on its arguments \(`elementwise.where`",
+            "a formula cannot branch on its arguments (`hframe_gym.dynamics.elementwise.where` selects a value)",
         ),
+        (with_missing_argument, "maximum() missing 1 required positional argument: 'b'"),
+        (with_text, "'Expression' object is not subscriptable"),
     ],
 )
 def test_a_formula_that_cannot_be_compiled_is_named(force: Callable[..., Any], message: str) -> None:
-    with pytest.raises(TypeError, match=message):
+    """The error names effect, hook and line; it gives advice only where other functions or operators help."""
+    line = force.__code__.co_firstlineno + 2
+    with pytest.raises(TypeError) as caught:
         simulate(with_force(force), np.arange(10) * 1e-3, np.zeros((10, 1)))
+    assert str(caught.value) == f"toy_{force.__name__}@x, force: test_register_effect.py, line {line}: {message}"
+
+
+def test_a_function_of_numbers_fails_with_advice_on_arrays_as_well() -> None:
+    message = rf"toy_with_math@x, force: test_register_effect.py, line \d+: only .* arrays .*{ADVICE}$"
+    time_s, column = np.arange(3) * 1e-3, np.zeros((3, 1))
+    with pytest.raises(TypeError, match=message):
+        effect_forces(with_force(with_math), time_s, column, column, column)

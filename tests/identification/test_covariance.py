@@ -48,7 +48,7 @@ def test_covariance_matches_the_closed_form_for_white_noise() -> None:
     recordings = []
     for k in range(8):
         outputs = (position + rng.normal(0.0, sigma, 1500))[:, None]
-        outputs[0] = 0.0  # the offset of the run is that of its only row at rest
+        outputs[0] = 0.0  # the zero of the run is that of its only row at rest
         recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
     machine = machine.replace(sensors=(type(machine.sensors[0])("x_m", {"x": 1.0}, noise=sigma),))
     data = prepare(recordings, machine)

@@ -39,7 +39,8 @@ def recorded(machine: Machine, seed: int) -> Recording:
     rng = np.random.default_rng(seed)
     time_s = np.arange(1000) * 1e-3
     inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + seed) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[:, None]
-    return Recording(f"run_{seed}", time_s, inputs, machine.simulate(time_s, inputs).outputs + rng.normal(0, NOISE))
+    noise = rng.normal(0.0, NOISE, (len(time_s), 1))
+    return Recording(f"run_{seed}", time_s, inputs, machine.simulate(time_s, inputs).outputs + noise)
 
 
 def outcome_with_force(axis: Machine, data: Dataset, size: float, before_explains: bool) -> tuple[Fit, SearchOutcome]:
@@ -118,7 +119,7 @@ def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine
 def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first(axis: Machine) -> None:
     """An overtone of cogging is not identified without cogging; the held-out run shows neither."""
     cogging, overtone = (
-        EFFECTS[name].at("motor", A=0.01, n=rate, p=0.3) for name, rate in (("cogging", 4.0), ("second_cogging", 8.0))
+        EFFECTS[name].at("motor", A=0.1, n=rate, p=0.3) for name, rate in (("cogging", 4.0), ("second_cogging", 8.0))
     )
     cogged = axis.with_effects(cogging, overtone)
     data, validation = prepare([recorded(cogged, 0)], axis), prepare([recorded(axis, 1)], axis)

@@ -1,4 +1,4 @@
-"""Tests of a machine's initial state: static equilibrium, inverted readings, zeros, simulation of recordings."""
+"""Tests of a machine's initial state: static equilibrium, effects on measurements, zeros, simulation of recordings."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, InitialState, PreparedRecording, initial_state_of_recording, prepare
-from hframe_gym.identification.dataset import refine_encoder_zeros
 from hframe_gym.identification.initial_state import (
     encoder_zero_errors,
     model_initial_state,
+    refine_encoder_zeros,
     static_equilibrium,
 )
 from hframe_gym.identification.residual import channel_errors
@@ -153,7 +153,7 @@ def measured_runs(machine: Machine, zeros: tuple[float, float]) -> list[Recordin
 def simulated_rmse(machine: Machine, recording: Recording) -> np.ndarray:
     """Return the simulation's errors (sensors,) from the recording's initial state, as in `hframe simulate`."""
     initial = initial_state_of_recording(machine, recording)
-    trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.offset)
+    trajectory = simulate(machine, recording.time_s, recording.inputs, initial.state, offset=initial.zeros)
     return np.asarray(np.sqrt(np.mean((recording.outputs - trajectory.outputs) ** 2, axis=0)))
 
 
@@ -162,7 +162,7 @@ def simulated_rmse(machine: Machine, recording: Recording) -> np.ndarray:
 def test_simulation_of_a_recording_has_the_errors_that_identification_reports(
     hframe: Machine, effect: str, zeros: tuple[float, float]
 ) -> None:
-    """With an identified skew the reading is not the position; with a range, a run may begin beyond its end."""
+    """With an identified skew the measurement is not the position; with a range, a run may begin beyond its end."""
     applied = {
         "sensor_skew": EFFECTS["sensor_skew"].at("y_m", a=0.08),
         "sensor_range": EFFECTS["sensor_range"].at("x_m", low=-0.1, high=0.1),
@@ -178,7 +178,7 @@ def test_simulation_of_a_recording_has_the_errors_that_identification_reports(
     data = prepare(usable, hframe)
     for name, run in zip(RUNS, recordings, strict=True):
         complete = dataclasses.replace(
-            data.with_runs([name]).runs[0], outputs=run.outputs - data.with_runs([name]).runs[0].initial.offset
+            data.with_runs([name]).runs[0], outputs=run.outputs - data.with_runs([name]).runs[0].initial.zeros
         )
         reported = channel_errors(machine, dataclasses.replace(data, runs=(complete,)))
         expected = [reported[channel].rmse for channel in machine.output_channels]
@@ -198,5 +198,5 @@ def test_a_recording_without_outputs_starts_at_the_origin_with_a_warning(hframe:
     run = Recording("voltages", np.arange(50) * 1e-3, np.zeros((50, 2)), np.full((50, 4), np.nan))
     initial = initial_state_of_recording(hframe, run)
     np.testing.assert_array_equal(initial.state, 0.0)
-    np.testing.assert_array_equal(initial.offset, 0.0)
+    np.testing.assert_array_equal(initial.zeros, 0.0)
     assert "cannot be determined" in initial.warnings[0]

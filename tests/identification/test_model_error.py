@@ -157,7 +157,7 @@ def test_the_bandwidth_has_the_largest_likelihood(
 ) -> None:
     monkeypatch.setattr(model_error, "likelihood_loss", lambda fitted, data: losses[int(fitted.bandwidth)])
     monkeypatch.setattr(
-        model_error, "at_bandwidth", lambda fitted, bandwidth, data: dataclasses.replace(fitted, bandwidth=bandwidth)
+        model_error, "continue_fit", lambda fitted, data, bandwidth: dataclasses.replace(fitted, bandwidth=bandwidth)
     )
     assert model_error.fit_with_model_error(fit_with(chi2=2.0, bandwidth=60.0), DATA).bandwidth == expected
     simulated = fit_with(chi2=2.0, bandwidth=0.0)
@@ -299,7 +299,7 @@ def test_a_simulation_that_is_best_by_chance_does_not_win(monkeypatch: pytest.Mo
     def cost(machine: Machine, data: object, bandwidth: float, longest_step: float) -> float:
         return costs[float(machine.name)][0 if bandwidth == 0.0 else 1]
 
-    monkeypatch.setattr(model_error, "at_bandwidth", lambda fitted, bandwidth, data: fit_at(bandwidth))
+    monkeypatch.setattr(model_error, "continue_fit", lambda fitted, data, bandwidth: fit_at(bandwidth))
     monkeypatch.setattr(model_error, "polish", lambda fitted, data: fitted)
     monkeypatch.setattr(model_error, "prediction_cost", cost)
     monkeypatch.setattr(model_error, "_cross_validated_cost", lambda fitted, data: costs[fitted.bandwidth][0])

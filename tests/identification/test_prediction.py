@@ -1,4 +1,4 @@
-"""Tests of prediction: observer gains, residuals in units of the noise, sensor offsets and blocks of rows."""
+"""Tests of prediction: observer gains, residuals in units of the noise, zeros of sensors and blocks of rows."""
 
 from __future__ import annotations
 

@@ -10,11 +10,18 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import estimate_initial_state, initial_state_of_recording, prepare, simulate_recording
-from hframe_gym.identification.dataset import with_encoder_zeros, with_known_positions
-from hframe_gym.identification.recording_simulation import evaluate_held_out
+from hframe_gym.identification import (
+    Dataset,
+    estimate_initial_state,
+    initial_state_of_recording,
+    prepare,
+    recording_simulation,
+    simulate_recording,
+)
+from hframe_gym.identification.dataset import with_known_positions
+from hframe_gym.identification.recording_simulation import _rest_and_noise, evaluate_held_out, with_encoder_zeros
 from hframe_gym.machine import Machine, rest_state
-from hframe_gym.recordings import Recording, load_machine, save_machine
+from hframe_gym.recordings import Recording, fill_gaps, load_machine, save_machine
 
 pytestmark = pytest.mark.unit
 RADIUS = 0.0194
@@ -73,8 +80,13 @@ def test_a_single_run_starts_with_its_true_stretch(
 def test_a_zero_that_the_lasers_contradict_is_not_used(hframe: Machine, identified: Machine) -> None:
     run = record(hframe, 1, zeros=ZEROS + np.array([0.0, 0.7]))
     initial = initial_state_of_recording(identified, run)
-    assert initial_state_of_recording(identified, record(hframe, 1)).offset_known.tolist() == [True, True, False, False]
-    assert initial.offset_known.tolist() == [True, False, False, False]
+    assert initial_state_of_recording(identified, record(hframe, 1)).resolves_stretch.tolist() == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert initial.resolves_stretch.tolist() == [True, False, False, False]
     assert "phi2_rad does not count from its zero in the other runs" in initial.warnings[0]
     np.testing.assert_allclose(initial.state[:2], STARTS[1], atol=20e-6)
     assert initial_state_of_recording(identified, record(hframe, 1)).warnings == ()
@@ -106,6 +118,31 @@ def test_dropped_samples_and_outliers_do_not_count(hframe: Machine, session: lis
     np.testing.assert_array_equal(simulation.trajectory.time_s, damaged.time_s)
     assert np.flatnonzero(np.isnan(simulation.error[:, 2])).tolist() == [397]
     np.testing.assert_allclose(simulation.outputs, simulate_recording(hframe, run).outputs[kept], atol=2e-4)
+
+
+def test_a_recording_with_gaps_is_prepared_once(
+    hframe: Machine, session: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The noise by which saturated measurements are recognized is that of the prepared recording."""
+    run, limits, prepared = session[1], (-0.05, 0.065), []
+    run.outputs[:, 2] = np.clip(run.outputs[:, 2], *limits)
+    machine = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=limits[0], high=limits[1]))
+    kept = np.ones(len(run.time_s), np.bool_)
+    kept[[250, 300, 301]] = False
+    damaged = Recording(run.name, run.time_s[kept], run.inputs[kept], run.outputs[kept])
+
+    def counted(recordings: list[Recording], machine: Machine) -> Dataset:
+        prepared.append(recordings)
+        return prepare(recordings, machine)
+
+    monkeypatch.setattr(recording_simulation, "prepare", counted)
+    initial_state_of_recording(machine, damaged)
+    [[unsaturated]] = prepared
+    noise = prepare([damaged], machine).noise
+    np.testing.assert_array_equal(_rest_and_noise(fill_gaps(damaged), machine)[2], noise)
+    expected = np.abs(damaged.outputs[:, 2, None] - limits).min(axis=1) < 4 * noise[2]
+    assert 0 < expected.sum() < len(expected)
+    np.testing.assert_array_equal(np.isnan(unsaturated.outputs[:, 2]), expected)
 
 
 def test_a_written_machine_has_the_errors_that_the_report_states(
@@ -160,11 +197,11 @@ def test_a_laser_that_measures_checks_the_zeros_where_another_one_does_not(
     hframe: Machine, identified: Machine
 ) -> None:
     initial = initial_state_of_recording(identified, without_x(record(hframe, 0)))
-    assert initial.offset_known.tolist() == [True, True, False, False]
+    assert initial.resolves_stretch.tolist() == [True, True, False, False]
     np.testing.assert_allclose(initial.state[:2], STARTS[0], atol=45e-6)
     # One of the encoders, it is unknown which, was switched on anew.
     initial = initial_state_of_recording(identified, without_x(record(hframe, 0, zeros=ZEROS + np.array([0.0, 0.7]))))
-    assert not initial.offset_known.any()
+    assert not initial.resolves_stretch.any()
     assert not initial.position_known
     assert len(initial.warnings) == 2
 

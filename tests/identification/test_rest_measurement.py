@@ -33,7 +33,7 @@ def recording(outputs: np.ndarray, change: int) -> Recording:
     return Recording("run_1", np.arange(len(outputs)) * 1e-3, inputs, outputs)
 
 
-def test_lasers_determine_the_position_and_encoders_get_an_offset(hframe: Machine) -> None:
+def test_lasers_determine_the_position_and_encoders_get_a_zero(hframe: Machine) -> None:
     rng = np.random.default_rng(3)
     x, y = 0.11, -0.07
     outputs = np.tile([0.0, 0.0, x, y], (200, 1))
@@ -44,8 +44,8 @@ def test_lasers_determine_the_position_and_encoders_get_an_offset(hframe: Machin
     assert initial.warnings == ()
     np.testing.assert_allclose(initial.state[:2], [x, y], atol=1e-5)
     np.testing.assert_allclose(initial.state[2:4], angles(x, y), atol=1e-3)
-    np.testing.assert_allclose(initial.offset[:2], -angles(x, y), atol=1e-3)
-    np.testing.assert_allclose(initial.offset[2:], 0.0, atol=1e-9)
+    np.testing.assert_allclose(initial.zeros[:2], -angles(x, y), atol=1e-3)
+    np.testing.assert_allclose(initial.zeros[2:], 0.0, atol=1e-9)
 
 
 def test_encoders_alone_are_assumed_to_count_from_zero_with_a_warning(hframe: Machine) -> None:
@@ -53,7 +53,7 @@ def test_encoders_alone_are_assumed_to_count_from_zero_with_a_warning(hframe: Ma
     outputs = np.tile([*angles(x, y), np.nan, np.nan], (20, 1))
     initial = estimate_initial_state(recording(outputs, 10), hframe)
     np.testing.assert_allclose(initial.state[:2], [x, y], atol=1e-9)
-    np.testing.assert_allclose(initial.offset, 0.0, atol=1e-9)
+    np.testing.assert_allclose(initial.zeros, 0.0, atol=1e-9)
     assert not initial.position_measured
     assert "The initial position cannot be determined" in initial.warnings[0]
 
@@ -68,7 +68,7 @@ def test_a_laser_that_measures_nothing_at_rest_is_replaced_by_its_later_measurem
     outputs[path[:, 0] > 0.1, 2] = np.nan
     initial = estimate_initial_state(recording(outputs, 49), hframe)
     np.testing.assert_allclose(initial.state[:2], start, atol=1e-9)
-    np.testing.assert_allclose(initial.offset, [*zeros, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(initial.zeros, [*zeros, 0.0, 0.0], atol=1e-6)
     assert not initial.position_measured
     assert "x_m measures nothing at rest" in initial.warnings[0]
 
@@ -88,29 +88,29 @@ def test_a_run_that_is_driven_from_its_first_row_rests_one_row(hframe: Machine) 
     assert settled_rows(13) == slice(6, 13)
 
 
-def initial_states(offsets: np.ndarray, measured: bool = True) -> list[InitialState]:
-    """Return initial states with given offsets (runs, sensors)."""
+def initial_states(true_zeros: np.ndarray, measured: bool = True) -> list[InitialState]:
+    """Return initial states with given zeros (runs, sensors)."""
     unknown = np.zeros(4, np.bool_)
-    return [InitialState(np.zeros(8), o, 50, unknown, position_measured=measured) for o in offsets]
+    return [InitialState(np.zeros(8), z, 50, unknown, position_measured=measured) for z in true_zeros]
 
 
 def test_encoders_that_kept_their_zero_are_found_and_others_are_not(hframe: Machine) -> None:
     rng = np.random.default_rng(0)
     quanta = np.array([5.2e-4, 5.2e-4, 0.0, 0.0])
-    offsets = np.zeros((6, 4))
-    offsets[:, 0] = 1.5 + rng.uniform(-5e-4, 5e-4, 6)
-    offsets[:, 1] = rng.uniform(-3.0, 3.0, 6)
-    zeros = common_encoder_zeros(initial_states(offsets), hframe, quanta)
-    assert zeros.offset[0] == pytest.approx(1.5, abs=5e-4)
-    assert np.isnan(zeros.offset[1:]).all()
-    assert np.isnan(common_encoder_zeros(initial_states(offsets[:2]), hframe, quanta).offset).all()
+    true_zeros = np.zeros((6, 4))
+    true_zeros[:, 0] = 1.5 + rng.uniform(-5e-4, 5e-4, 6)
+    true_zeros[:, 1] = rng.uniform(-3.0, 3.0, 6)
+    zeros = common_encoder_zeros(initial_states(true_zeros), hframe, quanta)
+    assert zeros.values[0] == pytest.approx(1.5, abs=5e-4)
+    assert np.isnan(zeros.values[1:]).all()
+    assert np.isnan(common_encoder_zeros(initial_states(true_zeros[:2]), hframe, quanta).values).all()
 
 
 def test_runs_without_a_measured_position_do_not_count_for_the_zeros(hframe: Machine) -> None:
-    offsets = np.tile([1.5, -0.5, 0.0, 0.0], (4, 1))
+    true_zeros = np.tile([1.5, -0.5, 0.0, 0.0], (4, 1))
     assumed = initial_states(np.zeros((5, 4)), measured=False)
-    zeros = common_encoder_zeros(initial_states(offsets) + assumed, hframe, np.full(4, 5.2e-4))
-    np.testing.assert_allclose(zeros.offset[:2], [1.5, -0.5])
+    zeros = common_encoder_zeros(initial_states(true_zeros) + assumed, hframe, np.full(4, 5.2e-4))
+    np.testing.assert_allclose(zeros.values[:2], [1.5, -0.5])
 
 
 def test_the_zero_error_is_the_mean_at_rest_and_a_limited_part_of_the_mean() -> None:

@@ -46,7 +46,7 @@ def test_a_rival_replaces_the_effect_or_is_forgotten_by_its_likelihood(
         "likelihood_loss": lambda fitted, data: losses[id(fitted)],
         "fit_in_place_of": lambda current, label, rival, data: other,
         "polish": lambda fitted, data: fitted,
-        "at_bandwidth": lambda fitted, bandwidth, data: fitted,
+        "continue_fit": lambda fitted, data, bandwidth: fitted,
         "long_run_variance": lambda fitted, label, data: 0.015 * COUNT / CRITERIA.min_chance_gain,
     }
     for name, function in replaced.items():
@@ -55,3 +55,16 @@ def test_a_rival_replaces_the_effect_or_is_forgotten_by_its_likelihood(
     assert compared == (other if replaces else None, (DRAG,) if remains else ())
     # One that the machine has is not tried, and remains.
     assert rivals.compare_rivals(current, PUSH.label, (PUSH,), DATA, CRITERIA) == (None, (PUSH,))
+
+
+@pytest.mark.parametrize(("bandwidth", "polished"), [(30.0, [30.0, 0.0]), (0.0, [0.0])])
+def test_a_fit_is_polished_at_its_bandwidth_and_in_simulation(
+    monkeypatch: pytest.MonkeyPatch, bandwidth: float, polished: list[float]
+) -> None:
+    bandwidths = []
+    losses = {30.0: 2.0, 0.0: 1.5}
+    monkeypatch.setattr(rivals, "polish", lambda fitted, data: bandwidths.append(fitted.bandwidth) or fitted)
+    monkeypatch.setattr(rivals, "continue_fit", lambda fitted, data, bandwidth: fit_with(chi2=1.0, bandwidth=bandwidth))
+    monkeypatch.setattr(rivals, "likelihood_loss", lambda fitted, data: losses[fitted.bandwidth])
+    assert rivals._polished(fit_with(chi2=1.0, bandwidth=bandwidth), DATA).bandwidth == 0.0
+    assert bandwidths == polished

@@ -46,8 +46,9 @@ class ScriptedSearch:
                 return current, chosen if script.pruned is None or current.bandwidth else script.pruned
 
         replaced: Mapping[str, Callable[..., Any]] = {
-            "fit": lambda machine, free, data, bandwidth, theta=None: fit_with(
-                *machine.effects, chi2=script.with_effects if machine.effects else script.before
+            "fit": lambda machine, free, data, bandwidth: fit_with(chi2=script.before),
+            "continue_fit": lambda fitted, data, bandwidth: fit_with(
+                *fitted.machine.effects, chi2=script.with_effects if fitted.machine.effects else script.before
             ),
             "default_free_parameters": lambda machine: (),
             "polish": lambda fitted, data: fitted,
