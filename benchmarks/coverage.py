@@ -25,8 +25,9 @@ from benchmarks.rig_score import intervals
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import fit, hold_out, prepare
 from hframe_gym.identification.candidates import effect_parameters
+from hframe_gym.identification.covariance import with_uncertainty
 from hframe_gym.identification.dataset import Dataset
-from hframe_gym.identification.estimation import Fit, with_uncertainty
+from hframe_gym.identification.estimation import Fit
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.model_error import fit_with_model_error, polish
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH

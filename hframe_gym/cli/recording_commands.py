@@ -199,10 +199,10 @@ def identify(
         if jobs:
             os.environ["HFRAME_THREADS"] = str(jobs)
         result, findings = fit(runs_dir, _load_runs(runs_dir, declared, max_rows), log)
+        problem = _write_rig(result, findings, out, out, log)
         contents, channels = result.as_json(), list(declared.output_channels)
         console.print(identification_table(contents, channels))
         log(verdict_sentence(contents, channels))
-        problem = _write_rig(result, findings, out, out, log)
     if problem is not None and not isinstance(problem, ImportError):
         raise problem
     log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")

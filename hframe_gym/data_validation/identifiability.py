@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters
-from ..identification.linearization import NormalEquations, ResidualModel
+from ..identification.linearization import ResidualModel
+from ..identification.normal_equations import NormalEquations
 from ..identification.prediction import SIMULATION, map_runs
 from ..machine import Machine
 from .findings import Finding, Severity

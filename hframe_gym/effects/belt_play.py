@@ -28,5 +28,6 @@ EFFECT = Effect(
     source="backlash of timing belts in the grooves of their pulleys",
     tension=tension,
     energy_slope=energy_slope,
-    parameters=(EffectParameter("d", "m", 0.0, 1e-2, scale=0.05, role="amplitude"),),
+    impacts=True,
+    parameters=(EffectParameter("d", "m", 0.0, 1e-2, scale=0.05, role="amplitude", grid=(0.3, 1.0, 3.0, 10.0, 30.0)),),
 )

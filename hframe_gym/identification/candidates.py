@@ -174,7 +174,7 @@ def _shapes(
         return _range_shapes(machine.output_channels.index(site), data)
     grids: dict[str, list[float]] = {}
     for p in effect.parameters:
-        if p.role == "shape":
+        if p.role in ("shape", "switch"):
             grids[p.name] = [g * scales.get(p.unit, 1.0) for g in p.grid]
         elif p.role in ("rate", "period"):
             motion = missing_force[machine.coordinate_of_site(site, effect.site) or ""]
@@ -232,6 +232,8 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
             continue
         name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
         size = p.scale * at_site.get(p.unit, 1.0)
+        if p.amplitude and any(p.grid):  # its starting values differ by orders of magnitude
+            size = max(size, abs(value))
         lower, upper = _bounds(p, value, at_site)
         if effect.definition.family == TABLE_FAMILY:
             # Centered at zero, because the prior of a smooth curve (`along`) penalizes differences of the ordinates.
@@ -243,7 +245,7 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
         elif p.lower < 0.0 or value == 0.0:
             free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=lower, upper=upper))
         else:
-            free.append(FreeParameter(name, value, prior=1.0, lower=lower, upper=upper))
+            free.append(FreeParameter(name, value, 1.0, lower=lower, upper=upper, switch=p.role == "switch"))
     return tuple(free)
 
 

@@ -1,4 +1,4 @@
-"""Estimation of a machine's parameters and of their covariance.
+"""Estimation of a machine's parameters.
 
 The Levenberg-Marquardt method fits the parameters. They have a weak Gaussian prior around the declared machine, so that
 parameters that the data do not determine keep their declared values. Every iteration linearizes the residual by one
@@ -11,28 +11,29 @@ Bandwidth 0 means no observer, a simulation. The cost is the sum of squared resi
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
-from ..machine import Machine, Uncertainty
+from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .free_parameters import FreeParameter, bounded_step, parameter_table, prior_precision, values_at
-from .linearization import ResidualModel
-from .prediction import POLISH_STEP, SEARCH_STEP, block_size, map_runs, predict, residuals
-from .start_uncertainty import initial_state_projection, prediction_residuals
+from .free_parameters import FreeParameter, bounded_step, prior_precision, values_at
+from .linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
+from .prediction import SEARCH_STEP, map_runs
+from .start_uncertainty import prediction_residuals
 
 Array = NDArray[np.float64]
 
 # Relative to the diagonal of the Hessian. The step without damping (Gauss-Newton) lets combinations of parameters that
 # only the prior determines converge: damping holds them back, because the data determine each parameter by itself.
 _DAMPINGS = (0.0, 1e-5, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2)
+# Changes of theta at which the cost is compared for a parameter on which measurements depend in steps.
+# Changes of theta over which derivatives are computed where parts collide: from the general slope to the details.
+_IMPACT_DIFFERENCE_STEPS = (0.1, 0.01, DIFFERENCE_STEP)
+SWITCH_CHANGES = 0.5 ** np.arange(1, 14)  # 50 to 0.01 % of a threshold
 
 
 @dataclass(frozen=True)
@@ -105,11 +106,31 @@ def fit(
     Returns:
         Fit where the search ended: theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
     """
-    model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step)
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
-    prior = prior_precision(free)
-    information = np.zeros((len(free), len(free)))
-    cost = math.inf
+    for step in _IMPACT_DIFFERENCE_STEPS if has_impacts(machine) else (DIFFERENCE_STEP,):
+        model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step, difference_step=step)
+        theta, cost, information = _descend(model, theta, iterations, tolerance)
+    machine = model.machine_at(theta)
+    if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
+        cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
+    return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step)
+
+
+def _descend(model: ResidualModel, theta: Array, iterations: int, tolerance: float) -> tuple[Array, float, Array]:
+    """Reduce the cost by Levenberg-Marquardt steps, with one step of the finite differences.
+
+    Args:
+        model: Residual as a function of theta.
+        theta: Initial theta, shape (k,).
+        iterations: Maximum number of iterations.
+        tolerance: Relative decrease per iteration below which the search ends.
+
+    Returns:
+        Theta, shape (k,); its cost with the penalty of the prior, infinite if the machine diverges; Fisher information
+        without the prior at the last expansion point, shape (k, k).
+    """
+    free, prior = model.free, prior_precision(model.free)
+    information, cost = np.zeros((len(free), len(free))), math.inf
     for _ in range(iterations):
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
@@ -119,23 +140,53 @@ def fit(
         # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
         # scaled by chi2 instead, so that it keeps its weight relative to the data.
         precision = prior * max(1.0, equations.chi2)
-        cost = equations.cost + float(theta @ precision @ theta)
+        initial_cost = cost = equations.cost + float(theta @ precision @ theta)
         hessian, gradient = information + precision, equations.gradient + precision @ theta
-        # Steps of all dampings are simulated as one batch; the one with the lowest cost is taken.
         scaling = np.diag(np.diag(hessian))
         trials = theta + [bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS]
-        trial_costs = expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
-        best = int(np.argmin(trial_costs))
-        if not trial_costs[best] < cost:
+        theta, cost = _best_trial(expansion, precision, trials, theta, cost)
+        for j in (j for j, parameter in enumerate(free) if parameter.switch):
+            trials = with_changed_switch(free[j], j, theta)
+            theta, cost = _best_trial(expansion, precision, trials, theta, cost)
+        if not initial_cost - cost > tolerance * cost:
             break
-        decrease = cost - trial_costs[best]
-        theta, cost = trials[best], float(trial_costs[best])
-        if decrease < tolerance * cost:
-            break
-    machine = model.machine_at(theta)
-    if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
-        cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
-    return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step)
+    return theta, cost, information
+
+
+def _best_trial(
+    expansion: Linearization, precision: Array, trials: Array, theta: Array, cost: float
+) -> tuple[Array, float]:
+    """Return the trial with the lowest cost and this cost; theta and its cost if no trial has a lower one.
+
+    All trials are simulated as one batch.
+
+    Args:
+        expansion: Linearized residual, which gives the costs.
+        precision: Precision of the prior, shape (k, k).
+        trials: Theta of the trials, shape (trials, k).
+        theta: Present theta, shape (k,).
+        cost: Its cost with the penalty of the prior.
+    """
+    costs = expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
+    best = int(np.argmin(costs))
+    return (trials[best], float(costs[best])) if costs[best] < cost else (theta, cost)
+
+
+def with_changed_switch(parameter: FreeParameter, j: int, theta: Array) -> Array:
+    """Change a threshold on which measurements depend in steps, so that costs can be compared.
+
+    Args:
+        parameter: The threshold (`FreeParameter.switch`).
+        j: Its index among the free parameters.
+        theta: Dimensionless variables of the k free parameters, shape (k,).
+
+    Returns:
+        Copies of theta in which element j is larger, by the relative changes `SWITCH_CHANGES` of the threshold, then
+        those in which it is smaller, within its limits, shape (2 * changes, k).
+    """
+    trials = np.tile(theta, (2 * len(SWITCH_CHANGES), 1))
+    trials[:, j] = np.clip(theta[j] + np.concatenate([SWITCH_CHANGES, -SWITCH_CHANGES]), *parameter.theta_limits)
+    return trials
 
 
 def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
@@ -160,186 +211,3 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
 
     total = sum(map_runs(of_run, data))
     return total if math.isfinite(total) else math.inf
-
-
-BLOCK_S = 0.5  # s; longer than the correlation of the residual, vibrations included
-_MAX_LEVERAGE = 0.99  # Largest fraction of the information in one block for which its residual is corrected.
-_MAX_DIFFERENCE = 0.01  # Theta; over shorter central differences, the curvature of the exponential is negligible.
-# Standard deviation of the delay between inputs and measurements, in sampling periods. The times of recordings are no
-# more accurate than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
-_DELAY_STD = 0.005
-_DELAY_DIFFERENCE = 0.05  # sampling periods
-
-
-class _RunPart(NamedTuple):
-    """Linearized residual of one run in b blocks of consecutive rows, along k directions.
-
-    Attributes:
-        information: Products of the responses to the directions in each block, shape (b, k, k).
-        scores: Products of the responses and the residual in each block, shape (b, k).
-        delay_products: Products of the response to a delay of the inputs by one sampling period with the responses,
-            shape (k,).
-        delay_information: Square sum of the response to that delay.
-        delay_score: Product of the response to that delay and the residual.
-    """
-
-    information: Array
-    scores: Array
-    delay_products: Array
-    delay_information: float
-    delay_score: float
-
-
-def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
-    """Estimate the covariance of the fitted parameters and attach it to the machine.
-
-    The covariance is the sum of three parts:
-
-    - Residual: the sandwich estimator over blocks of 0.5 s, inside which the residual may be correlated in time. The
-      correction CR2 compensates for the part of each block's residual that the fit removed. For a small number of
-      blocks, standard deviations are multiplied by the ratio of the 95 % quantiles of Student's t and the normal
-      distribution, so that the value +- 1.96 standard deviations is a 95 % interval.
-    - Prior: combinations of parameters that the data do not determine keep the standard deviation of the prior.
-    - Delay: the change of the parameters if the inputs act later than recorded. The variance of this delay is 0.5 % of
-      a sampling period, squared, plus the square of the delay that the residual indicates.
-
-    The sum of the first two parts is at least the variance that white noise of the assumed size causes.
-
-    Derivatives are central differences along the principal axes of the Fisher information. Along single parameters,
-    rounding errors would make parameters of equal influence, such as viscous friction and back-EMF, seem separable.
-
-    Args:
-        fitted: Fit of k parameters: machine, parameter values and cost.
-        data: Runs that were fitted (times, voltages, measurements, SI).
-
-    Returns:
-        The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k). It is
-        None if a prediction with the fitted parameters diverges.
-
-    References:
-        White (1982), "Maximum likelihood estimation of misspecified models".
-        Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage samples".
-    """
-    prior = prior_precision(fitted.free)
-    directions = _principal_directions(fitted.information, prior)  # (k, k), one per column
-    parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions), data))
-    information = np.concatenate([part.information for part in parts])  # J^T J of each block, (blocks, k, k)
-    scores = np.concatenate([part.scores for part in parts])  # J^T r of each block, (blocks, k)
-    if not (np.isfinite(information).all() and np.isfinite(scores).all()):
-        return fitted.machine.replace(uncertainty=None)
-    prior = directions.T @ prior @ directions  # from here on in multiples of the directions
-    inverse = np.linalg.inv(information.sum(axis=0) + prior)
-    eigenvalues, axes = np.linalg.eigh(inverse)
-    root = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T  # symmetric square root of `inverse`
-    # A fit reduces the residual of a block by the square root of 1 minus the block's fraction of the information.
-    leverage, axes = np.linalg.eigh(root @ information @ root)  # (blocks, k), (blocks, k, k)
-    along_axes = np.einsum("bij,bi->bj", axes, scores @ root) / np.sqrt(1.0 - np.clip(leverage, 0.0, _MAX_LEVERAGE))
-    changes = np.einsum("bij,bj->bi", axes, along_axes) @ root  # of the estimate by each block's residual, (blocks, k)
-    changes = changes @ directions.T * _student_widening(information, directions @ inverse)
-    covariance = changes.T @ changes + directions @ inverse @ prior @ inverse @ directions.T
-    white = directions @ inverse @ directions.T
-    # No variance is smaller than that of white noise; correlations are kept.
-    inflation = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
-    covariance *= np.outer(inflation, inflation)
-    of_delay = directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)  # per sampling period
-    delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
-    covariance += delay_variance * np.outer(of_delay, of_delay)
-    # From theta to the parameters' values, by the derivative of each value with respect to its theta.
-    slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
-    covariance *= np.outer(slopes, slopes)
-    uncertainty = Uncertainty(tuple(f.name for f in fitted.free), (covariance + covariance.T) / 2)
-    return fitted.machine.replace(uncertainty=uncertainty)
-
-
-def _student_widening(information: Array, estimator: Array) -> Array:
-    """Return by which factor few blocks widen the 95 % interval of each parameter, shape (k,), at least 1.
-
-    The degrees of freedom are the effective number of blocks that determine a parameter (Satterthwaite).
-
-    Args:
-        information: Information of each block, shape (blocks, k, k).
-        estimator: Change of the parameters per unit of the products of responses and residual, shape (k, k).
-    """
-    variances = np.einsum("jm,bmn,jn->bj", estimator, information, estimator, optimize=True)  # by each block
-    effective = np.sum(variances, axis=0) ** 2 / np.maximum(np.sum(variances**2, axis=0), 1e-300)
-    return np.asarray(stdtrit(np.maximum(effective, 1.0), 0.975) / ndtri(0.975))
-
-
-def _principal_directions(information: Array, prior: Array) -> Array:
-    """Return the principal axes of the posterior of theta, in the metric of the prior.
-
-    Args:
-        information: Fisher information of theta, which need not be accurate, shape (k, k).
-        prior: Precision of the prior of theta, shape (k, k).
-
-    Returns:
-        Directions, one per column, shape (k, k); each as long as one standard deviation, or shorter where the
-        residual would not be linear over that length.
-    """
-    root = np.linalg.cholesky(np.linalg.inv(prior))
-    eigenvalues, axes = np.linalg.eigh(root.T @ information @ root)
-    directions = root @ axes / np.sqrt(1.0 + np.maximum(eigenvalues, 0.0))
-    longest = np.abs(directions).max(axis=0, initial=0.0)
-    shortened: Array = directions * np.minimum(1.0, _MAX_DIFFERENCE / np.maximum(longest, 1e-300))
-    return shortened
-
-
-def _linearize(fitted: Fit, run: PreparedRecording, data: Dataset, directions: Array) -> _RunPart:
-    """Linearize the residual of one run along directions (k, k), one per column."""
-    machine = fitted.machine
-    initial_state = run.initial_state(machine)
-    thetas = np.vstack([fitted.theta, fitted.theta + directions.T, fitted.theta - directions.T])
-    table = parameter_table(machine, fitted.free, thetas)
-
-    def residual(of_run: PreparedRecording, parameters: Array | None = None) -> Array:
-        """Return the residuals of the run, (batch, rows), from one initial state for all parameters."""
-        motion = predict(
-            machine,
-            of_run,
-            fitted.bandwidth,
-            period=data.period,
-            parameters=parameters,
-            initial_state=initial_state,
-            longest_step=POLISH_STEP,
-        )
-        return residuals(of_run, data, motion.readings)
-
-    # Zero-order-held inputs that are delayed by a fraction of a sample have this mean over each sample.
-    delayed = run.inputs.copy()
-    delayed[1:] -= _DELAY_DIFFERENCE * np.diff(run.inputs, axis=0)
-    rows = np.vstack([residual(run, table), residual(dataclasses.replace(run, inputs=delayed))])
-    # Where the simulation diverges with changed parameters, the residual counts as unchanged.
-    rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, rows[0])
-    projection = initial_state_projection(
-        machine, run, data, fitted.bandwidth, initial_state=initial_state, longest_step=POLISH_STEP
-    )
-    if projection is not None:
-        rows = projection(rows)
-    k = len(fitted.free)
-    responses = (rows[1 : k + 1] - rows[k + 1 : 2 * k + 1]) / 2.0  # (k, rows)
-    delay = (rows[-1] - rows[0]) / _DELAY_DIFFERENCE
-    size = block_size(BLOCK_S, machine, data)
-    blocks = [slice(first, first + size) for first in range(0, rows.shape[1], size)]
-    return _RunPart(
-        np.array([responses[:, block] @ responses[:, block].T for block in blocks]),
-        np.array([responses[:, block] @ rows[0, block] for block in blocks]),
-        responses @ delay,
-        float(delay @ delay),
-        float(delay @ rows[0]),
-    )
-
-
-def _estimated_delay(parts: list[_RunPart], inverse: Array) -> float:
-    """Return the delay of the inputs, in sampling periods, that minimizes the residual of the fit.
-
-    Args:
-        parts: Linearized residual of every run.
-        inverse: Inverse of the information with the prior, along the directions, shape (k, k).
-    """
-    products, scores = (
-        np.sum(values, axis=0)
-        for values in zip(*((p.delay_products, p.scores.sum(axis=0)) for p in parts), strict=True)
-    )
-    information = sum(part.delay_information for part in parts) - products @ inverse @ products
-    score = sum(part.delay_score for part in parts) - products @ inverse @ scores
-    return float(-score / (max(information, 0.0) + 1.0 / _DELAY_STD**2))

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 
 from ..machine import HOOKS, AppliedEffect, Machine, argument_names
+from .covariance import BLOCK_S
 from .criteria import SelectionCriteria
 from .dataset import Dataset
-from .estimation import BLOCK_S, Fit
+from .estimation import Fit
 from .force_sizes import drive_force, effect_force, force_difference, residue_force
 from .free_parameters import prior_precision
 from .linearization import ResidualModel

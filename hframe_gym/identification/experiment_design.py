@@ -26,8 +26,9 @@ from ..atomic_files import atomic_file
 from ..dynamics import simulate_batch
 from ..dynamics.simulation import Motion
 from ..machine import AppliedEffect, Machine
+from .covariance import with_uncertainty
 from .dataset import Dataset
-from .estimation import Fit, with_uncertainty
+from .estimation import Fit
 from .linearization import forward_differences
 from .prediction import POLISH_STEP, SEARCH_STEP
 from .trial_fits import fit_in_place_of

@@ -47,6 +47,7 @@ class FreeParameter:
         upper: Upper bound of the value.
         along: Name of the curve of which this parameter is one ordinate (empty: none). Ordinates of one curve follow
             each other in order; the prior also penalizes their second differences.
+        switch: Whether measurements depend on the parameter in steps, so that derivatives do not lead to its value.
     """
 
     name: str
@@ -56,6 +57,7 @@ class FreeParameter:
     lower: float = 0.0
     upper: float = math.inf
     along: str = ""
+    switch: bool = False
 
     @property
     def theta_limits(self) -> tuple[float, float]:

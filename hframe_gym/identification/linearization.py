@@ -9,7 +9,7 @@ sensors' noise, J = dr/dtheta at the expansion point. E (m columns) are the chan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from ..dynamics.simulation import Motion
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
+from .normal_equations import NormalEquations
 from .prediction import SEARCH_STEP, map_runs, predict, residuals
 from .start_uncertainty import InitialStateProjection, initial_state_projection
 
@@ -27,126 +28,36 @@ Array = NDArray[np.float64]
 
 # Forward difference in units of theta: far above rounding, far below the scale on which the residual is nonlinear.
 DIFFERENCE_STEP = 1e-4
+# Where parts collide, the residual is a rugged function of all parameters; this shows its general slope.
+_IMPACT_DIFFERENCE_STEP = 0.01
+# Of a threshold, on which measurements depend in steps: wide enough for several recorded voltages to lie within.
+_SWITCH_DIFFERENCE_STEP = 0.02
 
 
-def forward_differences(values: Array, step: float = DIFFERENCE_STEP) -> Array:
+def has_impacts(machine: Machine) -> bool:
+    """Check whether parts of a machine separate and collide, so that residuals are rugged functions of parameters.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model), for example play.
+
+    Returns:
+        True if an effect makes parts collide.
+    """
+    return any(e.definition.impacts for e in machine.effects)
+
+
+def forward_differences(values: Array, step: float | Array = DIFFERENCE_STEP) -> Array:
     """Approximate the derivatives of values with respect to k variables by forward differences.
 
     Args:
         values: Values, any unit, shape (k + 1, ...): first at the expansion point, then with one variable after another
             increased by `step`.
-        step: Increment of each variable, in its unit.
+        step: Increment of each variable, in its unit; one for all, or shape (k,).
 
     Returns:
         Derivatives, in the unit of the values per unit of the variable, shape (k, ...).
     """
-    return np.asarray((values[1:] - values[0]) / step)
-
-
-@dataclass(frozen=True)
-class NormalEquations:
-    """Products of the linearized residual r + J dtheta + E a, summed over rows and runs; all are dimensionless.
-
-    J: derivatives by k parameters theta. E: changes by a unit amount of each of m perturbations. a (m,): amounts.
-
-    Attributes:
-        information: J^T J, shape (k, k); Fisher information of the parameters theta for white noise.
-        gradient: J^T r, shape (k,); half the gradient of the cost.
-        cost: r^T r, the sum of squares in units of the noise.
-        count: Number of independent measured values behind the cost.
-        cross_products: J^T E, shape (k, m).
-        response_information: E^T E, shape (m, m).
-        response_gradient: E^T r, shape (m,).
-    """
-
-    information: Array
-    gradient: Array
-    cost: float
-    count: float
-    cross_products: Array
-    response_information: Array
-    response_gradient: Array
-
-    @classmethod
-    def from_rows(
-        cls, jacobian: Array, residual: Array, responses: Array | None = None, *, count: float | None = None
-    ) -> NormalEquations:
-        """Form the normal equations of one run's linearized residual r + J dtheta + E a.
-
-        dtheta (k,) is a change of the dimensionless parameters theta; a (m,) are the amounts of m perturbations, such
-        as forces of candidate effects (deviations from the model), in multiples of a unit amount.
-
-        Args:
-            jacobian: J transposed: derivatives of r with respect to theta, dimensionless, shape (k, rows).
-            residual: Residual r = (measured - predicted) / noise, dimensionless, shape (rows,).
-            responses: E transposed: change of r by a unit amount of each perturbation, dimensionless, shape (m, rows).
-                Default: none; then m = 0 and the products with E are empty.
-            count: Number of independent measured values, dimensionless. Default: the number of rows.
-
-        Returns:
-            J^T J, shape (k, k), J^T r (k,), r^T r, J^T E (k, m), E^T E (m, m), E^T r (m,), dimensionless; `count`.
-        """
-        parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
-        stacked = np.vstack(parts)
-        with np.errstate(over="ignore", invalid="ignore"):  # a machine that diverges has an infinite cost
-            products = stacked @ stacked.T
-        k = len(jacobian)
-        return cls(
-            information=products[:k, :k],
-            gradient=products[:k, -1],
-            cost=float(products[-1, -1]),
-            count=residual.size if count is None else count,
-            cross_products=products[:k, k:-1],
-            response_information=products[k:-1, k:-1],
-            response_gradient=products[k:-1, -1],
-        )
-
-    @classmethod
-    def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
-        """Sum the normal equations (inner products of Jacobian and residual) of several runs, to fit them together.
-
-        Args:
-            parts: Normal equations of at least one run.
-
-        Returns:
-            Sums over the runs: J^T J, shape (k, k), J^T r (k,), all other products, and numbers of measured values.
-        """
-        fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
-        return cls(*(sum(values[1:], start=values[0]) for values in fields))
-
-    @property
-    def chi2(self) -> float:
-        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
-        return self.cost / self.count
-
-    @property
-    def finite(self) -> bool:
-        """Whether cost, gradient and J^T J are finite; if not, a machine at or near the expansion point diverges."""
-        return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all())
-
-    def eliminate_parameters(self, precision: Array) -> NormalEquations:
-        """Eliminate the k parameters (Schur complement), so that the weights of the m perturbations are the unknowns.
-
-        What a change of the parameters can reproduce is removed from the responses to the perturbations.
-
-        Args:
-            precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
-
-        Returns:
-            Copy with k = 0; what remains of E^T E, shape (m, m), and E^T r, (m,), for responses E and residual r.
-        """
-        hessian = self.information + precision
-        right_side = np.column_stack([self.cross_products, self.gradient])
-        reproduced = self.cross_products.T @ np.linalg.solve(hessian, right_side)  # (m, m + 1)
-        return NormalEquations(
-            information=np.zeros((0, 0)),
-            gradient=np.zeros(0),
-            cost=self.cost,
-            count=self.count,
-            cross_products=np.zeros((0, len(self.response_gradient))),
-            response_information=self.response_information - reproduced[:, :-1],
-            response_gradient=self.response_gradient - reproduced[:, -1],
-        )
+    return np.asarray(((values[1:] - values[0]).T / step).T)
 
 
 @dataclass(frozen=True)
@@ -196,6 +107,8 @@ class ResidualModel:
         bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
         rows_per_block: How many samples are combined into one row (sum / square root of the number).
+        difference_step: Change of theta over which derivatives are computed. Default: 1e-4, or 0.01 where parts
+            collide (`has_impacts`).
     """
 
     machine: Machine
@@ -204,6 +117,7 @@ class ResidualModel:
     bandwidth: float
     longest_step: float = SEARCH_STEP
     rows_per_block: int = 1
+    difference_step: float | None = None
 
     def machine_at(self, theta: Array) -> Machine:
         """Return the machine with the parameter values that the optimizer's variables theta describe.
@@ -248,7 +162,9 @@ class ResidualModel:
             the part that an error of the initial state can explain.
         """
         machine = self.machine_at(theta)
-        thetas = np.vstack([theta, theta + DIFFERENCE_STEP * np.eye(len(self.free))])
+        step = self.difference_step or (_IMPACT_DIFFERENCE_STEP if has_impacts(machine) else DIFFERENCE_STEP)
+        steps = np.array([_SWITCH_DIFFERENCE_STEP if f.switch else step for f in self.free])
+        thetas = np.vstack([theta, theta + np.diag(steps)])
         initial_state = run.initial_state(machine)
         motion = self._predict(machine, run, thetas, initial_state, states=responses is not None)
         residual = self.residuals(run, motion.readings)  # (k + 1, rows)
@@ -266,7 +182,7 @@ class ResidualModel:
         if projection is not None:
             residual = projection(residual)
             extra = None if extra is None else projection(extra)
-        return RunLinearization(forward_differences(residual), extra, residual[0], initial_state, projection)
+        return RunLinearization(forward_differences(residual, steps), extra, residual[0], initial_state, projection)
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
         """Linearize the residual (prediction error / noise) of all runs as a function of the free parameters.

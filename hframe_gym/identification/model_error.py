@@ -27,7 +27,8 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, fit, prediction_cost
 from .free_parameters import bounded_step, prior_precision
-from .linearization import NormalEquations, ResidualModel
+from .linearization import ResidualModel
+from .normal_equations import NormalEquations
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, map_runs, sensor_bandwidths
 
 Array = NDArray[np.float64]

@@ -16,9 +16,10 @@ from ..errors import InputError, merge_run_warnings
 from ..machine import Machine
 from ..recordings import Recording, without_outliers, without_repetitions
 from ..registry import load_plugins
+from .covariance import with_uncertainty
 from .criteria import SelectionCriteria
 from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions
-from .estimation import Fit, with_uncertainty
+from .estimation import Fit
 from .experiment_design import design_discriminating_experiment
 from .force_sizes import drive_force, effect_force
 from .forward_selection import ConsideredEffect, Log, SelectedEffect

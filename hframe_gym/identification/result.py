@@ -56,7 +56,7 @@ class PredictionErrors:
         Returns:
             By channel name, a dictionary with "rmse" (simulation error, in the channel's unit) and "noise_ratio" (rmse
             / standard deviation of the sensor's noise). In addition "force_error", the relative error of the drives'
-            force, dimensionless, for machines that permit inverse dynamics.
+            force, dimensionless, if there is one.
         """
         content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
         return content if self.force is None else content | {"force_error": self.force}
@@ -207,13 +207,16 @@ class IdentificationResult:
             By key: "verdict", "runs" (names), "declared", "before", "after" (errors of the three machines), "effects",
             "residual", "considered" (rejected effects) and others, as dictionaries, lists, text and numbers.
         """
+        evaluations = {"declared": self.declared, "before": self.before, "after": self.after}
+        errors = {stage: evaluation.held_out.as_json() for stage, evaluation in evaluations.items()}
+        if any("force_error" not in error for error in errors.values()):  # one has a coordinate without a drive
+            for error in errors.values():
+                error.pop("force_error", None)
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "runs": {"fitted": [r.name for r in self.fitted.runs], "held_out": [r.name for r in self.held_out.runs]},
-            "declared": {"held_out": self.declared.held_out.as_json()},
-            "before": {"held_out": self.before.held_out.as_json()},
-            "after": {"held_out": self.after.held_out.as_json()},
+            **{stage: {"held_out": error} for stage, error in errors.items()},
             "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
                 "depends_on": [

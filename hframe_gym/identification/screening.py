@@ -239,6 +239,19 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
     return ScoredCandidate(candidate, gain, tuple(amounts.tolist()))
 
 
+def is_simulated(effect: Effect) -> bool:
+    """Check whether starting values of an effect are simulated to rank them.
+
+    Args:
+        effect: Definition of the effect (deviation from the nominal model).
+
+    Returns:
+        True for effects that replace a part of the model, and for those whose amplitude has starting values: a large
+        one acts in another way than a small one. Play that exceeds the extension of a belt leaves no tension at all.
+    """
+    return replaces_model_part(effect) or any(p.amplitude and any(p.grid) for p in effect.parameters)
+
+
 def replaces_model_part(effect: Effect) -> bool:
     """Check whether an effect replaces a part of the model, so that it cannot be linearized at a small amplitude.
 
@@ -271,7 +284,7 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
     machine = current.machine
     present = {e.label for e in machine.effects}
     promising: list[tuple[float, list[Machine]]] = []
-    for effect in filter(replaces_model_part, EFFECTS.values()):
+    for effect in filter(is_simulated, EFFECTS.values()):
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present:
                 continue

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import share_kernel
 from ..machine import AppliedEffect, Machine
-from .candidates import candidates, effect_parameters, is_required
+from .candidates import Candidate, candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
@@ -209,8 +209,8 @@ def _promising(
     """Return the few best candidates that may reduce the cost by enough, up to two shapes of each effect and site.
 
     A shape is a set of starting values, such as a period. Two are fitted, because a fit does not move from one period
-    to another, and linearization may rank a wrong one first. Candidates with clearly less force than what remains
-    unexplained are left out before anything is fitted.
+    to another, and linearization may rank a wrong one first. They differ in more than a threshold, which a fit finds.
+    Candidates with clearly less force than what remains unexplained are left out before anything is fitted.
     """
     best: dict[str, list[ScoredCandidate]] = {}
     least = criteria.linear_gain_ratio * enough * data.count
@@ -221,13 +221,20 @@ def _promising(
         shapes = best.get(scored.candidate.label, [])
         if scored.gain <= least or len(best) == criteria.max_full_fits:
             break
-        if len(shapes) == _SHAPES:
+        if len(shapes) == _SHAPES or any(_differ_only_in_switches(scored.candidate, s.candidate) for s in shapes):
             continue
         remaining = residue * np.sqrt(max(1.0 - scored.gain / current.cost, 0.0))
         size = effect_force(current.machine, scored.candidate.applied(scored.amounts), data)
         if size >= criteria.min_promised_force_ratio * remaining:
             best[scored.candidate.label] = [*shapes, scored]
     return sorted(itertools.chain(*best.values()), key=lambda scored: -scored.gain)
+
+
+def _differ_only_in_switches(one: Candidate, other: Candidate) -> bool:
+    """Return whether two shapes of an effect differ only in thresholds, for which a fit tries many values."""
+    parameters = one.effect.parameters
+    differing = [p for p in parameters if one.columns[0][p.name] != other.columns[0][p.name] and not p.amplitude]
+    return all(p.role == "switch" for p in differing)
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
@@ -255,7 +262,7 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     the effect compensate for it. With a narrower observer, the present parameters are accurate enough.
     """
     effect = machine.effects[-1]
-    if effect.definition.structure and current.bandwidth >= SEARCH_BANDWIDTH:
+    if (effect.definition.structure or effect.definition.tension) and current.bandwidth >= SEARCH_BANDWIDTH:
         declared = {f.name: f.center for f in current.free if "@" not in f.name}
         machine = current.machine.replace(declared).with_effects(effect)
     free = list(default_free_parameters(machine, effects=False))

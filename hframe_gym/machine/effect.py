@@ -59,7 +59,8 @@ class EffectParameter:
             would make the effect act as another: hysteresis over a longer distance than the motion is a spring.
         role: What the parameter does. "amplitude": with the value zero the effect is absent. "phase" shifts the sine of
             the amplitude, so that both together are linear. "period" (m or rad) and "rate" (rad per position) are
-            searched on a grid that follows from the distance traveled. "fixed" is not fitted, "shape" is the rest.
+            searched on a grid that follows from the distance traveled. "switch" is a threshold at which the effect
+            begins at once, so that measurements depend on it in steps. "fixed" is not fitted, "shape" is the rest.
     """
 
     name: str
@@ -69,7 +70,7 @@ class EffectParameter:
     scale: float
     grid: tuple[float, ...] = (0.0,)
     largest: float = math.inf
-    role: Literal["amplitude", "phase", "period", "rate", "shape", "fixed"] = "shape"
+    role: Literal["amplitude", "phase", "period", "rate", "switch", "shape", "fixed"] = "shape"
 
     @property
     def amplitude(self) -> bool:
@@ -134,6 +135,7 @@ class Effect:
         against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
         coordinate: Name of the coordinate that `structure` adds, on which the force acts.
         requires: Name of an effect that must be identified at the same site before this one, and removed after it.
+        impacts: Whether parts separate and collide, so that small changes of parameters change the motion irregularly.
     """
 
     name: str
@@ -167,6 +169,7 @@ class Effect:
     refitted: bool = False
     against: str = ""
     coordinate: str = ""
+    impacts: bool = False
     requires: str = ""
 
     def parameter(self, name: str) -> EffectParameter:

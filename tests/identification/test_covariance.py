@@ -9,7 +9,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs.machine_sampler import MachineSampler
 from hframe_gym.identification import FreeParameter, fit, prepare
-from hframe_gym.identification.estimation import with_uncertainty
+from hframe_gym.identification.covariance import with_uncertainty
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.parameter_diagnostics import (
     inseparable_parameters,

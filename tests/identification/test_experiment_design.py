@@ -20,7 +20,7 @@ from hframe_gym.identification import (
     fit,
     prepare,
 )
-from hframe_gym.identification.estimation import with_uncertainty
+from hframe_gym.identification.covariance import with_uncertainty
 from hframe_gym.identification.experiment_design import (
     MINIMUM_SIGMA,
     ExperimentDesign,

@@ -1,0 +1,117 @@
+"""Normal equations of a linearized residual: the inner products from which a fit computes its steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Products of the linearized residual r + J dtheta + E a, summed over rows and runs; all are dimensionless.
+
+    J: derivatives by k parameters theta. E: changes by a unit amount of each of m perturbations. a (m,): amounts.
+
+    Attributes:
+        information: J^T J, shape (k, k); Fisher information of the parameters theta for white noise.
+        gradient: J^T r, shape (k,); half the gradient of the cost.
+        cost: r^T r, the sum of squares in units of the noise.
+        count: Number of independent measured values behind the cost.
+        cross_products: J^T E, shape (k, m).
+        response_information: E^T E, shape (m, m).
+        response_gradient: E^T r, shape (m,).
+    """
+
+    information: Array
+    gradient: Array
+    cost: float
+    count: float
+    cross_products: Array
+    response_information: Array
+    response_gradient: Array
+
+    @classmethod
+    def from_rows(
+        cls, jacobian: Array, residual: Array, responses: Array | None = None, *, count: float | None = None
+    ) -> NormalEquations:
+        """Form the normal equations of one run's linearized residual r + J dtheta + E a.
+
+        dtheta (k,) is a change of the dimensionless parameters theta; a (m,) are the amounts of m perturbations, such
+        as forces of candidate effects (deviations from the model), in multiples of a unit amount.
+
+        Args:
+            jacobian: J transposed: derivatives of r with respect to theta, dimensionless, shape (k, rows).
+            residual: Residual r = (measured - predicted) / noise, dimensionless, shape (rows,).
+            responses: E transposed: change of r by a unit amount of each perturbation, dimensionless, shape (m, rows).
+                Default: none; then m = 0 and the products with E are empty.
+            count: Number of independent measured values, dimensionless. Default: the number of rows.
+
+        Returns:
+            J^T J, shape (k, k), J^T r (k,), r^T r, J^T E (k, m), E^T E (m, m), E^T r (m,), dimensionless; `count`.
+        """
+        parts = [jacobian, residual[None]] if responses is None else [jacobian, responses, residual[None]]
+        stacked = np.vstack(parts)
+        with np.errstate(over="ignore", invalid="ignore"):  # a machine that diverges has an infinite cost
+            products = stacked @ stacked.T
+        k = len(jacobian)
+        return cls(
+            information=products[:k, :k],
+            gradient=products[:k, -1],
+            cost=float(products[-1, -1]),
+            count=residual.size if count is None else count,
+            cross_products=products[:k, k:-1],
+            response_information=products[k:-1, k:-1],
+            response_gradient=products[k:-1, -1],
+        )
+
+    @classmethod
+    def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
+        """Sum the normal equations (inner products of Jacobian and residual) of several runs, to fit them together.
+
+        Args:
+            parts: Normal equations of at least one run.
+
+        Returns:
+            Sums over the runs: J^T J, shape (k, k), J^T r (k,), all other products, and numbers of measured values.
+        """
+        fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
+        return cls(*(sum(values[1:], start=values[0]) for values in fields))
+
+    @property
+    def chi2(self) -> float:
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
+        return self.cost / self.count
+
+    @property
+    def finite(self) -> bool:
+        """Whether cost, gradient and J^T J are finite; if not, a machine at or near the expansion point diverges."""
+        return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all())
+
+    def eliminate_parameters(self, precision: Array) -> NormalEquations:
+        """Eliminate the k parameters (Schur complement), so that the weights of the m perturbations are the unknowns.
+
+        What a change of the parameters can reproduce is removed from the responses to the perturbations.
+
+        Args:
+            precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
+
+        Returns:
+            Copy with k = 0; what remains of E^T E, shape (m, m), and E^T r, (m,), for responses E and residual r.
+        """
+        hessian = self.information + precision
+        right_side = np.column_stack([self.cross_products, self.gradient])
+        reproduced = self.cross_products.T @ np.linalg.solve(hessian, right_side)  # (m, m + 1)
+        return NormalEquations(
+            information=np.zeros((0, 0)),
+            gradient=np.zeros(0),
+            cost=self.cost,
+            count=self.count,
+            cross_products=np.zeros((0, len(self.response_gradient))),
+            response_information=self.response_information - reproduced[:, :-1],
+            response_gradient=self.response_gradient - reproduced[:, -1],
+        )
