@@ -60,6 +60,18 @@ class Candidate:
         """Whether no parameter of the effect is an amplitude, so that its basis function has no weight to fit."""
         return not self.effect.amplitudes
 
+    def differs_in_thresholds(self, other: Candidate) -> bool:
+        """Check whether another candidate for the same effect differs only in thresholds, which a fit searches for.
+
+        Args:
+            other: Candidate with other starting values of the effect (deviation from the nominal model).
+
+        Returns:
+            True if all other shape parameters are equal; amplitudes are not compared.
+        """
+        shapes = (p for p in self.effect.parameters if p.role not in ("switch", "amplitude"))
+        return all(self.columns[0][p.name] == other.columns[0][p.name] for p in shapes)
+
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
         """Return the effect (deviation from the model) with given weights of its basis functions (`columns`).
 

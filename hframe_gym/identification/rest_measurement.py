@@ -214,7 +214,8 @@ def rigid_basis(machine: Machine) -> Array:
         Displacements of the coordinates, m or rad, one rigid motion per column, shape (coordinates, rigid motions).
     """
     if not machine.belts:
-        return np.eye(len(machine.coordinates))
+        held = np.isin(machine.coordinate_names, machine.spring_loaded)
+        return np.eye(len(machine.coordinates))[:, ~held]
     constraints = [machine.coefficients(b.extension) for b in machine.belts]
     constraints += [machine.coefficients({name: 1.0}) for name in machine.spring_loaded]
     return np.asarray(null_space(np.array(constraints)) / machine.travel_per_unit[:, None])

@@ -207,11 +207,10 @@ class IdentificationResult:
             By key: "verdict", "runs" (names), "declared", "before", "after" (errors of the three machines), "effects",
             "residual", "considered" (rejected effects) and others, as dictionaries, lists, text and numbers.
         """
-        evaluations = {"declared": self.declared, "before": self.before, "after": self.after}
-        errors = {stage: evaluation.held_out.as_json() for stage, evaluation in evaluations.items()}
-        if any("force_error" not in error for error in errors.values()):  # one has a coordinate without a drive
-            for error in errors.values():
-                error.pop("force_error", None)
+        stages = {"declared": self.declared, "before": self.before, "after": self.after}
+        errors = {stage: evaluation.held_out.as_json() for stage, evaluation in stages.items()}
+        if not all("force_error" in error for error in errors.values()):  # one has a coordinate without a drive
+            errors = {stage: {k: e for k, e in error.items() if k != "force_error"} for stage, error in errors.items()}
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

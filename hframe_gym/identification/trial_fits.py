@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import share_kernel
 from ..machine import AppliedEffect, Machine
-from .candidates import Candidate, candidates, effect_parameters, is_required
+from .candidates import candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
@@ -221,20 +221,13 @@ def _promising(
         shapes = best.get(scored.candidate.label, [])
         if scored.gain <= least or len(best) == criteria.max_full_fits:
             break
-        if len(shapes) == _SHAPES or any(_differ_only_in_switches(scored.candidate, s.candidate) for s in shapes):
+        if len(shapes) == _SHAPES or any(s.candidate.differs_in_thresholds(scored.candidate) for s in shapes):
             continue
         remaining = residue * np.sqrt(max(1.0 - scored.gain / current.cost, 0.0))
         size = effect_force(current.machine, scored.candidate.applied(scored.amounts), data)
         if size >= criteria.min_promised_force_ratio * remaining:
             best[scored.candidate.label] = [*shapes, scored]
     return sorted(itertools.chain(*best.values()), key=lambda scored: -scored.gain)
-
-
-def _differ_only_in_switches(one: Candidate, other: Candidate) -> bool:
-    """Return whether two shapes of an effect differ only in thresholds, for which a fit tries many values."""
-    parameters = one.effect.parameters
-    differing = [p for p in parameters if one.columns[0][p.name] != other.columns[0][p.name] and not p.amplitude]
-    return all(p.role == "switch" for p in differing)
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
