@@ -28,11 +28,11 @@ from hframe_gym.identification.candidates import effect_parameters
 from hframe_gym.identification.covariance import with_uncertainty
 from hframe_gym.identification.dataset import Dataset
 from hframe_gym.identification.estimation import Fit
+from hframe_gym.identification.force_sizes import typical_scales
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.model_error import fit_with_model_error, polish
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.start_uncertainty import refine_dataset
-from hframe_gym.identification.trial_fits import typical_scales
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import without_outliers
 from tests.rigs.random_effects import library_parameters

@@ -66,10 +66,10 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     The sum of the first two parts is at least the variance that white noise of the assumed size causes.
 
-    Derivatives are central differences along the principal axes of the Fisher information. Along single parameters,
-    rounding errors would make parameters of equal influence, such as viscous friction and back-EMF, seem separable.
-    A threshold on which measurements depend in steps has no derivative. Its difference is taken between two values at
-    which the cost is clearly larger, and its standard deviation is at least half their distance.
+    Derivatives are central differences along the principal axes of the Fisher information: along single parameters,
+    rounding errors would make viscous friction and back-EMF seem separable. A threshold on which measurements depend in
+    steps has no derivative: its difference is taken between values at which the cost is clearly larger, and its
+    standard deviation is at least half their distance.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
@@ -107,8 +107,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     of_delay = directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)  # per sampling period
     delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
     covariance += delay_variance * np.outer(of_delay, of_delay)
-    # Nothing determines a threshold more exactly than the distance of the inputs at which the cost becomes larger.
-    covariance += np.diag([f.switch * directions[j, j] ** 2 for j, f in enumerate(fitted.free)])
+    covariance += np.diag(np.where([f.switch for f in fitted.free], np.diag(directions), 0.0) ** 2)
     # From theta to the parameters' values, by the derivative of each value with respect to its theta.
     slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
     covariance *= np.outer(slopes, slopes)

@@ -307,3 +307,21 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         largest = max(float(np.percentile(np.abs(extension), 99)), _NO_MOTION)
         general = {"m": largest, "N": float(np.abs(extension * stiffness).max()), "1/m^2": 1.0 / largest**2}
     return TypicalScales(by_coordinate, general)
+
+
+def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
+    """Compute typical forces, speeds and travels of a machine, by which starting values of effects are multiplied.
+
+    Args:
+        current: Fit of the machine, which predicts the motion.
+        data: Prepared recordings (times, voltages, measurements, SI).
+
+    Returns:
+        Sizes by coordinate, such as "force" (N, Nm) and "speed" (m/s, rad/s), and for belts, such as extension "m".
+    """
+    motions = list(
+        map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
+    )
+    positions = np.concatenate([motion.positions[0] for motion in motions])
+    velocities = np.concatenate([motion.velocities[0] for motion in motions])
+    return scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])

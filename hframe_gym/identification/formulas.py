@@ -30,12 +30,12 @@ from ..errors import InputError
 from ..machine import AppliedEffect, Machine
 from .candidates import effect_parameters
 from .estimation import Fit, fit, prediction_cost
+from .force_sizes import typical_scales
 from .free_parameters import FreeParameter, default_free_parameters
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION
 from .residual import channel_errors
 from .result import IdentificationResult
 from .start_uncertainty import refine_dataset
-from .trial_fits import typical_scales
 
 Array = NDArray[np.float64]
 _NAME = "proposed"  # Name of a formula as an effect until the user chooses one.

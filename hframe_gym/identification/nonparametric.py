@@ -18,13 +18,13 @@ from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit
-from .force_sizes import TypicalScales
+from .force_sizes import TypicalScales, typical_scales
 from .forward_selection import Log, SelectedEffect, Selection, describe_gain
 from .model_error import continue_fit, left_out_cost
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import screen
-from .trial_fits import fit_with_candidate, typical_scales
+from .trial_fits import fit_with_candidate
 
 Array = NDArray[np.float64]
 _BINS = 4 * KNOTS  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.

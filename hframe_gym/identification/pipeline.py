@@ -53,6 +53,10 @@ _HINT = (
     "If the held-out runs are fitted as well, {} would explain all runs, but no other run confirms it. Record another "
     "run such as {} and identify again."
 )
+_UNEXCITED = (
+    "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
+    "other runs with --hold-out for an independent test."
+)
 _CAUSED_ERROR = -1.0  # gain on a held-out run below which effects cause its error: half of the squared error or more
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
@@ -107,6 +111,7 @@ def identify(
     messages += (*map(_HELD_OUT_CONTRADICTION.format, found.differing), *hint)
     validation = with_all_measurements(found.held_out, recordings)
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
+    messages += _unexcited(result, outcome.after.bandwidth)
     for warning in (*messages, *result.limit_warnings, *result.divergence_warnings):
         log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
@@ -197,6 +202,13 @@ def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset)
 
     names = contradicting_held_out_runs(after, refined)
     return tuple(name for name in names if not (outcome.selected and caused_by_effects(name)))
+
+
+def _unexcited(result: IdentificationResult, bandwidth: float) -> tuple[str, ...]:
+    """Return a sentence about the effects on which the held-out runs do not depend; only fitted runs confirm them."""
+    machine = result.after.machine
+    effects = [s.effect.label for s in result.effects if not is_excited(s, machine, result.held_out, bandwidth)]
+    return (_UNEXCITED.format(", ".join(effects)),) if effects else ()
 
 
 def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:

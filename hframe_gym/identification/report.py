@@ -109,10 +109,11 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     if report["verdict"] == "effect_found":
         names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
         single = len(report["effects"]) == 1
+        change = "rises" if (errors["after"] or 0.0) > (refitted or np.inf) else "falls"  # None: it diverges
         subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
         return (
             f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
-            f"falls from {before} to {after} {unit}.{_remainder(report)}"
+            f"{change} from {before} to {after} {unit}.{_remainder(report)}"
         )
     if report["verdict"] == "no_effect":
         remainder = _remainder(report)

@@ -69,8 +69,7 @@ class ModelEvaluation:
     Attributes:
         machine: The machine.
         held_out: Errors on the held-out runs.
-        errors: Simulation errors by name of the held-out run, m or rad, NaN where not measured, shape
-            (n, sensors) each.
+        errors: Simulation errors by name of the held-out run, m or rad, NaN if not measured, shape (n, sensors).
         warnings: Name of a run and sentence about what could not be determined about its initial state, each.
         diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
     """
@@ -197,7 +196,7 @@ class IdentificationResult:
     @property
     def run_warnings(self) -> tuple[str, ...]:
         """Warnings about runs that were not used and about uncertain initial states, one sentence each."""
-        fitted = [(run.name, warning) for run in self.fitted.runs for warning in run.initial.warnings]
+        fitted = [(run.name, w) for run in self.fitted.runs for w in run.initial.warnings]
         return (*self.excluded, *merge_run_warnings([*fitted, *self.after.warnings]))
 
     def as_json(self) -> dict[str, Any]:
@@ -209,8 +208,8 @@ class IdentificationResult:
         """
         stages = {"declared": self.declared, "before": self.before, "after": self.after}
         errors = {stage: evaluation.held_out.as_json() for stage, evaluation in stages.items()}
-        if not all("force_error" in error for error in errors.values()):  # one has a coordinate without a drive
-            errors = {stage: {k: e for k, e in error.items() if k != "force_error"} for stage, error in errors.items()}
+        for error in errors.values() if any(s.held_out.force is None for s in stages.values()) else ():
+            error.pop("force_error", None)  # one machine has none: an effect added a coordinate without a drive
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

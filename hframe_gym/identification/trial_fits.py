@@ -19,15 +19,16 @@ from .candidates import candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
-from .force_sizes import TypicalScales, effect_force, residue_force, scales_of_motion
+from .force_sizes import TypicalScales, effect_force, residue_force, typical_scales
 from .free_parameters import FreeParameter, default_free_parameters, values_at
 from .model_error import continue_fit, search_step
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, map_runs, noise_floor, predict
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, noise_floor
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
 
 Array = NDArray[np.float64]
 _SHAPES = 2  # starting values of an effect at a site that are fitted
+_THRESHOLD_CHANGES = (-0.7, -0.35, 0.35, 0.7)  # of its logarithm; a trial is also fitted from these thresholds
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
 
 
@@ -245,7 +246,11 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
     machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
     added = effect_parameters(machine.effects[-1], machine, scales)
     theta = np.concatenate([current.theta, [f.theta(machine.parameters[f.name]) for f in added]])
-    return _trial_fit(machine, (*current.free, *added), theta, current, data)
+    free = (*current.free, *added)
+    # From a wrong threshold, other parameters may imitate what the right one does.
+    switches = [j for j, f in enumerate(free) if f in added and f.switch]
+    starts = [theta, *(theta + change * np.eye(len(free))[j] for j in switches for change in _THRESHOLD_CHANGES)]
+    return min((_trial_fit(machine, free, t, current, data) for t in starts), key=lambda trial: trial.cost)
 
 
 def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset) -> Fit:
@@ -329,21 +334,3 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
     if not thorough:
         return _trial_fit(machine, free, theta, current, data)
     return fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
-
-
-def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
-    """Compute typical forces, speeds and travels of a machine, by which starting values of effects are multiplied.
-
-    Args:
-        current: Fit of the machine, which predicts the motion.
-        data: Prepared recordings (times, voltages, measurements, SI).
-
-    Returns:
-        Sizes by coordinate, such as "force" (N, Nm) and "speed" (m/s, rad/s), and for belts, such as extension "m".
-    """
-    motions = list(
-        map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
-    )
-    positions = np.concatenate([motion.positions[0] for motion in motions])
-    velocities = np.concatenate([motion.velocities[0] for motion in motions])
-    return scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])

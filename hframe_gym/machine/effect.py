@@ -57,10 +57,9 @@ class EffectParameter:
         grid: Initial values of a search, relative to the same typical value.
         largest: Largest value that a search may give the parameter, relative to the same typical value. A larger one
             would make the effect act as another: hysteresis over a longer distance than the motion is a spring.
-        role: What the parameter does. "amplitude": with the value zero the effect is absent. "phase" shifts the sine of
-            the amplitude, so that both together are linear. "period" (m or rad) and "rate" (rad per position) are
-            searched on a grid that follows from the distance traveled. "switch" is a threshold at which the effect
-            begins at once, so that measurements depend on it in steps. "fixed" is not fitted, "shape" is the rest.
+        role: "amplitude": with the value zero the effect is absent. "phase" shifts the sine of the amplitude, so that
+            both are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows from
+            the distance traveled. On a "switch", measurements may depend in steps. "fixed" is not fitted.
     """
 
     name: str
@@ -135,7 +134,7 @@ class Effect:
         against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
         coordinate: Name of the coordinate that `structure` adds, on which the force acts.
         requires: Name of an effect that must be identified at the same site before this one, and removed after it.
-        impacts: Whether parts separate and collide, so that small changes of parameters change the motion irregularly.
+        impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
     """
 
     name: str

@@ -25,7 +25,8 @@ POORLY_DETERMINED = {("frame_resonance", "s"): 0.1}  # tolerance; friction is a 
 
 def near(case: Case) -> dict[str, float]:
     """Return parameters by full name, as inaccurate as a screening may leave them."""
-    factors = {"rate": 1.01, "period": 1.01, "amplitude": 0.75, "shape": 0.99 if case.name == "sensor_range" else 0.75}
+    shape = 0.99 if case.name == "sensor_range" else 0.75
+    factors = {"rate": 1.01, "period": 1.01, "amplitude": 0.75, "shape": shape, "switch": shape}
     values = {}
     for p in case.effect.definition.parameters:
         value = case.parameters[p.name]

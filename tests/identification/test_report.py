@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_gym.cli.tables import identification_table
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
@@ -262,3 +263,15 @@ def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:
     title = [line for pair in texts for line in pair if re.search("[a-z]{2}", line)]
     assert " ".join(title) == panel.title
     assert max(map(len, title)) <= 44
+
+
+def test_errors_of_force_are_given_for_all_machines_or_for_none() -> None:
+    """A coordinate that an effect adds has no drive, so that the corrected machine has no error of the force."""
+    frame = EFFECTS["frame_resonance"].at("x", f0=10.0, zeta=0.05, r=0.1, s=0.5)
+    result = axis_result(axis_runs(AXIS, rows=400, volts=2.0), AXIS.with_effects(frame))
+    assert result.before.held_out.force is not None
+    assert result.after.held_out.force is None
+    report = result.as_json()
+    assert all("force_error" not in report[stage]["held_out"] for stage in ("declared", "before", "after"))
+    assert "the error on the held-out runs rises from" in verdict_sentence(report, AXIS.output_channels)
+    assert identification_table(report, AXIS.output_channels).row_count == 1

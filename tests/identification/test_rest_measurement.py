@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import InitialState, estimate_initial_state
 from hframe_gym.identification.encoder_zeros import common_encoder_zeros
 from hframe_gym.identification.rest_measurement import (
@@ -14,7 +15,7 @@ from hframe_gym.identification.rest_measurement import (
     sensor_zero_error,
     settled_rows,
 )
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
@@ -119,3 +120,12 @@ def test_the_zero_error_is_the_mean_at_rest_and_a_limited_part_of_the_mean() -> 
     measured = np.ones((100, 2), np.bool_)
     zero = sensor_zero_error(error, measured, 20, np.array([np.inf, 0.1]), np.array([0.2, 0.2]))
     np.testing.assert_allclose(zero, [[[3.4, 3.1]]])
+
+
+def test_a_frame_on_an_axis_without_belts_rests_at_zero() -> None:
+    """The only laser measures the sum of both positions; the spring of the frame holds its part at zero."""
+    frame = EFFECTS["frame_resonance"].at("x", f0=10.0, zeta=0.05, r=0.1, s=0.5)
+    machine = BUILTIN_MACHINES["axis"]().with_effects(frame)
+    time_s = np.arange(200) * 1e-3
+    run = Recording("run_1", time_s, np.where(time_s > 0.1, 1.0, 0.0)[:, None], np.full((200, 1), 0.1))
+    np.testing.assert_allclose(estimate_initial_state(run, machine).state, [0.1, 0.0, 0.0, 0.0], atol=1e-9)
