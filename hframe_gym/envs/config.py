@@ -74,7 +74,8 @@ class EnvConfig:
             hyperparameters need it.
         flat: Whether the observation is one array instead of a dict of arrays.
         ends: What happens at the workspace's edge: "stops" (rubber buffers stop the tool) or "terminate" (the episode
-            ends and `penalty` is subtracted from the reward).
+            ends and `penalty` is subtracted from the reward as soon as the position in `achieved_goal`, which is
+            measured with `sensors`, is outside).
         penalty: Subtracted from the reward outside the workspace if `ends` is "terminate". A small penalty can be less
             than the negative rewards of a long episode; an agent then learns to end the episode early.
         period: Control period, s, from 1 us to 10 s.

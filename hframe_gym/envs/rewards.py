@@ -200,12 +200,12 @@ class PenalizedReward:
 
     Args:
         reward: Reward inside the workspace, a function of achieved and desired positions.
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
+        workspace: One row per axis of the tool, columns low and high, m, float32 as positions, shape (axes, 2).
         penalty: Amount subtracted where the achieved position is outside the workspace, not negative.
     """
 
     reward: Reward
-    workspace: Array
+    workspace: Positions
     penalty: float
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:

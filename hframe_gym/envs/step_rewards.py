@@ -287,12 +287,11 @@ def _previous_goals(info: Any, desired: NDArray[Any]) -> tuple[NDArray[Any], NDA
             "reward 'progress' compares two steps and needs info['previous_achieved_goal'], which "
             "HerReplayBuffer(copy_info_dict=True) keeps; or choose reward='sparse' or 'dense'"
         )
-    shape = desired.shape
-    if len(infos) != len(np.atleast_2d(desired)):
+    keys = "previous_achieved_goal", "previous_desired_goal"
+    goals = [np.array([each[key] for each in infos]) if key in infos[0] else desired for key in keys]
+    if any(values.size != desired.size for values in goals):
         raise InputError(
-            f"compute_reward: {len(infos)} infos for goals of shape {shape}; reward 'progress' needs one info per row"
+            f"compute_reward: {len(infos)} infos for goals of shape {desired.shape}; 'progress' needs one per row"
         )
-    achieved = np.reshape([each["previous_achieved_goal"] for each in infos], shape)
-    if "previous_desired_goal" not in infos[0]:
-        return achieved, desired
-    return achieved, np.reshape([each["previous_desired_goal"] for each in infos], shape)
+    achieved_before, desired_before = (np.reshape(values, desired.shape) for values in goals)
+    return achieved_before, desired_before

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
+from hframe_gym.effects import EFFECTS
+from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Lasers, Sensors
 from hframe_gym.envs.rewards import as_reward
+from hframe_gym.machine import BUILTIN_MACHINES
 
 
 def dense(distances):
@@ -74,6 +76,24 @@ def test_goals_of_other_shapes_raise_an_error(reward):
             compute(np.zeros((3, 2)), np.zeros((3, 2)), info)
     with pytest.raises(ValueError, match="must be"):
         as_reward(reward, 1e-3)(np.zeros((9, 2), np.float32), np.zeros((1, 2), np.float32))
+
+
+@pytest.mark.parametrize("lasers", [Lasers(noise=1e-3), Lasers(span=np.inf, noise=1e-3), None])
+def test_the_penalty_and_the_end_of_an_episode_coincide(lasers):
+    machine = BUILTIN_MACHINES["hframe"]()
+    for channel in machine.output_channels:
+        machine = machine.with_effects(EFFECTS["sensor_delay"].at(channel, d=0.012))
+    envs = HFrameVectorEnv(
+        32, machine=machine, sensors=Sensors(lasers=lasers), ends="terminate", autoreset_mode="SameStep"
+    )
+    envs.reset(seed=0)
+    actions = np.sign(np.random.default_rng(0).normal(size=(32, 2))).astype(np.float32)
+    ended = 0
+    for _ in range(60):
+        _, rewards, terminated, _, _ = envs.step(actions)
+        np.testing.assert_array_equal(terminated, rewards < -50.0)
+        ended += int(terminated.sum())
+    assert ended > 20
 
 
 def test_the_sparse_reward_is_zero_in_the_band():
