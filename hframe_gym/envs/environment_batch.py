@@ -17,7 +17,7 @@ from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError
 from .actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
-from .config import EnvConfig, as_machine
+from .config import EnvConfig, as_machine, check_task
 from .machine_sampler import MachineSampler
 from .observations import Observation, ObservationBuilder
 from .rewards import PenalizedReward, as_reward, distances
@@ -85,7 +85,7 @@ class EnvironmentBatch:
         machine = with_actuators(machine, config.drives)
         self.machine = machine if sensors is None else sensors.apply(machine)
         self.task = as_task(config.task)
-        self.task.check(self.workspace)
+        check_task(self.task, self.workspace)
         reward = as_reward(config.chosen_reward, self.task.band, len(self.workspace))
         self._ends, self._edges = config.ends == "terminate", self.workspace.astype(np.float32)
         if self._ends:
