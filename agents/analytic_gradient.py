@@ -173,7 +173,7 @@ class AnalyticPolicyGradient:
         self.env.venv.reset()
         self.mapping.reset()
         batch, model = self._envs.batch, self._model
-        parameters, references, moving = self._envs.parameters, batch.references, batch.references.moving
+        parameters, references, has_path = self._envs.parameters, batch.references, batch.task.metrics == "track"
         state = torch.from_numpy(model.goal_state(batch.simulator.tool_positions()))
         last_observation, last_action, costs = None, None, []
         last_volts = torch.zeros((len(state), len(model.rated)), dtype=torch.float64)
@@ -203,9 +203,9 @@ class AnalyticPolicyGradient:
                 last_volts = volts
                 state, tool = outputs[:, : state.shape[1]], outputs[:, state.shape[1] :]
                 tool = tool.reshape(len(tool), SAMPLES, -1)
-                costs.append(path_errors(tool, references) if moving else reach_cost(tool, entries["desired_goal"]))
+                costs.append(path_errors(tool, references) if has_path else reach_cost(tool, entries["desired_goal"]))
         by_period = torch.stack(costs, dim=1)
-        return path_cost(by_period) * len(costs) if moving else by_period.sum(1)
+        return path_cost(by_period) * len(costs) if has_path else by_period.sum(1)
 
     def _action(self, entries: Mapping[str, Any]) -> Any:
         """Return the contribution (B, drives) of the trained policy to the actions."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import Equations, rollout
 from ..envs.tasks.base import ReferenceTrajectories
-from ..envs.workspace import with_end_stops
+from ..envs.workspace import EndStops
 from ..errors import InputError
 from ..machine import Machine
 
@@ -54,11 +54,10 @@ class SimulatedPeriod:
     """
 
     def __init__(self, machine: Machine, period: float, seed: int) -> None:
-        self._machine = with_end_stops(machine)
+        self._end_stops = EndStops(machine, INTEGRATION_STEP)
         self._coordinates, self._drives = len(machine.coordinates), len(machine.drives)
         self._tool = [machine.coordinate_names.index(name) for name in machine.tool_axes]
         self._units = np.tile(machine.travel_per_unit, 2)
-        self._end_stops = np.array(list(self._machine.parameters.values()))[len(machine.parameters) :]
         self._time_s = np.linspace(0.0, period, SAMPLES + 1)
         longest_s = max((float(delay) for delay in Equations(machine).voltage_delays()), default=0.0)
         if longest_s > period:
@@ -90,11 +89,11 @@ class SimulatedPeriod:
         if self.delayed:
             applied[:, 0] = last_volts
         states = rollout(
-            self._machine,
+            self._end_stops.machine,
             self._time_s,
             applied,
             velocities=True,
-            parameters=np.hstack([parameters, np.tile(self._end_stops, (len(parameters), 1))]),
+            parameters=self._end_stops.parameters(parameters),
             start=state / self._units,
             longest_step=INTEGRATION_STEP,
             parallel=False,

@@ -22,7 +22,7 @@ from .actuators import ActuatorModel
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
 from .random_numbers import compiled
-from .workspace import tool_terms, with_end_stops, write_tool_positions
+from .workspace import EndStops, tool_terms, write_tool_positions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -129,8 +129,9 @@ class BatchedSimulator:
         self._tool_terms = tool_terms(machine)
         # Travel of every coordinate at rest with unstretched belts per meter of each axis, (n, axes).
         self._rest = np.stack([self._rest_travel(name) for name in machine.tool_axes], axis=1)
-        # The stepped machine may have end stops; their parameters come last and are constant.
-        self._stepped = with_end_stops(machine) if end_stops else machine
+        # The stepped machine may have end stops; their parameters come last and depend on the masses.
+        self._end_stops = EndStops(machine, self.h) if end_stops else None
+        self._stepped = machine if self._end_stops is None else self._end_stops.machine
         self._kernel = kernel_for(self._stepped)
         self.state = np.zeros((self.blocks, self._kernel.states, LANES))
         nominal = np.array(list(self._stepped.parameters.values()))
@@ -180,7 +181,10 @@ class BatchedSimulator:
         # The unused lanes of the last block repeat the last machine, with voltages of zero.
         repeats = self._unused if index[-1] == self.count - 1 else 0
         _put(index, state, repeats, self.state)
-        _put(index, np.ascontiguousarray(values[:, : len(self.machine.parameters)]), repeats, self.parameters)
+        parameters = np.ascontiguousarray(values[:, : len(self.machine.parameters)])
+        if self._end_stops is not None:
+            parameters = self._end_stops.parameters(values)
+        _put(index, parameters, repeats, self.parameters)
         _put(index, units_per_travel(self.machine, values), repeats, self.units_per_travel)
         self.actuators.begin(index, values)
         kernel, delay_line = self._kernel, self._delay_line

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
@@ -17,7 +18,7 @@ from .actuators import ActuatorsLike
 from .domain_randomization import RandomizationLike
 from .rewards import RewardLike
 from .sensors import SensorsLike
-from .tasks import TaskLike
+from .tasks import Task, TaskLike, check_point
 
 MachineLike: TypeAlias = Machine | str | Path
 Ends = Literal["stops", "terminate"]
@@ -30,6 +31,8 @@ PENALTY = 100.0
 LONGEST_STEP = 0.5e-3
 # Limits of the control period, s, and of its integration steps; beyond them a step of the environment takes minutes.
 SHORTEST_PERIOD, LONGEST_PERIOD, MOST_STEPS = 1e-6, 10.0, 100_000
+
+TRIED_EPISODES = 16  # for which the methods of a task are checked
 
 
 class EnvOptions(TypedDict, total=False):
@@ -74,7 +77,8 @@ class EnvConfig:
             hyperparameters need it.
         flat: Whether the observation is one array instead of a dict of arrays.
         ends: What happens at the workspace's edge: "stops" (rubber buffers stop the tool) or "terminate" (the episode
-            ends and `penalty` is subtracted from the reward).
+            ends and `penalty` is subtracted from the reward as soon as the position in `achieved_goal`, which is
+            measured with `sensors`, is outside).
         penalty: Subtracted from the reward outside the workspace if `ends` is "terminate". A small penalty can be less
             than the negative rewards of a long episode; an agent then learns to end the episode early.
         period: Control period, s, from 1 us to 10 s.
@@ -164,6 +168,52 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
     if mode is not None and mode not in modes:
         raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
     return mode
+
+
+def check_task(task: Task, workspace: NDArray[np.float64]) -> None:
+    """Check that a task fits into a workspace and that its methods return arrays of the right shapes.
+
+    The methods are called for a few episodes, with random numbers of their own.
+
+    Args:
+        task: Task with the methods `check`, `begin`, `goal` and, for metrics "track", `contour`.
+        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
+
+    Raises:
+        InputError: If the task does not fit into the workspace, or a method returns another shape, a number that is not
+            finite, or a start or goal outside the workspace.
+    """
+    task.check(workspace)
+    axes, count, label = len(workspace), TRIED_EPISODES, f"task {task.name}"
+    uniforms = np.random.default_rng(0).uniform(size=(count, task.draws))
+    nominal = {name: np.full(count, value) for name, value in task.parameters.items()}
+    episodes = task.begin(workspace, uniforms, nominal)
+    if not (isinstance(episodes, tuple) and len(episodes) == 2):
+        raise InputError(f"{label}: begin must return two arrays, the starts and the plans of {count} episodes")
+    start, plan = map(np.asarray, episodes)
+    _check_array(f"{label}: begin must return starts", start, (count, axes))
+    check_point(f"{label}: starts that begin returns", start, workspace)
+    entries = plan.shape[1] if plan.ndim == 2 else task.plan_size
+    _check_array(f"{label}: begin must return plans", plan, (count, entries))
+    elapsed_s = np.zeros((count, 2))
+    goals = np.asarray(task.goal(plan, elapsed_s[:, 0]))
+    _check_array(f"{label}: goal must return, for times of shape ({count},), goals", goals, (count, axes))
+    check_point(f"{label}: goals", goals, workspace)
+    later = np.asarray(task.goal(plan, elapsed_s))
+    _check_array(f"{label}: goal must return, for times of shape ({count}, 2), goals", later, (count, 2, axes))
+    if task.metrics == "track":
+        contour = task.contour(plan, start, elapsed_s[:, 0])
+        if contour is None:
+            raise InputError(f"{label} has metrics 'track', so it must implement contour; the default returns None")
+        _check_array(f"{label}: contour must return distances", np.asarray(contour), (count,))
+
+
+def _check_array(label: str, values: NDArray[Any], shape: tuple[int, ...]) -> None:
+    """Raise InputError unless an array has a shape and finite numbers; the label is the beginning of the message."""
+    is_number = values.dtype.kind in "fiu"
+    if values.shape != shape or not is_number or not np.all(np.isfinite(values)):
+        problem = "not finite" if is_number and values.shape == shape else f"of shape {values.shape} and {values.dtype}"
+        raise InputError(f"{label} of shape {shape}, finite numbers; these are {problem}")
 
 
 def as_machine(machine: MachineLike) -> Machine:

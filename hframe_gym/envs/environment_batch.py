@@ -17,7 +17,7 @@ from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError
 from .actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
-from .config import EnvConfig, as_machine
+from .config import EnvConfig, as_machine, check_task
 from .machine_sampler import MachineSampler
 from .observations import Observation, ObservationBuilder
 from .rewards import PenalizedReward, as_reward, distances
@@ -40,7 +40,8 @@ class StepResult(NamedTuple):
 
     Attributes:
         reward: Rewards, shape (count,).
-        terminated: Whether the tool is outside the workspace; always False unless `ends` is "terminate". (count,) bool.
+        terminated: Whether `achieved_goal` is outside the workspace, bool, shape (count,); always False unless `ends`
+            is "terminate".
         distance: Distance of the true tool position to the goal, m, shape (count,).
         contour: Distance of the true tool position to the path, m, shape (count,); None for a task without a path.
     """
@@ -84,11 +85,11 @@ class EnvironmentBatch:
         machine = with_actuators(machine, config.drives)
         self.machine = machine if sensors is None else sensors.apply(machine)
         self.task = as_task(config.task)
-        self.task.check(self.workspace)
+        check_task(self.task, self.workspace)
         reward = as_reward(config.chosen_reward, self.task.band, len(self.workspace))
-        self._ends = config.ends == "terminate"
+        self._ends, self._edges = config.ends == "terminate", self.workspace.astype(np.float32)
         if self._ends:
-            reward = PenalizedReward(reward, self.workspace, config.penalty)
+            reward = PenalizedReward(reward, self._edges, config.penalty)
         self.sampler = MachineSampler(self.machine, config.randomize, count, self.task.parameters)
         self.simulator = BatchedSimulator(
             self.machine,
@@ -108,7 +109,6 @@ class EnvironmentBatch:
         # Values that every step needs, looked up once: look-ups are a large part of a step of a single environment.
         self._expected_shape = count, len(self.machine.drives)
         self._has_path = self.task.metrics == "track"
-        self._edges = self.workspace.astype(np.float32)
         self.references = ReferenceTrajectories(self.task, count, config.period, axes=len(self.workspace))
         self.rewards = StepRewards(reward, self.format, count=count, moving=self.references.moving)
         self.clipped = np.zeros(count, np.int64)
@@ -235,7 +235,7 @@ class EnvironmentBatch:
             result.distance[:] = distances(tool, observation["desired_goal"])
             result.reward[:] = self.rewards.of_step(observation)
         if self._ends:
-            result.terminated[:] = outside_workspace(tool, self._edges)
+            result.terminated[:] = outside_workspace(observation["achieved_goal"], self._edges)
         return observation
 
     def _advance_in_threads(

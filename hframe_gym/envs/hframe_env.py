@@ -111,8 +111,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     - `"sparse"`: 0 within the task's band (1 mm), else -1.
     - a function of (achieved, desired), or a registered name.
 
-    With `ends="terminate"`, `penalty` is subtracted outside the workspace. `compute_reward` returns exactly the rewards
-    of `step`.
+    With `ends="terminate"`, `penalty` is subtracted if `achieved_goal` is outside the workspace. `compute_reward`
+    returns exactly the rewards of `step`.
 
     ## Starting State
 
@@ -122,7 +122,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Episode End
 
-    - Termination: only with `ends="terminate"`, when the tool leaves the workspace. By default rubber buffers stop it.
+    - Termination: only with `ends="terminate"`, when `achieved_goal` (with sensors: the measured position) is outside
+      the workspace. By default rubber buffers stop the tool.
     - Truncation: by `gym.make` after 150 steps (1.5 s).
 
     `info` describes the true tool position, even where measurements are observed: `distance_m` to the goal,
@@ -213,7 +214,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
                 key,), as Observation Space of the class describes them.
             reward: Reward, dimensionless, by the option `reward`; "dense", the default without `normalize`, is -1 to 0,
                 and 0 at the goal.
-            terminated: Whether the tool is outside the workspace; always False unless `ends` is "terminate".
+            terminated: Whether `achieved_goal` is outside the workspace; always False unless `ends` is "terminate".
             truncated: Always False; `gym.make` adds the limit of 150 steps.
             info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
 

@@ -74,8 +74,7 @@ class ParameterSpace:
         bounds |= {name: (0.0, MAXIMUM_CONVERTER_BITS) for name in values if name.endswith(".converter_bits")}
         defaults = {name: SMALLEST_FRACTION * value if value >= 0.0 else -math.inf for name, value in values.items()}
         defaults |= {name: 0.0 for name in values if name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))}
-        lower = np.array([bounds.get(name, (low, math.inf))[0] for name, low in defaults.items()], np.float64)
-        upper = np.array([bounds.get(name, (low, math.inf))[1] for name, low in defaults.items()], np.float64)
+        lower, upper = np.array([bounds.get(name, (low, math.inf)) for name, low in defaults.items()], np.float64).T
         # Idler pulleys divide a belt into sections whose lengths are tied to one of them. The shortest section can need
         # a longer belt than a rule for all belts yields. This is no mistake of the user, so the samples are clipped.
         names = tuple(values)
@@ -121,7 +120,7 @@ class RuleSampler:
         before: Smallest and largest values to which the rules are applied, SI, shape (N,) each. Default: nominal ones.
 
     Attributes:
-        names: Full names of the parameters that the rules change.
+        names: Full names of the parameters that the rules change; not those that are 0 and only scaled.
         draws: Number of uniform random numbers that a sample of all parameters needs.
         low: Smallest possible value of every parameter after sampling, SI, shape (N,).
         high: Largest possible value of every parameter after sampling, SI, shape (N,).
@@ -137,15 +136,13 @@ class RuleSampler:
         self.low, self.high = (edge.copy() for edge in (before or (space.nominal, space.nominal)))
         self.draws = 0
         self._steps: list[_RuleStep] = []
-        for rule in rules:
-            if rule.when != when:
-                continue
+        self._changed: set[int] = set()
+        for rule in (rule for rule in rules if rule.when == when):
             if isinstance(rule, RandomizeParameter):
                 self._add_parameter_rule(rule)
             else:
                 self._add_identified_rule(rule, machine)
-        changed = {i for step in self._steps for i in step.parameters}
-        self.names = tuple(space.names[i] for i in sorted(changed))
+        self.names = tuple(space.names[i] for i in sorted(self._changed))
 
     def _add_step(self, parameters: list[int], rule: RandomizeParameter | CorrelatedSampler) -> None:
         """Add a step for parameters (n,) and reserve its uniform numbers."""
@@ -164,6 +161,7 @@ class RuleSampler:
                 f"names are, for example, {', '.join(similar)}"
             )
         self._add_step(indices, rule)
+        self._changed |= {i for i in indices if rule.how != "scale" or self.low[i] or self.high[i]}  # 0 remains 0
         for i in indices:
             self._update_range(i, rule)
 
@@ -202,6 +200,7 @@ class RuleSampler:
         nominal, lower, upper = space.nominal[indices], space.lower[indices], space.upper[indices]
         joint = CorrelatedSampler(uncertainty.covariance * rule.widen**2, nominal, lower, upper)
         self._add_step(indices, joint)
+        self._changed.update(indices)
         self.low[indices] = np.maximum(self.low[indices] - joint.reach, lower)
         self.high[indices] = np.minimum(self.high[indices] + joint.reach, upper)
 
@@ -273,10 +272,11 @@ class MachineSampler:
         self._startup = RuleSampler(self.space, rules, machine, "startup")
         self._reset = RuleSampler(self.space, rules, machine, "reset", (self._startup.low, self._startup.high))
         self.low, self.high = self._reset.low, self._reset.high
-        changed = {*self._startup.names, *self._reset.names}
-        self.columns = [i for i, name in enumerate(self.space.names) if name in changed]
+        self.columns = [i for i, n in enumerate(self.space.names) if n in self._startup.names + self._reset.names]
         self.names = [self.space.names[i] for i in self.columns]
         self._integers = [i for i in self.columns if self.space.names[i].endswith(".converter_bits")]
+        for edge in (self.low, self.high):
+            edge[self._integers] = np.rint(edge[self._integers])
         self._base = np.tile(self.space.nominal, (count if self._startup.names else 1, 1))
         # An environment needs startup samples from its seeding to the next reset.
         self._seeded, self._needs_startup = np.zeros(count, np.bool_), np.ones(count, np.bool_)
@@ -343,8 +343,7 @@ class MachineSampler:
         keys = episode_keys(self._keys[index], self._episodes[index])
         self._episodes[index] += 1
         uniforms = reset_uniforms(keys, task_draws + self._reset.draws)
-        base = self._base[index] if self._startup.names else self._base
-        values = self._reset.sample(base, uniforms[:, task_draws:])
+        values = self._reset.sample(self._base[index] if self._startup.names else self._base, uniforms[:, task_draws:])
         if self._integers:
             values[:, self._integers] = np.rint(values[:, self._integers])
         return keys, uniforms[:, :task_draws], values

@@ -111,6 +111,12 @@ def evaluate_rows(
             reward[b] = -numerator / (len(SCALES) * denominator)
 
 
+def _check_same_shape(achieved: Positions, desired: Positions) -> None:
+    """Raise InputError unless two arrays have the same shape (n, axes), which compiled code does not check."""
+    if achieved.shape != desired.shape or achieved.ndim != 2:
+        raise InputError(f"reward: positions of shapes {achieved.shape} and {desired.shape}; both must be (n, axes)")
+
+
 def distances(achieved: Positions, desired: Positions) -> Array:
     """Compute the Euclidean distance of each tool position to its goal.
 
@@ -120,7 +126,11 @@ def distances(achieved: Positions, desired: Positions) -> Array:
 
     Returns:
         Distances, m, float64, shape (n,).
+
+    Raises:
+        InputError: If the shapes differ.
     """
+    _check_same_shape(achieved, desired)
     distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
     evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), _DENSE, 0.0, distance, reward)
     return distance
@@ -149,7 +159,11 @@ class BuiltinReward:
 
         Returns:
             Rewards, shape (n,).
+
+        Raises:
+            InputError: If the shapes differ.
         """
+        _check_same_shape(achieved, desired)
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
         evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), self.kind, self.band, distance, reward)
         return reward
@@ -186,12 +200,12 @@ class PenalizedReward:
 
     Args:
         reward: Reward inside the workspace, a function of achieved and desired positions.
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
+        workspace: One row per axis of the tool, columns low and high, m, float32 as positions, shape (axes, 2).
         penalty: Amount subtracted where the achieved position is outside the workspace, not negative.
     """
 
     reward: Reward
-    workspace: Array
+    workspace: Positions
     penalty: float
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:

@@ -41,7 +41,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     Observations are new dicts of arrays. Where an episode ended, they are those after the reset, and the info holds
     `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended the episode), `is_success`
-    and `distance_m` at its end. The info of an episode that continues is empty.
+    and `distance_m` at its end. The info of an episode that continues is empty, except that with the reward "progress"
+    every info holds `previous_achieved_goal` (and `previous_desired_goal` if goals move), which `compute_reward` needs.
 
     Args:
         num_envs: Number of environments.
@@ -80,6 +81,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             **{**keywords, **options},
         )
         self._actions: NDArray[Any] | None = None
+        self._previous_goals: tuple[str, ...] = ()  # keys of the infos from which `compute_reward` takes goals
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     def reset(self) -> Any:
@@ -96,6 +98,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         options = self._stacked_options()
         observation, info = self.envs.reset(seed=self._seeds, options=options)
         self._keep_reset_infos(info, range(self.num_envs))
+        self._previous_goals = tuple(key for key in info if key.startswith("previous_"))
         self._reset_seeds()
         self._reset_options()
         return observation
@@ -125,9 +128,10 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
                 episode ended, this is the first observation of the next one.
             reward: Rewards, dimensionless, shape (num_envs,).
             done: Whether the episode ended, by termination or truncation, shape (num_envs,).
-            infos: One dict per environment, empty unless its episode ended. Then it describes the end of the episode:
+            infos: One dict per environment. With the reward "progress": the goals before the step, as observed, by the
+                keys `previous_achieved_goal` and, if goals move, `previous_desired_goal`. Where an episode ended, also
                 `terminal_observation`, `TimeLimit.truncated` (whether the limit of steps ended it), `is_success` (tool
-                within the task's band around the goal) and `distance_m` to the goal, m.
+                within the task's band around the goal) and `distance_m` to the goal, m, at its end.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
@@ -137,6 +141,9 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for key in self._previous_goals:
+            for description, goal in zip(infos, info[key], strict=True):
+                description[key] = goal
         if "final_obs" in info:
             over = np.flatnonzero(done).tolist()
             final = info["final_info"]
@@ -146,7 +153,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
                     "TimeLimit.truncated": bool(truncated[b] and not terminated[b]),
                     "is_success": bool(final["is_success"][b]),
                     "distance_m": float(final["distance_m"][b]),
-                }
+                } | {key: final[key][b] for key in self._previous_goals}
             self._keep_reset_infos(info, over)
         return observation, reward, done, infos
 

@@ -238,22 +238,40 @@ class StepRewards:
 
         Args:
             achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
-            desired_goal: Desired goals as observed, the same shape.
+            desired_goal: Desired goals as observed, shape (axes,) or (n, axes). One goal, shape (axes,) or (1, axes),
+                goes with each of several goals of the other kind.
             info: Info of the step, or one info per row. Only the reward "progress" uses it: `previous_achieved_goal`
                 and, if goals move, `previous_desired_goal`.
 
         Returns:
-            Reward, dimensionless: a float for goals of shape (axes,), or n rewards, shape (n,).
+            Reward, dimensionless: a float if both goals have the shape (axes,), else n rewards, shape (n,).
 
         Raises:
-            InputError: If the reward is "progress" and an info lacks the goals before the step.
+            InputError: If the shapes of the goals do not fit together, or the reward is "progress" and an info lacks
+                the goals before the step, or there is not one info per row.
         """
-        achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
+        achieved, desired = self._same_shape(achieved_goal, desired_goal)
         rewards = self._evaluate(self.reward, achieved, desired)
         if self._progress is not None:
             rewards = rewards - self._evaluate(self.reward, *_previous_goals(info, desired))
             rewards = rewards + self._evaluate(self._progress.bonus, achieved, desired)
         return rewards if achieved.ndim > 1 else float(rewards[0])
+
+    def _same_shape(self, achieved_goal: Any, desired_goal: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return goals as two arrays of one shape, (axes,) or (n, axes); raise InputError if they do not fit."""
+        achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
+        axes = self._rounding.shape[1]
+        fits = all(goal.ndim in (1, 2) and goal.shape[-1] == axes for goal in (achieved, desired))
+        if fits and achieved.shape == desired.shape:
+            return achieved, desired
+        counts = {len(np.atleast_2d(goal)) for goal in (achieved, desired)} - {1}
+        if not fits or len(counts) > 1:
+            raise InputError(
+                f"compute_reward: achieved_goal has shape {achieved.shape} and desired_goal {desired.shape}; both must "
+                f"be ({axes},) or (n, {axes}), with the same n"
+            )
+        shape = np.broadcast_shapes(achieved.shape, desired.shape)
+        return np.array(np.broadcast_to(achieved, shape)), np.array(np.broadcast_to(desired, shape))
 
     def _evaluate(self, function: Reward, achieved: NDArray[Any], desired: NDArray[Any]) -> Array:
         """Return the values (n,) of a function of positions for goals as observed (n, axes) or (axes,)."""
@@ -269,8 +287,11 @@ def _previous_goals(info: Any, desired: NDArray[Any]) -> tuple[NDArray[Any], NDA
             "reward 'progress' compares two steps and needs info['previous_achieved_goal'], which "
             "HerReplayBuffer(copy_info_dict=True) keeps; or choose reward='sparse' or 'dense'"
         )
-    shape = desired.shape
-    achieved = np.reshape([each["previous_achieved_goal"] for each in infos], shape)
-    if "previous_desired_goal" not in infos[0]:
-        return achieved, desired
-    return achieved, np.reshape([each["previous_desired_goal"] for each in infos], shape)
+    keys = "previous_achieved_goal", "previous_desired_goal"
+    goals = [np.array([each[key] for each in infos]) if key in infos[0] else desired for key in keys]
+    if any(values.size != desired.size for values in goals):
+        raise InputError(
+            f"compute_reward: {len(infos)} infos for goals of shape {desired.shape}; 'progress' needs one per row"
+        )
+    achieved_before, desired_before = (np.reshape(values, desired.shape) for values in goals)
+    return achieved_before, desired_before

@@ -173,8 +173,8 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         Returns:
             observation: Arrays by key, shape (num_envs, entries of the key), in the units of the observation space.
             reward: Rewards, dimensionless, shape (num_envs,).
-            terminated: Whether the tool is outside the workspace, shape (num_envs,); always False unless `ends` is
-                "terminate".
+            terminated: Whether `achieved_goal` is outside the workspace, shape (num_envs,); always False unless `ends`
+                is "terminate".
             truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
             info: Arrays by key, `distance_m` to the goal, m, `is_success` and others (Episode End of `HFrameEnv`
                 describes them), shape (num_envs,). As usual in Gymnasium, for each key the mask "_" + key tells which

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
-from ..dynamics.elementwise import copysign, maximum
+from ..dynamics.elementwise import absolute, copysign, maximum
 from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine
 from .random_numbers import compiled
@@ -23,6 +23,15 @@ Array = NDArray[np.float64]
 # Rubber buffers at the ends of x and y.
 BUFFER_STIFFNESS = 2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz
 BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
+# The integrator keeps a force constant over a step h, so that a buffer could throw a light carriage of mass m back
+# faster than it came. These limits of stiffness * h^2 / m and of the slope of the force by the speed * h / m,
+# dimensionless, prevent it; the integrator diverges at 12 and 2. The built-in machines do not reach them with the
+# default step.
+STIFFNESS_LIMIT, DAMPING_LIMIT = 0.5, 1.5
+# The second limit applies to m minus this fraction of h^2 times the stiffness of the belts, but at least to a tenth of
+# m. Carriages of which the belts take more oscillate too fast for the step, also without buffers.
+BELT_FRACTION, SMALLEST_FRACTION = 0.25, 0.1
+LARGEST_DEPTH = 1e3  # m, more than any machine's workspace
 
 
 def workspace_of(machine: Machine) -> Array:
@@ -72,10 +81,11 @@ def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[A
     return np.asarray(beyond.any(axis=1))
 
 
-def _buffer_force(q, v, t, low, high, stiffness, damping):  # type: ignore[no-untyped-def]
-    """Return f = -k d max(0, 1 + c v sign d), N, with the depth d beyond [low, high], m."""
+def _buffer_force(q, v, t, low, high, stiffness, damping, damped):  # type: ignore[no-untyped-def]
+    """Return f = -k d max(0, 1 + c v sign d min(1, damped/|d|)), N, with the depth d beyond [low, high], m."""
     depth = maximum(q - high, 0.0) - maximum(low - q, 0.0)
-    return -stiffness * depth * maximum(1.0 + damping * copysign(1.0, depth) * v, 0.0)
+    slope = damping * (damped / maximum(absolute(depth), damped))
+    return -stiffness * depth * maximum(1.0 + slope * copysign(1.0, depth) * v, 0.0)
 
 
 def _compresses_buffer(q, low, high):  # type: ignore[no-untyped-def]
@@ -87,7 +97,7 @@ END_STOP = Effect(
     name="end_stop",
     family="force",
     site="coordinate",
-    formula="f = -k d max(0, 1 + c v sign d), d the depth beyond [low, high]",
+    formula="f = -k d max(0, 1 + c v sign d min(1, damped/|d|)), d the depth beyond [low, high]",
     source="Hunt and Crossley 1975",
     force=_buffer_force,
     active_region=_compresses_buffer,
@@ -96,20 +106,23 @@ END_STOP = Effect(
         EffectParameter("high", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
         EffectParameter("stiffness", "stiffness", 0.0, 1e9, scale=1e4, grid=(BUFFER_STIFFNESS,)),
         EffectParameter("damping", "s/m", 0.0, 1e3, scale=0.1, grid=(BUFFER_DAMPING,)),
+        EffectParameter("damped", "position", 0.0, LARGEST_DEPTH, scale=1e-3, grid=(LARGEST_DEPTH,)),
     ),
 )
 
 
-def with_end_stops(machine: Machine) -> Machine:
+def with_end_stops(machine: Machine, step: float) -> Machine:
     """Return a copy of a machine with rubber buffers at both ends of every tool axis.
 
     A buffer touches the tool at the end of the axis' declared range. Beyond it by d, m, at the speed v, m/s (positive
     outward), the tool is pushed back with k d (1 + c v), N, never pulled; stiffness k = 2e5 N/m, damping c = 1.5 s/m.
     The force is larger in compression than in release, so that an impact loses energy (Hunt and Crossley 1975 with
-    exponent 1).
+    exponent 1). Buffers of a carriage that is too light for the step are softer: k is smaller, and beyond a depth c
+    decreases as 1/d.
 
     Args:
         machine: Machine with a range for each tool axis.
+        step: Step of the integrator with which the machine is simulated, s.
 
     Returns:
         Copy with one more effect `end_stop` per axis, whose parameters follow the parameters of the machine.
@@ -117,11 +130,80 @@ def with_end_stops(machine: Machine) -> Machine:
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
     """
-    stops = [
-        END_STOP.at(name, low=low, high=high, stiffness=BUFFER_STIFFNESS, damping=BUFFER_DAMPING)
-        for name, (low, high) in zip(machine.tool_axes, workspace_of(machine).tolist(), strict=True)
-    ]
-    return machine.with_effects(*stops)
+    return EndStops(machine, step).machine
+
+
+class EndStops:
+    """End stops of machines with the same structure and different masses.
+
+    Args:
+        machine: Machine with a range for each tool axis.
+        step: Step of the integrator with which the machines are simulated, s.
+
+    Attributes:
+        machine: Copy of the machine with end stops, as `with_end_stops` returns it.
+
+    Raises:
+        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
+    """
+
+    def __init__(self, machine: Machine, step: float) -> None:
+        ranges, parameters = workspace_of(machine).tolist(), list(machine.parameters)
+        self._step, self._count = step, len(parameters)
+        columns, factors = [], []  # masses are factors times parameters
+        for axis in machine.tool_axes:
+            name, factor = f"{axis}.mass", 1.0
+            while name in machine.ties:
+                name, tie = machine.ties[name]
+                factor *= tie
+            columns.append(parameters.index(name))
+            factors.append(factor)
+        self._columns, self._factors = np.array(columns), np.array(factors)
+        belts = np.array([belt.EA / belt.rest_length for belt in machine.belts])
+        axes = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+        self._belts = np.array(belts @ machine.belt_matrix[:, axes] ** 2) if machine.belts else np.zeros(len(axes))
+        self._stops = np.array([(low, high, 0.0, BUFFER_DAMPING, 0.0) for low, high in ranges]).ravel()
+        names = [parameter.name for parameter in END_STOP.parameters]
+        nominal = self.parameters(np.array([list(machine.parameters.values())]))[0, self._count :]
+        rows = nominal.reshape(len(axes), -1).tolist()
+        stops = [
+            END_STOP.at(axis, **dict(zip(names, row, strict=True)))
+            for axis, row in zip(machine.tool_axes, rows, strict=True)
+        ]
+        self.machine = machine.with_effects(*stops)
+
+    def parameters(self, values: Array) -> Array:
+        """Compute all parameters of machines, with end stops for their masses.
+
+        Args:
+            values: Parameters of k machines, SI, shape (k, N). The first columns are the parameters of the machine
+                without end stops, in their order; further columns are ignored.
+
+        Returns:
+            Parameters in the order of those of the attribute `machine`, SI, shape (k, parameters).
+        """
+        result = np.empty((len(values), self._count + len(self._stops)))
+        result[:, : self._count] = values[:, : self._count]
+        result[:, self._count :] = self._stops
+        _soften_buffers(result, self._count, self._columns, self._factors, self._belts, self._step)
+        return result
+
+
+@compiled
+def _soften_buffers(parameters: Any, first: int, columns: Any, factors: Any, belts: Any, step: float) -> None:
+    """Set stiffness and damped depth of the end stops, whose parameters begin at column first, for a step in s.
+
+    parameters (k, n), changed here; columns of the masses in them and factors by which they are multiplied (axes,);
+    belts (axes,): stiffness of the belts, N/m.
+    """
+    for b in range(parameters.shape[0]):
+        for axis in range(columns.shape[0]):
+            mass, stop = factors[axis] * parameters[b, columns[axis]], first + 5 * axis
+            stiffness = min(BUFFER_STIFFNESS, STIFFNESS_LIMIT / step**2 * mass)
+            remaining = max(mass - BELT_FRACTION * step**2 * belts[axis], SMALLEST_FRACTION * mass)
+            parameters[b, stop + 2] = stiffness
+            damped = DAMPING_LIMIT / (step * BUFFER_DAMPING) * remaining / stiffness
+            parameters[b, stop + 4] = min(damped, LARGEST_DEPTH)
 
 
 def tool_product(machine: Machine, name: str) -> tuple[int, int]:

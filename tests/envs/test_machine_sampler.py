@@ -267,3 +267,21 @@ def test_the_speed_of_a_task_can_be_randomized():
     expected = envs.step(np.zeros((40, 2)))[4]["parameters"]["task.speed"]
     np.testing.assert_allclose(speed, expected, rtol=1e-2)
     assert np.ptp(speed) > 0.2
+
+
+def test_sampled_bits_stay_in_the_bounds_of_privileged():
+    rule = RandomizeParameter("motor*.converter_bits", Uniform(10.4, 13.6), how="set")
+    envs = HFrameVectorEnv(64, privileged=True, randomize=[rule])
+    observation, info = envs.reset(seed=0)
+    assert envs.observation_space.contains(observation)
+    assert set(info["parameters"]["motor1.converter_bits"]) == {10.0, 11.0, 12.0, 13.0, 14.0}
+    assert [(e.low, e.high) for e in envs.privileged_entries[-2:]] == [(10.0, 14.0)] * 2
+
+
+def test_a_scaled_zero_is_not_randomized():
+    frictionless = MACHINE.replace({"x.coulomb": 0.0})
+    names = sample([RandomizeParameter("*.coulomb", Uniform(0.5, 2.0))], machine=frictionless)[1].names
+    assert "y.coulomb" in names
+    assert "x.coulomb" not in names
+    rules = [RandomizeParameter("x.coulomb", Uniform(0.5, 2.0), how=how) for how in ("add", "scale")]
+    assert sample(rules, machine=frictionless)[1].names == ("x.coulomb",)

@@ -59,6 +59,28 @@ class Line(Task):
         return np.abs(points[:, 1])
 
 
+@dataclass(frozen=True)
+class Jump(Task):
+    """Stay at the origin; the goal changes its sign after 20 ms. Methods of subclasses are wrong."""
+
+    draws: ClassVar[int] = 2
+
+    def begin(self, workspace, uniforms, parameters=None):
+        """Start at the origin."""
+        goals = 0.1 * uniforms + 0.01
+        return np.zeros_like(goals), goals
+
+    def goal(self, plan, elapsed_s):
+        """Return the goal."""
+        signs = np.where(elapsed_s < 0.0199, 1.0, -1.0)
+        return signs[..., None] * (plan if elapsed_s.ndim == 1 else plan[:, None])
+
+
+def variant(**methods):
+    """Return a task like `Jump` with other attributes."""
+    return type("Variant", (Jump,), methods)()
+
+
 @REWARDS.register("test-manhattan")
 @dataclass(frozen=True)
 class Manhattan:
@@ -151,3 +173,41 @@ def test_a_task_is_evaluated_with_its_metrics(task, metric):
     scores, _ = evaluate("pid", task=task, episodes=2, randomize="none", duration_s=0.3)
     assert scores["task"] == task
     assert metric in scores["controllers"]["pid"]
+
+
+@pytest.mark.parametrize("reward", ["dense", "progress"])
+def test_a_goal_moves_without_a_path_or_previews(reward):
+    env = HFrameEnv(task=Jump(), reward=reward)
+    goals = [env.reset(seed=0)[0]["desired_goal"]]
+    for _ in range(3):
+        observation, value, _, _, info = env.step(np.zeros(2, np.float32))
+        goals.append(observation["desired_goal"])
+        assert value == env.compute_reward(observation["achieved_goal"], goals[-1], info)
+        assert info["distance_m"] == pytest.approx(np.linalg.norm(goals[-1] - observation["achieved_goal"]))
+    np.testing.assert_array_equal(goals, [goals[0], goals[0], -goals[0], -goals[0]])
+
+
+def test_a_task_can_declare_that_its_goals_do_not_move():
+    assert not HFrameEnv(task="reach").batch.references.moving
+    assert not HFrameEnv(task=variant(moving=False)).batch.references.moving
+
+
+@pytest.mark.parametrize(
+    ("methods", "message"),
+    [
+        ({"begin": lambda *_: np.zeros((16, 2))}, "begin must return two arrays"),
+        ({"begin": lambda *_: (np.zeros(2), np.zeros(2))}, r"begin must return starts of shape \(16, 2\)"),
+        ({"begin": lambda *_: (np.zeros((16, 3)), np.zeros((16, 2)))}, "these are of shape"),
+        ({"begin": lambda *_: (np.full((16, 2), np.nan), np.zeros((16, 2)))}, "these are not finite"),
+        ({"begin": lambda *_: (np.full((16, 2), 5.0), np.zeros((16, 2)))}, "starts that begin returns must be"),
+        ({"begin": lambda *_: (np.zeros((16, 2)), np.zeros(16))}, "begin must return plans"),
+        ({"begin": lambda *_: (np.zeros((16, 2)), np.full((16, 2), 5.0))}, "goals must be"),
+        ({"goal": lambda self, plan, elapsed_s: plan[0]}, r"for times of shape \(16,\)"),
+        ({"goal": lambda self, plan, elapsed_s: plan}, r"for times of shape \(16, 2\)"),
+        ({"metrics": "track"}, "must implement contour"),
+        ({"metrics": "track", "contour": lambda *_: 0.0}, "contour must return distances"),
+    ],
+)
+def test_a_task_with_a_wrong_method_is_refused(methods, message):
+    with pytest.raises(InputError, match=message):
+        HFrameEnv(task=variant(**methods))

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
+from hframe_gym.effects import EFFECTS
+from hframe_gym.envs import HFrameEnv, HFrameVectorEnv, Lasers, Sensors
 from hframe_gym.envs.rewards import as_reward
+from hframe_gym.machine import BUILTIN_MACHINES
 
 
 def dense(distances):
@@ -12,6 +14,11 @@ def dense(distances):
     achieved = np.zeros((len(distances), 2), np.float32)
     achieved[:, 0] = distances
     return as_reward("dense", 1e-3)(achieved, np.zeros_like(achieved))
+
+
+def manhattan(achieved, desired):
+    """Return minus the sum of the distances along x and y."""
+    return -np.abs(achieved - desired).sum(axis=1)
 
 
 def test_the_dense_reward_pays_for_every_halving():
@@ -43,16 +50,57 @@ def test_compute_reward_returns_the_bits_of_step(reward, ends):
     assert (ended > 0) == (ends == "terminate")
 
 
+@pytest.mark.parametrize("reward", ["dense", "sparse", "progress", manhattan])
+def test_one_goal_goes_with_many_positions(reward):
+    env = HFrameEnv(reward=reward, ends="terminate")
+    positions = np.random.default_rng(0).uniform(-0.3, 0.3, (6, 2)).astype(np.float32)
+    goal = np.array([0.1, 0.05], np.float32)
+    infos = [{"previous_achieved_goal": position / 2} for position in positions]
+    expected = env.compute_reward(positions, np.tile(goal, (6, 1)), infos)
+    np.testing.assert_array_equal(env.compute_reward(positions, goal, infos), expected)
+    np.testing.assert_array_equal(env.compute_reward(positions, goal[None], infos), expected)
+    reverse = env.compute_reward(goal, positions, [{"previous_achieved_goal": goal / 2}] * 6)
+    assert reverse.shape == (6,)
+    assert np.all(np.isfinite(reverse))
+
+
+@pytest.mark.parametrize("reward", ["dense", "progress"])
+def test_goals_of_other_shapes_raise_an_error(reward):
+    compute = HFrameEnv(reward=reward).compute_reward
+    info = {"previous_achieved_goal": np.zeros(2, np.float32)}
+    for first, second in (((3, 2), (4, 2)), ((3, 5), (3, 5)), ((3,), (3,)), ((1, 3, 2), (1, 3, 2)), ((), ())):
+        with pytest.raises(ValueError, match=r"both must be \(2,\) or \(n, 2\)"):
+            compute(np.zeros(first, np.float32), np.zeros(second, np.float32), [info] * 3)
+    if reward == "progress":
+        with pytest.raises(ValueError, match="1 infos for goals of shape"):
+            compute(np.zeros((3, 2)), np.zeros((3, 2)), info)
+    with pytest.raises(ValueError, match="must be"):
+        as_reward(reward, 1e-3)(np.zeros((9, 2), np.float32), np.zeros((1, 2), np.float32))
+
+
+@pytest.mark.parametrize("lasers", [Lasers(noise=1e-3), Lasers(span=np.inf, noise=1e-3), None])
+def test_the_penalty_and_the_end_of_an_episode_coincide(lasers):
+    machine = BUILTIN_MACHINES["hframe"]()
+    for channel in machine.output_channels:
+        machine = machine.with_effects(EFFECTS["sensor_delay"].at(channel, d=0.012))
+    envs = HFrameVectorEnv(
+        32, machine=machine, sensors=Sensors(lasers=lasers), ends="terminate", autoreset_mode="SameStep"
+    )
+    envs.reset(seed=0)
+    actions = np.sign(np.random.default_rng(0).normal(size=(32, 2))).astype(np.float32)
+    ended = 0
+    for _ in range(60):
+        _, rewards, terminated, _, _ = envs.step(actions)
+        np.testing.assert_array_equal(terminated, rewards < -50.0)
+        ended += int(terminated.sum())
+    assert ended > 20
+
+
 def test_the_sparse_reward_is_zero_in_the_band():
     reward = as_reward("sparse", 1e-3)
     goals = np.zeros((2, 2), np.float32)
     goals[:, 1] = [0.0009, 0.0011]
     np.testing.assert_array_equal(reward(goals, np.zeros_like(goals)), [0.0, -1.0])
-
-
-def manhattan(achieved, desired):
-    """Return minus the sum of the distances along x and y."""
-    return -np.abs(achieved - desired).sum(axis=1)
 
 
 def test_a_function_can_be_the_reward():

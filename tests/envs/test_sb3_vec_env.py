@@ -103,3 +103,17 @@ def test_ppo_learns_with_its_default_hyperparameters():
     assert final_distance(model) > 0.1
     model.learn(12_000)
     assert final_distance(model) < 0.04  # 0.013 m here; with 120 000 steps below 1 mm (benchmarks/plain_ppo.py)
+
+
+def test_infos_hold_what_the_progress_reward_needs():
+    """Hindsight replay computes rewards from stored infos, so every info must hold the goals before its step."""
+    vec, rng = HFrameVecEnv(2, normalize=True), np.random.default_rng(0)
+    observation, stored = vec.reset(), []
+    for _ in range(5):
+        following, rewards, _, infos = vec.step(rng.uniform(-1, 1, (2, 2)).astype(np.float32))
+        stored += [(observation, following, b, rewards[b], infos[b]) for b in range(2)]
+        observation = following
+    for before, after, b, reward, info in stored:
+        np.testing.assert_array_equal(info["previous_achieved_goal"], before["achieved_goal"][b])
+        goals = (after["achieved_goal"][b], after["desired_goal"][b])
+        assert vec.envs.compute_reward(*goals, info) == pytest.approx(reward)

@@ -31,16 +31,19 @@ class Task(ABC):
         class MyTask(Task): ...
 
     Attributes:
-        metrics: Set of evaluation metrics: "reach" for a fixed goal (settling time, success at the end), "track" for a
-            goal that moves along a path (contour and tracking errors). A task of metrics "track" implements `contour`.
+        metrics: Set of evaluation metrics: "reach" for a goal that is reached (settling time, success at the end),
+            "track" for a goal that moves along a path (contour and tracking errors), which needs `contour`.
         draws: Number of uniform random numbers per episode that `begin` uses.
         plan_size: Number of entries in a plan. Plans may be shorter for a machine with one axis.
         band: Distance to the goal that counts as a success, m.
+        moving: Whether goals can move during an episode. False saves time in every step, because the goal at the reset
+            is then that of the whole episode; not used for a task with previews or metrics "track".
     """
 
     metrics: ClassVar[Metrics] = "reach"
     draws: ClassVar[int] = 0
     plan_size: ClassVar[int] = 2
+    moving: ClassVar[bool] = True
     band: float = 1e-3
 
     @property
@@ -217,7 +220,7 @@ class ReferenceTrajectories:
         self._now = 0
         self._began = np.zeros(count, np.int64)
         self._elapsed_s = np.zeros(count)  # only for goals that move
-        self.moving = bool(task.ahead_s) or task.metrics == "track"
+        self.moving = task.moving or bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
         self._fixed_goals = np.zeros((count, axes), np.float32)  # goals at reset; all there is if goals do not move
         self._ahead_s = np.array(task.ahead_s)

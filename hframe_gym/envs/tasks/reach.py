@@ -32,6 +32,7 @@ class Reach(Task):
 
     draws: ClassVar[int] = 4
     plan_size: ClassVar[int] = 2  # the target
+    moving: ClassVar[bool] = False
 
     def check(self, workspace: Array) -> None:
         """Check that band and margin are valid and that start and target lie in the workspace.
