@@ -100,17 +100,15 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     changes = np.einsum("bij,bj->bi", axes, along_axes) @ root  # of the estimate by each block's residual, (blocks, k)
     changes = changes @ directions.T * _student_widening(information, directions @ inverse)
     covariance = changes.T @ changes + directions @ inverse @ prior @ inverse @ directions.T
-    white = directions @ inverse @ directions.T
-    # No variance is smaller than that of white noise; correlations are kept.
+    white = directions @ inverse @ directions.T  # no variance is smaller than that; correlations are kept
     inflation = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
     covariance *= np.outer(inflation, inflation)
     of_delay = directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)  # per sampling period
     delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
     covariance += delay_variance * np.outer(of_delay, of_delay)
     covariance += np.diag(np.where([f.switch for f in fitted.free], np.diag(directions), 0.0) ** 2)
-    # From theta to the parameters' values, by the derivative of each value with respect to its theta.
     slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
-    covariance *= np.outer(slopes, slopes)
+    covariance *= np.outer(slopes, slopes)  # from theta to the parameters' values
     uncertainty = Uncertainty(tuple(f.name for f in fitted.free), (covariance + covariance.T) / 2)
     return fitted.machine.replace(uncertainty=uncertainty)
 

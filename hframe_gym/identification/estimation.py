@@ -107,7 +107,8 @@ def fit(
         Fit where the search ended: theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
     """
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
-    for step in _IMPACT_DIFFERENCE_STEPS if has_impacts(machine) else (DIFFERENCE_STEP,):
+    steps: tuple[float | None, ...] = (None, DIFFERENCE_STEP) if any(f.switch for f in free) else (None,)
+    for step in _IMPACT_DIFFERENCE_STEPS if has_impacts(machine) else steps:
         model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step, difference_step=step)
         theta, cost, information = _descend(model, theta, iterations, tolerance)
     machine = model.machine_at(theta)

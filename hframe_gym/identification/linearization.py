@@ -107,8 +107,8 @@ class ResidualModel:
         bandwidth: Bandwidth of the observer that corrects predictions by measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
         rows_per_block: How many samples are combined into one row (sum / square root of the number).
-        difference_step: Change of theta over which derivatives are computed. Default: 1e-4, or 0.01 where parts
-            collide (`has_impacts`).
+        difference_step: Change of theta over which derivatives are computed. Default: 1e-4; 0.01 where parts collide
+            (`has_impacts`); 0.02 for a threshold (`FreeParameter.switch`).
     """
 
     machine: Machine
@@ -162,8 +162,7 @@ class ResidualModel:
             the part that an error of the initial state can explain.
         """
         machine = self.machine_at(theta)
-        step = self.difference_step or (_IMPACT_DIFFERENCE_STEP if has_impacts(machine) else DIFFERENCE_STEP)
-        steps = np.array([_SWITCH_DIFFERENCE_STEP if f.switch else step for f in self.free])
+        steps = self._difference_steps()
         thetas = np.vstack([theta, theta + np.diag(steps)])
         initial_state = run.initial_state(machine)
         motion = self._predict(machine, run, thetas, initial_state, states=responses is not None)
@@ -183,6 +182,13 @@ class ResidualModel:
             residual = projection(residual)
             extra = None if extra is None else projection(extra)
         return RunLinearization(forward_differences(residual, steps), extra, residual[0], initial_state, projection)
+
+    def _difference_steps(self) -> Array:
+        """Return the change of each theta over which its derivative is computed, shape (k,)."""
+        if self.difference_step is not None:
+            return np.full(len(self.free), self.difference_step)
+        step = _IMPACT_DIFFERENCE_STEP if has_impacts(self.machine) else DIFFERENCE_STEP
+        return np.array([_SWITCH_DIFFERENCE_STEP if f.switch else step for f in self.free])
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
         """Linearize the residual (prediction error / noise) of all runs as a function of the free parameters.
