@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, output_batch, write_text
 from ..controllers import Controller
-from ..envs import action_space, observation_space
+from ..envs import SensorsLike, action_space, observation_space
 from ..errors import InputError
 from ..locked_folders import complete_commit
 from ..machine import Machine, observed_coordinates
@@ -182,15 +182,17 @@ class Agent(Controller):
         present, former = (", ".join(_counted(c[part], part) for part in differing) for c in (counts, trained))
         return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
 
-    def mismatch(self, machine: Machine, period: float) -> str | None:
-        """Return a warning if machine or control period of an evaluation differ from those of the agent's training.
+    def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
+        """Return a warning if an evaluation differs from the agent's training in machine, control period or sensors.
 
         Args:
             machine: Machine of the evaluation.
             period: Control period of the evaluation, s.
+            sensors: What the agent observes in the evaluation: "state", or a sensor suite or its name.
 
         Returns:
-            One line that names the differences (name or parameters of the machine, period); None if there are none.
+            One line that names the differences (name or parameters of the machine, period, sensors); None if there are
+            none.
         """
         differences = []
         if machine.name != self.machine.name:
@@ -199,6 +201,10 @@ class Agent(Controller):
             differences.append(f"trained on a machine {machine.name!r} with other parameters")
         if not np.isclose(period, self.period):
             differences.append(f"trained with a control period of {self.period:g} s, evaluated at {period:g} s")
+        trained = self.card["settings"].get("env", {}).get("sensors", "state")
+        if sensors != trained:
+            observed = sensors if isinstance(sensors, str) else "a sensor suite"
+            differences.append(f"trained with sensors {trained!r}, evaluated with {observed!r}")
         if not differences:
             return None
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."

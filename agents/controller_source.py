@@ -50,7 +50,7 @@ class AgentSource(ControllerSource):
                 f"agent {name}: {obstacle}. Leave it out, evaluate it on its own (--machine {trained_on}), or train "
                 "an agent for this one (hframe train ppo)"
             )
-        mismatch = agent.mismatch(scenario.declared_machine, scenario.period)
+        mismatch = agent.mismatch(scenario.declared_machine, scenario.period, scenario.sensors)
         if mismatch:
             warnings.warn(mismatch, stacklevel=2)
         return agent

@@ -153,7 +153,9 @@ class Registry(Generic[T]):
             try:
                 importlib.import_module(module)
             except ImportError as error:
-                raise InputError(f"{self.kind} {name!r}: cannot import {module!r}: {error}") from error
+                advice = "install it or add its folder to PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
+                text = f"{self.kind} {name!r}: cannot import {module!r}: {error}"
+                raise InputError("; ".join(filter(None, (text, advice)))) from error
         if key not in self:
             raise InputError(f"{self.kind} {name!r} is unknown; choose one of {', '.join(self._parts)}")
         return self._parts[key]

@@ -87,7 +87,7 @@ def test_weights_of_another_policy_are_refused(copied_agent):
         Agent.load(copied_agent)
 
 
-def test_mismatch_names_machine_parameters_and_period():
+def test_mismatch_names_machine_parameters_period_and_sensors():
     agent = Agent.load(shipped_agent_folder("ppo", "reach"))
     machine = BUILTIN_MACHINES["hframe"]()
     assert agent.mismatch(machine, 0.01) is None
@@ -96,3 +96,4 @@ def test_mismatch_names_machine_parameters_and_period():
     heavier = machine.replace({"x.mass": 1.5 * machine.parameters["x.mass"]})
     assert "trained on a machine 'hframe' with other parameters" in agent.mismatch(heavier, 0.01)
     assert "control period of 0.01 s, evaluated at 0.002 s" in agent.mismatch(machine, 0.002)
+    assert "trained with sensors 'state', evaluated with 'rig'" in agent.mismatch(machine, 0.01, "rig")
