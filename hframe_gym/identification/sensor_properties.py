@@ -12,37 +12,16 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from ..effects import EFFECTS
 from ..machine import AppliedEffect, Machine
-from ..recordings import Recording
+from ..recordings import Recording, quantum_of
 from .criteria import SelectionCriteria
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 UNLIMITED = 10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
-_MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
 _ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.
 _MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
-
-
-def quantum_of(values: Array) -> float:
-    """Estimate the quantization step (quantum) of one channel from one run.
-
-    The quantum is the smallest change of which nearly all changes are multiples.
-
-    Args:
-        values: Measurements, m or rad, shape (n,), NaN where not measured.
-
-    Returns:
-        Quantum, m or rad; 0 if the channel shows none.
-    """
-    steps = np.abs(np.diff(values[np.isfinite(values)]))
-    steps = steps[steps > 0]
-    if len(steps) < _MIN_STEPS:
-        return 0.0
-    smallest = float(np.percentile(steps, 2))
-    deviation = np.abs(steps / smallest - np.rint(steps / smallest))
-    return smallest if np.mean(deviation < 0.1) > 0.95 else 0.0
 
 
 def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:

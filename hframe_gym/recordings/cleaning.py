@@ -33,7 +33,8 @@ _IGNORED_SPEEDS = 2  # smallest and largest speeds that are ignored, because ano
 # reach 0.26.
 _SPEED_FACTOR = 1.0
 _NOISE_FACTOR = 8.0  # times the declared noise
-_RESOLUTION_FACTOR = 4.0  # times the declared resolution
+_RESOLUTION_FACTOR = 4.0  # times the resolution
+_MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
 _MIN_CHANGES = 20  # changes of a channel that show whether it is measured in every row
 _LARGE_CHANGE = 3.0  # times the smallest changes (the quantization step); slow motion says nothing
 _REPEATED = 0.9  # fraction of the large changes that a repetition follows
@@ -169,6 +170,26 @@ def without_repetitions(recording: Recording) -> Recording:
     return recording if unchanged else dataclasses.replace(recording, outputs=outputs)
 
 
+def quantum_of(values: Array) -> float:
+    """Estimate the quantization step (quantum) of one channel from one run.
+
+    The quantum is the smallest change of which nearly all changes are multiples.
+
+    Args:
+        values: Measurements, m or rad, shape (n,), NaN where not measured.
+
+    Returns:
+        Quantum, m or rad; 0 if the channel shows none.
+    """
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    steps = steps[steps > 0]
+    if len(steps) < _MIN_STEPS:
+        return 0.0
+    smallest = float(np.percentile(steps, 2))
+    deviation = np.abs(steps / smallest - np.rint(steps / smallest))
+    return smallest if np.mean(deviation < 0.1) > 0.95 else 0.0
+
+
 def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
 
@@ -176,12 +197,12 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     through the two samples before and the two after them. Kinks and steps of a real motion (a shock at an end stop, a
     stop by Coulomb friction) agree with one of these lines, so they are kept. For an outlier, the departure must exceed
     12 times the median and 4 times the 98th percentile of the sensor's departures in this run, 8 times the declared
-    noise, 4 times the declared resolution, and the distance that a change of speed at this time explains. The first and
-    the last measurement are outliers if their step exceeds 5 times the largest other step, and noise and resolution.
+    noise, 4 times the resolution, and the distance that a change of speed at this time explains. The first and the last
+    measurement are outliers if their step exceeds 5 times the largest other step, and noise and resolution.
 
     Args:
         recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
-        machine: Machine that was recorded; its sensors declare noise and resolution.
+        machine: Machine that was recorded; its sensors declare noise and resolution. A coarser one in the run counts.
 
     Returns:
         True where a measurement is an outlier, shape (n, sensors); False at empty cells and for a sensor with fewer
@@ -192,8 +213,10 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
         rows = np.flatnonzero(np.isfinite(recording.outputs[:, j]))
         if len(rows) < _MIN_SAMPLES:
             continue
-        floor = max(_NOISE_FACTOR * sensor.noise, _RESOLUTION_FACTOR * sensor.resolution)
-        mask[rows, j] = _isolated_samples(recording.time_s[rows], recording.outputs[rows, j], floor)
+        values = recording.outputs[rows, j]
+        resolution = max(sensor.resolution, quantum_of(values))
+        floor = max(_NOISE_FACTOR * sensor.noise, _RESOLUTION_FACTOR * resolution)
+        mask[rows, j] = _isolated_samples(recording.time_s[rows], values, floor)
     return mask
 
 

@@ -10,14 +10,13 @@ from hframe_gym.identification.sensor_properties import (
     blank_saturated,
     clock_jitter,
     independent_values,
-    quantum_of,
     range_effects,
     saturation_ranges,
     sensor_noise,
     sensor_quantum,
 )
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import Recording
+from hframe_gym.recordings import Recording, quantum_of
 
 pytestmark = pytest.mark.unit
 QUANTUM = 5.2e-4

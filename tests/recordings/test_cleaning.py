@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import (
     Recording,
     load_recordings,
@@ -152,3 +152,16 @@ def test_a_resting_or_slowly_moving_encoder_repeats_nothing() -> None:
     assert repetitions(np.full(1000, 0.7)) == 1
     assert repetitions(np.floor(np.arange(1000) * 0.05) * quantum) == 1
     assert repetitions(np.full(1000, np.nan)) == 1
+
+
+def test_steps_of_an_encoder_that_is_coarser_than_declared_are_no_outliers() -> None:
+    """In slow motion, single samples may toggle between two counts, which are 25 times the declared noise apart."""
+    axis = BUILTIN_MACHINES["axis"]()
+    count, time_s = 5e-4, np.arange(2000) * 1e-3
+    position = 0.02 * np.sin(3.0 * time_s) + np.random.default_rng(2).normal(0.0, 0.02 * count, 2000)
+    coarse = Recording("run", time_s, np.zeros((2000, 1)), (np.rint(position / count) * count)[:, None])
+    assert axis.sensors[0].noise < count / 20
+    assert not outlier_mask(coarse, axis).any()
+    beyond = coarse.outputs.copy()
+    beyond[1000] += 30 * count
+    assert np.flatnonzero(outlier_mask(dataclasses.replace(coarse, outputs=beyond), axis)).tolist() == [1000]
