@@ -161,7 +161,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         check_keywords(type(self).__name__, dict(options))
         self.batch = EnvironmentBatch(EnvConfig(**options), 1)
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.batch.config.period)}  # type: ignore[misc]
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.batch.config.period))}  # type: ignore[misc]
         self.observation_space = self.batch.format.space  # type: ignore[assignment]
         self.action_space = action_space(self.batch.machine)  # type: ignore[assignment]
         self._result = self.batch.result()  # the arrays of all steps
@@ -190,11 +190,12 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
                 without one, such as "track", or an unbounded distribution yields an impossible parameter.
         """
+        reset_options = check_reset_options(options)  # an error changes no random numbers
         super().reset(seed=seed)
         if self._seeded_by is not self.np_random or seed is not None:
             self._seeded_by = self.np_random
             self.batch.sampler.seed(0, self.np_random)
-        self.batch.reset(_ONLY, **check_reset_options(options))
+        self.batch.reset(_ONLY, **reset_options)
         self._parameters = {name: value.item() for name, value in self.batch.randomized(_ONLY).items()}
         observation = self._first(self.batch.observe())
         info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))

@@ -80,7 +80,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
-        fps = round(1.0 / self.batch.config.period)
+        fps = max(1, round(1.0 / self.batch.config.period))
         self.metadata = {**self.metadata, "render_fps": fps, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.single_observation_space = self.batch.format.space  # type: ignore[assignment]
         self.single_action_space = action_space(self.batch.machine)
@@ -133,15 +133,18 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
                 without one, such as "track", or an unbounded distribution yields an impossible parameter.
             TypeError: If the mask is not an array of bool.
-            ValueError: If the mask has another shape or selects nothing.
+            ValueError: If the mask has another shape or selects nothing, or the number of seeds is wrong.
         """
         options = dict(options or {})
         index = self._selected(options.pop("reset_mask", None))
+        if isinstance(seed, Sequence) and len(seed) != self.num_envs:
+            raise ValueError(f"seed has {len(seed)} entries, but there are {self.num_envs} environments")
+        reset_options = check_reset_options(options)  # an error changes no random numbers
         for b in index.tolist():
             env_seed = seed[b] if isinstance(seed, Sequence) else None if seed is None else seed + b
             if env_seed is not None:
                 self.batch.sampler.seed(b, seeding.np_random(env_seed)[0])
-        self.batch.reset(index, **check_reset_options(options))
+        self.batch.reset(index, **reset_options)
         self._over[index] = False
         self._collect_parameters()
         self._update_trails(index)

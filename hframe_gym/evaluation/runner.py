@@ -73,15 +73,14 @@ def evaluate(
         episodes: Recorded episodes by name of the controller.
 
     Raises:
-        InputError: If an option or a controller's name is wrong, a controller cannot run in this scenario, the
-            simulated motion diverges, or the episodes would have more than 2e8 samples (10 per control period).
+        InputError: If an option or a controller's name is wrong or missing, a controller cannot run in this scenario,
+            the simulated motion diverges, or the episodes would have more than 2e8 samples (10 per control period).
 
     References:
         Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
     """
-    scenario = machine
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario(scenario, task, randomize, sensors, episodes, seed, period, duration_s)
+    options = (task, randomize, sensors, episodes, seed, period, duration_s)
+    scenario = machine if isinstance(machine, Scenario) else Scenario(machine, *options)
     samples = scenario.episodes * (scenario.periods * SAMPLES_PER_PERIOD + 1)
     if samples > MAX_SAMPLES:
         raise InputError(
@@ -90,12 +89,13 @@ def evaluate(
         )
     if scenario.periods > MANY_PERIODS:
         warnings.warn(f"an episode has {scenario.periods} control periods, which takes minutes", stacklevel=2)
-    concern = period_concern(scenario.declared_machine, scenario.period)
-    if concern:
+    if concern := period_concern(scenario.declared_machine, scenario.period):
         warnings.warn(concern, stacklevel=2)
     if not isinstance(controllers, Mapping):
         names = [controllers] if isinstance(controllers, str) else list(controllers)
         controllers = {name: make_controller(name, scenario) for name in dict.fromkeys(names)}
+    if not controllers:
+        raise InputError("evaluate needs at least one controller")
     recorded = {name: rollout(controller, scenario) for name, controller in controllers.items()}
     bounds = stored_bounds(scenario)
     scores = {}

@@ -183,3 +183,14 @@ def test_parameters_and_travel_are_those_of_the_episodes(hframe):
     np.testing.assert_allclose(
         envs.travel[:, 2:] / hframe.travel_per_unit[2:], observation["observation"][:, 2:4], rtol=1e-6
     )
+
+
+def test_a_refused_reset_changes_no_random_numbers():
+    vector, again = (HFrameVectorEnv(3) for _ in range(2))
+    vector.reset(seed=5)
+    again.reset(seed=5)
+    with pytest.raises(ValueError, match="seed has 2 entries, but there are 3 environments"):
+        vector.reset(seed=[1, 2])
+    with pytest.raises(InputError, match="unknown option"):
+        vector.reset(seed=9, options={"goal": (0.0, 0.0)})
+    np.testing.assert_array_equal(vector.reset()[0]["desired_goal"], again.reset()[0]["desired_goal"])

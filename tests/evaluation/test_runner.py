@@ -217,3 +217,8 @@ def test_one_axis_is_plotted_over_time() -> None:
     axes = plot_episode(episodes).axes[0]
     assert axes.get_xlabel() == "time (s)"
     np.testing.assert_allclose(axes.lines[0].get_ydata(), 1e3 * episodes.position[0, :, 0])
+
+
+def test_an_evaluation_needs_a_controller() -> None:
+    with pytest.raises(InputError, match="at least one controller"):
+        evaluate([])
