@@ -24,12 +24,12 @@ class AgentSource(ControllerSource):
 
     @staticmethod
     def make(name: str, scenario: Scenario) -> Agent | None:
-        """Load a trained agent, and warn if it was trained on another machine or with another control period.
+        """Load a trained agent, and warn if it was trained with another machine, control period or other sensors.
 
         Args:
             name: Folder of an agent, or name of an agent that comes with the package, for example "ppo".
-            scenario: Machine, task and control period with which the agent will run; the task selects among the agents
-                that come with the package.
+            scenario: Machine, task, sensors and control period with which the agent will run; the task selects among the
+                agents that come with the package.
 
         Returns:
             The agent, or None if neither a folder nor an agent that comes with the package has this name.

@@ -68,6 +68,7 @@ def assert_replays_to_the_bit(dataset: Any) -> None:
         assert not episode.truncations[:-1].any()
 
 
+@pytest.mark.filterwarnings("ignore:agent ppo. trained with sensors")
 def test_episodes_of_pid_and_agent_replay_to_the_bit(datasets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CHUNK", 2)  # the third episode is in a chunk of another size
     scenario = Scenario(randomize="default", sensors="rig", episodes=3, seed=40, duration_s=0.5)
