@@ -28,8 +28,8 @@ class AgentSource(ControllerSource):
 
         Args:
             name: Folder of an agent, or name of an agent that comes with the package, for example "ppo".
-            scenario: Machine, task, sensors and control period with which the agent will run; the task selects among the
-                agents that come with the package.
+            scenario: Machine, task, sensors and control period with which the agent will run. The task selects among
+                the agents that come with the package.
 
         Returns:
             The agent, or None if neither a folder nor an agent that comes with the package has this name.
