@@ -23,8 +23,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.results_file import ROOT, write_results
 from hframe_gym.agents import train
+
+from benchmarks.results_file import ROOT, write_results
 from hframe_gym.distributed import LOCAL_RAY, map_tasks
 from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -33,7 +34,7 @@ from hframe_gym.recordings import load_recordings
 WORKERS = 2
 STEPS = 60_000  # of a training
 SEEDS = (0, 1, 2, 3)
-RIGS = ("rig_a", "rig_b", "rig_a", "rig_b")
+RIGS = ("rig_a", "rig_b") * 4  # many tasks, so that both workers are busy to the end
 
 
 class Done(NamedTuple):

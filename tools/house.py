@@ -23,7 +23,7 @@ WORDS = ("own", "told", "stands", "asked", "badly", "whole", "share", "shown", "
 MAX_WORDS_PER_1000_LINES = 5.0
 # In hframe_gym, without effects/ and the __init__ files, which list the public names. The aim is 75; with complete
 # docstrings and at most 350 lines per module there are 135, one more for each new ability.
-MAX_MODULES = 150
+MAX_MODULES = 151
 MAX_MODULE_LINES = 350
 MAX_FUNCTION_LINES = 60  # docstring included
 

@@ -7,16 +7,18 @@ encoder was switched on, and common to all runs in which it stayed on.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..machine import Machine
-from ..recordings import Recording, fill_gaps
+from ..recordings import Recording, fill_gaps, without_outliers, without_repetitions
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
+from .initial_rest import without_moving_start
 from .initial_state import measured_initial_state, model_initial_state
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
@@ -110,6 +112,49 @@ class Dataset:
             Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
+
+
+def require_usable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:
+    """Check that runs are long enough for the filters, and that a fitted run moves a sensor.
+
+    Args:
+        recordings: All runs (times, voltages, measurements, SI).
+        held_names: Names of the held-out runs.
+
+    Raises:
+        InputError: If a run has fewer than 20 rows, or no sensor moves in the fitted runs.
+    """
+    for recording in recordings:
+        if len(recording.time_s) < MIN_ROWS:
+            raise InputError(
+                f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed"
+            )
+    fitted = [recording for recording in recordings if recording.name not in held_names]
+    if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
+        raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
+
+
+def clean_recording(recording: Recording, machine: Machine, log: Callable[[str], object]) -> Recording:
+    """Remove repetitions, outliers and motion before the rest from a recording, and log how many there were.
+
+    Args:
+        recording: Run (times, voltages, measurements, SI).
+        machine: Machine with its sensors.
+        log: Called with a line of text for each kind of measurements that is removed.
+
+    Returns:
+        Copy whose measurements, shape (n, sensors), are NaN where they were removed.
+    """
+    measured = without_repetitions(recording)
+    inside = without_outliers(measured, machine)
+    cleaned = without_moving_start(inside, machine)
+    removed = ((recording, measured, "repetitions"), (measured, inside, "outliers"), (inside, cleaned, "moving start"))
+    for before, after, what in removed:
+        if after is not before:
+            count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
+            found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
+            log(f"{recording.name}: {what} not used: {found}")
+    return cleaned
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:

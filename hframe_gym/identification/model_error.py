@@ -6,8 +6,7 @@ measures distinguish true effects from the residue:
 
 - An observer corrects the prediction by the measurements, as the steady-state Kalman filter for a random force would.
   The bandwidth, rad/s, that maximizes the likelihood of the innovations (errors before each correction) corresponds to
-  the size of the residue. A model without residue needs no observer, which is called a simulation, bandwidth 0. After
-  every selected effect the bandwidth is chosen anew.
+  the size of the residue; after every effect it is chosen anew. No residue: no observer (simulation, bandwidth 0).
 - An effect must be larger than the residue: its force is compared with the force by which the observer corrects the
   prediction.
 - An effect must be confirmed by runs to which its parameters were not fitted (leave-one-run-out, linearized).
@@ -38,7 +37,7 @@ _CONVERGED_COST = 0.02  # Decrease of cost / chi2 at which a polished fit ends; 
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
-_MIN_AGREEING = 2  # runs that must agree with each other for another one to contradict them
+_MIN_RUNS_COMPARED = 3  # two must agree with each other for another one to contradict them
 CONTRADICTION = 10.0  # chi-squared of a run / that of the other runs; effects that single runs excite reach 30
 _SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer integration steps accumulate
 
@@ -74,12 +73,20 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
     References:
         Ljung (1999), "System Identification", section 7.4.
     """
-    variance, log_variance = _innovation_variance(fitted, data)
+    variance, log_variance = innovation_variance(fitted, data)
     return fitted.chi2 / variance + log_variance
 
 
-def _innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
-    """Return the mean expected variance of the innovations, relative to the noise, and the mean of its logarithm."""
+def innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
+    """Return the variance that innovations (errors before an observer's correction) of a correct machine have.
+
+    Args:
+        fitted: Fit with its observer bandwidth.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Mean over the sensors of the variance relative to that of the noise, and of its logarithm, dimensionless.
+    """
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
     variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
@@ -115,7 +122,7 @@ def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
         Reduction of chi-squared per sample, dimensionless; 0 if the fit is at least as likely.
     """
     loss = likelihood_loss(fitted, data) - likelihood_loss(reference, data)
-    return max(0.0, loss) * _innovation_variance(fitted, data)[0]
+    return max(0.0, loss) * innovation_variance(fitted, data)[0]
 
 
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
@@ -156,8 +163,8 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Fit, bandwidth as in `fitted`: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared).
     """
-    model, tolerance = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
-    return fit(*model, theta=fitted.theta, tolerance=tolerance, longest_step=POLISH_STEP)
+    model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
+    return fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=POLISH_STEP)
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
@@ -247,8 +254,7 @@ def left_out_cost(fitted: Fit, data: Dataset, pieces: int) -> float:
 def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
     """Find the run that contradicts the other runs: the machine that is fitted to them does not explain this run.
 
-    The cause may be a mistake (a loose connector, a slipped belt, another amplifier setting) or an effect that only
-    this run excites. Only a search for effects can distinguish the two.
+    The cause may be a mistake (a slipped belt, another amplifier setting) or an effect that only this run excites.
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
@@ -258,7 +264,7 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
         Name of the run with the largest ratio of its chi-squared per sample to the other runs', both for
         parameters that are fitted to the other runs. None if this ratio is at most 10, or for fewer than three runs.
     """
-    if len(data.runs) < _MIN_AGREEING + 1:
+    if len(data.runs) < _MIN_RUNS_COMPARED:
         return None
     costs = _left_out_costs(fitted, data, 1)
     counts = [run.count for run in data.runs]
@@ -288,12 +294,8 @@ def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float
         information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
         hessian, slope = information + precision, gradient + precision @ fitted.theta
         step = bounded_step(fitted.free, fitted.theta, hessian, slope)
-        costs.append(
-            (
-                left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step),
-                total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step),
-            )
-        )
+        own = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
+        costs.append((own, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step)))
     return costs
 
 

@@ -9,16 +9,21 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError, merge_run_warnings
 from ..machine import Machine
-from ..recordings import Recording, without_outliers, without_repetitions
+from ..recordings import Recording
 from ..registry import load_plugins
 from .covariance import with_uncertainty
 from .criteria import SelectionCriteria
-from .dataset import MIN_ROWS, Dataset, prepare, with_all_measurements, with_known_positions
+from .dataset import (
+    Dataset,
+    clean_recording,
+    prepare,
+    require_usable,
+    with_all_measurements,
+    with_known_positions,
+)
 from .estimation import Fit
 from .experiment_design import design_discriminating_experiment
 from .force_sizes import drive_force, effect_force
@@ -31,10 +36,10 @@ from .held_out import (
     is_excited,
     worsens_simulation,
 )
-from .initial_rest import without_moving_start
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
+from .run_differences import find_run_differences
 from .search import SearchOutcome, search_effects, with_lost_voltages
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .start_uncertainty import refine_dataset
@@ -98,9 +103,9 @@ def identify(
     log = log or (lambda line: None)
     recordings = sorted(recordings, key=lambda recording: recording.name)  # the result depends on no other order
     held_names = hold_out(recordings, held_out)
-    _refuse_unusable(recordings, held_names)
+    require_usable(recordings, held_names)
     as_measured = recordings
-    recordings = [_cleaned(recording, machine, log) for recording in recordings]
+    recordings = [clean_recording(recording, machine, log) for recording in recordings]
     all_runs, ranges = _prepare(recordings, machine, criteria, log)
     search = partial(_search, machine, all_runs, criteria=criteria, log=log)
     found = search(held_names)
@@ -109,6 +114,9 @@ def identify(
     outcome = _without_unconfirmed(found.outcome, agreeing, log)
     messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     messages += (*map(_HELD_OUT_CONTRADICTION.format, found.differing), *hint)
+    if messages or outcome.verdict == "unexplained":
+        difference = find_run_differences(outcome.after, _comparable_runs(found, all_runs), criteria)
+        messages += (str(difference),) if difference else ()
     validation = with_all_measurements(found.held_out, recordings)
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
     messages += _unexcited(result, outcome.after.bandwidth)
@@ -156,6 +164,13 @@ def _search(
     outcome = search_effects(machine, data, criteria, log, confirmed=confirmed)
     differing = _contradicting_held_out_runs(outcome, held_out)
     return _Found(outcome, held_out, differing, (*unused, *excluded))
+
+
+def _comparable_runs(found: _Found, all_runs: Dataset) -> Dataset:
+    """Return the fitted, the held-out and the contradictory runs; with estimated voltages, where rows were dropped."""
+    used = {run.name: run for run in (*found.outcome.data.runs, *found.held_out.runs)}
+    names = [*used, found.outcome.contradiction]
+    return dataclasses.replace(all_runs, runs=tuple(used.get(r.name, r) for r in all_runs.runs if r.name in names))
 
 
 def _effects_of_differing_runs(found: _Found, search: Callable[[Sequence[str]], _Found], log: Log) -> tuple[str, ...]:
@@ -209,32 +224,6 @@ def _unexcited(result: IdentificationResult, bandwidth: float) -> tuple[str, ...
     machine = result.after.machine
     effects = [s.effect.label for s in result.effects if not is_excited(s, machine, result.held_out, bandwidth)]
     return (_UNEXCITED.format(", ".join(effects)),) if effects else ()
-
-
-def _refuse_unusable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:
-    """Raise InputError if a run is too short for the filters, or no fitted run moves a sensor."""
-    for recording in recordings:
-        if len(recording.time_s) < MIN_ROWS:
-            raise InputError(
-                f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed"
-            )
-    fitted = [recording for recording in recordings if recording.name not in held_names]
-    if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
-        raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
-
-
-def _cleaned(recording: Recording, machine: Machine, log: Log) -> Recording:
-    """Return a recording without repetitions, outliers and motion before the rest, and log how many there were."""
-    measured = without_repetitions(recording)
-    inside = without_outliers(measured, machine)
-    cleaned = without_moving_start(inside, machine)
-    removed = ((recording, measured, "repetitions"), (measured, inside, "outliers"), (inside, cleaned, "moving start"))
-    for before, after, what in removed:
-        if after is not before:
-            count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
-            found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
-            log(f"{recording.name}: {what} not used: {found}")
-    return cleaned
 
 
 def _prepare(

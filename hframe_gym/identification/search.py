@@ -27,6 +27,7 @@ from .model_error import (
 from .nonparametric import add_tables
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
+from .run_differences import find_run_differences
 from .start_uncertainty import refine_dataset
 from .trial_fits import converge
 
@@ -92,6 +93,9 @@ def search_effects(
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
+    Where a parameter with a value of its own in every run explains the runs, and known effects do not, neither effects
+    nor tables are accepted.
+
     One run may contradict the others because of a mistake, or because it excites a missing effect more. If the others
     need no effect, or if no known effects explain all runs, effects are first searched for without this run. The run is
     then left out and named in the outcome (`contradiction`), unless one of these conditions holds:
@@ -124,7 +128,7 @@ def search_effects(
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
-    if not others.needs_no_effect and all_runs.known_effects_explain:
+    if not others.needs_no_effect and (all_runs.known_effects_explain or others.runs_differ):
         return in_all_runs()
     log(f"searching for effects without {suspect}")
     outcome = others.run()
@@ -184,10 +188,10 @@ class _Search:
         if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
             return self._outcome(verdict, after if effects else self.before, effects, considered)
-        tabled = self._with_tables((after, effects))
+        tabled = None if self.runs_differ else self._with_tables((after, effects))
         if tabled is not None:
             return self._outcome("effect_found", *tabled, considered)
-        if effects and self._reduces_error(after):
+        if effects and not self.runs_differ and self._reduces_error(after):
             return self._outcome("effect_found", after, effects, considered)
         reason = "leaves most of the error, also together with the other effects"
         for s in effects:
@@ -204,6 +208,14 @@ class _Search:
     def known_effects_explain(self) -> bool:
         """Whether effects of the library explain the runs."""
         return self._explains(self._known[0])
+
+    @cached_property
+    def runs_differ(self) -> bool:
+        """Whether a parameter with a value of its own in every run explains the runs, as no effect can."""
+        difference = find_run_differences(self.before, self._data, self._criteria)
+        if difference is not None:
+            self._log(f"{difference.quantity.name} differs between the runs")
+        return difference is not None
 
     @cached_property
     def _known(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:

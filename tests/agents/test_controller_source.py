@@ -4,8 +4,8 @@ import shutil
 import warnings
 
 import pytest
-
 from hframe_gym.agents import Agent, AgentSource, shipped_agent_folder, shipped_agent_names
+
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario, make_controller
 

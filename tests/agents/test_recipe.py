@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
-
 from hframe_gym.agents import load_recipe, recipe_names
 from hframe_gym.agents.recipe import LinearSchedule
+
 from hframe_gym.errors import InputError
 
 

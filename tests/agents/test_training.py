@@ -16,9 +16,9 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-
 from hframe_gym.agents import Agent, load_recipe, train, train_seeds
 from hframe_gym.agents.model_card import score_agent
+
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.errors import InputError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -26,6 +27,7 @@ class ScriptedSearch:
         self.wide = 10.0  # chi-squared at the bandwidth of the search
         self.with_effects = 10.0  # the same of a fit with effects
         self.suspect: str | None = None
+        self.differences: Any = None
         self.bandwidth = 0.0  # of the observer that the machine without effects needs
         self.simulated: float | None = None  # chi-squared of a fit in simulation that replaces one with an observer
         script = self
@@ -66,6 +68,7 @@ class ScriptedSearch:
                 script.tables.pop(0) if script.tables else (start, known)
             ),
             "contradicting_run": lambda fitted, data: script.suspect,
+            "find_run_differences": lambda fitted, data, criteria: script.differences,
             "EffectSearch": FakeEffectSearch,
         }
         for name, function in replaced.items():
@@ -174,6 +177,24 @@ def test_one_table_replaces_several_effects_that_leave_twice_the_error(
     scripted_search.tables = [(fit_with(SPRING, chi2=2.0), (selected(SPRING),))]
     scripted_search.wide, scripted_search.with_effects = wide, 1.6
     assert [s.effect for s in scripted_search.run().selected] == found
+
+
+def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(scripted_search: ScriptedSearch) -> None:
+    scripted_search.effects = (selected(SPRING),)
+    scripted_search.after = scripted_search.with_effects = scripted_search.wide = 2.0
+    scripted_search.tables = [(fit_with(PUSH, chi2=1.1), (selected(PUSH),))]
+    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"))
+    outcome = scripted_search.run()
+    assert outcome.verdict == "unexplained"
+    assert not outcome.selected
+    assert len(scripted_search.tables) == 1  # none was tried
+
+
+def test_effects_that_explain_the_data_are_found_although_runs_differ(scripted_search: ScriptedSearch) -> None:
+    scripted_search.effects = (selected(SPRING),)
+    scripted_search.after = 1.1
+    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"))
+    assert scripted_search.run().verdict == "effect_found"
 
 
 def test_a_table_beside_an_effect_must_add_to_it(scripted_search: ScriptedSearch) -> None:

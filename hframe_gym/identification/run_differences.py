@@ -1,0 +1,277 @@
+"""Find a quantity that differs between runs, such as a payload or the supply voltage.
+
+Identification assumes one machine for all runs. If a parameter had another value in every run, no effect explains the
+runs together, although each of them is explained by itself. Here one quantity at a time has a value per run, fitted
+together with the parameters that the runs have in common. The result is a hint for the user: no machine contains it.
+
+Notation: theta (k,) are the optimizer's variables of the free parameters, as in `linearization`; a (n,) are the
+dimensionless amounts by which a quantity differs in the n runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine
+from .criteria import SelectionCriteria
+from .dataset import Dataset
+from .estimation import Fit
+from .free_parameters import FreeParameter, prior_precision, values_at
+from .linearization import Linearization, ResidualModel
+from .model_error import continue_fit, innovation_variance
+from .prediction import SEARCH_BANDWIDTH
+
+Array = NDArray[np.float64]
+
+_MIN_RUNS = 3  # two runs may differ in almost any parameter
+_AMOUNT_PRIOR = 0.5  # standard deviation of the amounts
+_LARGEST_AMOUNT = 1.5
+_CANDIDATES = 3  # quantities that are fitted: those that promise most by the linearized residual
+_ITERATIONS = 25
+_TOLERANCE = 1e-3  # relative decrease of the cost below which a fit ends
+_DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+_LEAST_FACTOR = 0.05  # of a mass that is reduced
+_STEP = 1e-6  # of finite differences between optimizer variables, which need no simulation
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that may differ between runs.
+
+    Attributes:
+        name: What it is, for messages.
+        exponents: By full name of a parameter: its value is multiplied by exp(exponent * amount).
+        additions: By full name of a parameter: amount times this is added to its value, SI.
+    """
+
+    name: str
+    exponents: Mapping[str, float] = field(default_factory=dict)
+    additions: Mapping[str, float] = field(default_factory=dict)
+
+    def changed(self, values: Mapping[str, float], amount: float) -> dict[str, float]:
+        """Compute the parameters of a run.
+
+        Args:
+            values: Parameters that the runs have in common, SI, by full name.
+            amount: Amount by which the quantity differs in the run, dimensionless.
+
+        Returns:
+            Parameters of the run, SI, by full name.
+        """
+        changed = dict(values)
+        for name, exponent in self.exponents.items():
+            changed[name] = values[name] * math.exp(exponent * amount)
+        for name, addition in self.additions.items():
+            changed[name] = max(values[name] + addition * amount, _LEAST_FACTOR * values[name])
+        return changed
+
+    def describe(self, amount: float) -> str:
+        """Describe by how much the quantity of a run differs from that of the run with the smallest.
+
+        Args:
+            amount: Difference of the amounts of the two runs, dimensionless.
+
+        Returns:
+            Ratio, such as "1.12", or difference, such as "+0.31 kg".
+        """
+        if self.additions:
+            return f"{amount * next(iter(self.additions.values())):+.2g} kg"
+        return f"{math.exp(amount):.3g}"
+
+
+class RunDifferences(NamedTuple):
+    """A quantity with a value of its own in every run, and what it explains.
+
+    Attributes:
+        quantity: The quantity.
+        amounts: Amounts of the runs relative to the smallest, dimensionless, by name of the run.
+        chi2_before: Chi-squared per sample with one machine for all runs.
+        chi2: The same with the differences.
+    """
+
+    quantity: Quantity
+    amounts: dict[str, float]
+    chi2_before: float
+    chi2: float
+
+    def __str__(self) -> str:
+        """Return a sentence for the user."""
+        runs = ", ".join(f"{run} {self.quantity.describe(amount)}" for run, amount in self.amounts.items())
+        kind = "Difference from the lightest run" if self.quantity.additions else "Ratio to the smallest value"
+        return (
+            f"The runs differ: one machine explains all of them if {self.quantity.name} has a value of its own in each "
+            f"run (chi-squared per sample {self.chi2:.3g} instead of {self.chi2_before:.3g}). {kind}: {runs}. Keep it "
+            "constant while you record, or identify runs with the same value by themselves."
+        )
+
+
+def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> RunDifferences | None:
+    """Find the quantity that explains the runs if it has a value of its own in each of them.
+
+    Compared are each free parameter alone, and quantities that concern several: the voltage of all drives, a payload,
+    the friction of all coordinates and the stiffness of all belts.
+
+    Args:
+        fitted: Refitted machine without effects.
+        data: All runs (times, voltages, measurements, SI).
+        criteria: Decision thresholds for what explains the data.
+
+    Returns:
+        The quantity with the smallest remaining error, if it explains the data. None if there is no such quantity, if
+        one machine explains all runs, for fewer than three runs, or if the machine diverges.
+    """
+    if len(data.runs) < _MIN_RUNS:
+        return None
+    common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
+    explained = criteria.explained_chi2 * innovation_variance(common, data)[0]
+    if common.chi2 < explained:
+        return None
+    model = _ModelByRun(common, data)
+    start = model.linearize(model.start, Quantity("nothing"))
+    if not math.isfinite(start.cost):
+        return None
+    promising = sorted(_quantities(common.machine, model.free), key=lambda quantity: model.promise(start, quantity))
+    found: list[RunDifferences] = []
+    for quantity in promising[:_CANDIDATES]:
+        cost, amounts = model.fit(quantity)
+        if cost / data.count < explained:
+            relative = (amounts - amounts.min()).tolist()
+            by_run = {run.name: amount for run, amount in zip(data.runs, relative, strict=True)}
+            found.append(RunDifferences(quantity, by_run, common.chi2, cost / data.count))
+    return min(found, key=lambda each: each.chi2, default=None)
+
+
+def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantity]:
+    """Return everything whose difference between runs is tried."""
+    names = [f.name for f in free if f.center != 0.0]
+    drives = [drive.name for drive in machine.drives]
+    found = [Quantity(name, {name: 1.0}) for name in names if name not in [f"{drive}.Kt" for drive in drives]]
+    groups = {"dry friction": ".coulomb", "viscous friction": ".viscous", "stiffness of all belts": ".EA"}
+    for text, ending in groups.items():
+        members = [name for name in names if name.endswith(ending)]
+        if len(members) > 1:
+            found.append(Quantity(f"the {text}", dict.fromkeys(members, 1.0)))
+    for some in [[drive] for drive in drives] + [drives] * (len(drives) > 1):
+        of = "all drives" if len(some) > 1 else some[0]
+        # Less voltage acts like a smaller torque constant with the same product of torque and back-EMF constant; a
+        # larger resistance like a smaller torque constant.
+        torque, emf = ({name: 1.0 for d in some if (name := f"{d}.{key}") in names} for key in ("Kt", "Ke"))
+        found.append(Quantity(f"the voltage of {of}", torque | dict.fromkeys(emf, -1.0)))
+        found.append(Quantity(f"the conductance (1 / winding resistance) of {of}", torque))
+    axes = [f"{c.name}.mass" for c in machine.coordinates if c.kind == "linear" and f"{c.name}.mass" in names]
+    if len(axes) > 1:
+        found.append(Quantity("the payload", additions=dict.fromkeys(axes, 1.0)))
+    return found
+
+
+class _Expansion(NamedTuple):
+    """Linearized residual of all runs at one point.
+
+    Attributes:
+        point: Theta and the amounts, z, shape (k + n,).
+        runs: Linearized residual of each run with respect to all K parameters.
+        cost: Sum of squared residuals in units of the noise.
+    """
+
+    point: Array
+    runs: tuple[Linearization, ...]
+    cost: float
+
+
+class _ModelByRun:
+    """Residual of runs whose machines differ in one quantity.
+
+    The unknowns z (k + n,) are theta of the k common parameters and the amounts of the n runs. A run is simulated with
+    K = k + 1 parameters: the torque constant of the first drive, which fits leave at its declared value, may differ.
+
+    Args:
+        common: Fit of one machine to all runs.
+        data: The runs.
+
+    Attributes:
+        free: The K parameters.
+        start: z of the common machine.
+    """
+
+    def __init__(self, common: Fit, data: Dataset) -> None:
+        drive, n = common.machine.drives[0], len(data.runs)
+        self.free = (*common.free, FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=1.0))
+        self.start = np.concatenate([common.theta, np.zeros(n)])
+        self._k, self._count = len(common.free), data.count
+        one_run = (data.with_runs([run.name]) for run in data.runs)
+        self._models = [ResidualModel(common.machine, self.free, each, SEARCH_BANDWIDTH) for each in one_run]
+        self._precision = np.diag(np.full(self._k + n, _AMOUNT_PRIOR**-2))
+        self._precision[: self._k, : self._k] = prior_precision(common.free)
+        low, high = np.array([f.theta_limits for f in common.free]).T
+        self._low = np.concatenate([low, np.full(n, -_LARGEST_AMOUNT)])
+        self._high = np.concatenate([high, np.full(n, _LARGEST_AMOUNT)])
+
+    def _theta_of_run(self, z: Array, run: int, quantity: Quantity) -> Array:
+        """Return the optimizer's variables of the parameters of a run, shape (K,)."""
+        values = values_at(self.free, np.append(z[: self._k], 0.0))
+        changed = quantity.changed(values, float(z[self._k + run]))
+        return np.array([f.theta(changed[f.name]) for f in self.free])
+
+    def _derivatives(self, z: Array, run: int, quantity: Quantity) -> Array:
+        """Return the derivatives of `_theta_of_run` with respect to z, shape (K, k + n)."""
+        derivatives, steps = np.zeros((len(self.free), len(z))), np.eye(len(z)) * _STEP
+        for j in (*range(self._k), self._k + run):  # other amounts do not affect this run
+            ends = [self._theta_of_run(z + sign * steps[j], run, quantity) for sign in (1.0, -1.0)]
+            derivatives[:, j] = (ends[0] - ends[1]) / (2.0 * _STEP)
+        return derivatives
+
+    def linearize(self, z: Array, quantity: Quantity) -> _Expansion:
+        """Simulate all runs and linearize their residuals at z, shape (k + n,)."""
+        thetas = (self._theta_of_run(z, run, quantity) for run in range(len(self._models)))
+        runs = tuple(model.linearize(theta) for model, theta in zip(self._models, thetas, strict=True))
+        finite = all(run.normal_equations.finite for run in runs)
+        return _Expansion(z, runs, sum(run.normal_equations.cost for run in runs) if finite else math.inf)
+
+    def _equations(self, expansion: _Expansion, quantity: Quantity) -> tuple[Array, Array, Array]:
+        """Return Hessian, gradient and precision of the prior with respect to z."""
+        z = expansion.point
+        hessian, gradient = np.zeros((len(z), len(z))), np.zeros(len(z))
+        for i, run in enumerate(expansion.runs):
+            equations, derivatives = run.normal_equations, self._derivatives(z, i, quantity)
+            hessian += derivatives.T @ equations.information @ derivatives
+            gradient += derivatives.T @ equations.gradient
+        # The prior keeps its weight relative to the data, as in `estimation.fit`.
+        precision = self._precision * max(1.0, expansion.cost / self._count)
+        return hessian + precision, gradient + precision @ z, precision
+
+    def promise(self, start: _Expansion, quantity: Quantity) -> float:
+        """Return the change of the cost by a difference of a quantity, to first order."""
+        hessian, gradient, _ = self._equations(start, quantity)
+        return -float(gradient @ np.linalg.solve(hessian, gradient))
+
+    def fit(self, quantity: Quantity) -> tuple[float, Array]:
+        """Fit theta and the amounts by the Levenberg-Marquardt method.
+
+        Returns:
+            Cost without the prior, and the amounts, dimensionless, shape (n,).
+        """
+        z, cost = self.start, math.inf
+        for _ in range(_ITERATIONS):
+            expansion = self.linearize(z, quantity)
+            if not math.isfinite(expansion.cost):
+                break
+            hessian, gradient, precision = self._equations(expansion, quantity)
+            cost, penalty = expansion.cost, float(z @ precision @ z)
+            scaling = np.diag(np.diag(hessian))
+            steps = np.array([np.linalg.solve(hessian + d * scaling, -gradient) for d in _DAMPINGS])
+            trials = np.clip(z + steps, self._low, self._high)
+            costs = np.zeros(len(trials))
+            for i, run in enumerate(expansion.runs):
+                costs += run.costs(np.array([self._theta_of_run(trial, i, quantity) for trial in trials]))
+            totals = costs + np.einsum("bi,ij,bj->b", trials, precision, trials)
+            best = int(np.argmin(totals))
+            if not totals[best] < (1.0 - _TOLERANCE) * (cost + penalty):
+                break
+            z, cost = trials[best], float(costs[best])
+        return cost, z[self._k :]

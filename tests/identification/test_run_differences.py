@@ -1,0 +1,120 @@
+"""Runs that differ in one parameter, recorded on a simulator that shares no code with the identification."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hframe_gym.identification import Dataset, SelectionCriteria, identify, prepare
+from hframe_gym.identification.estimation import Fit, fit
+from hframe_gym.identification.free_parameters import default_free_parameters
+from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.run_differences import RunDifferences, find_run_differences
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.recordings import Recording
+from tests.euler_simulator.stage import EulerStage
+from tests.reference_simulator.rig import Rig
+from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
+from tests.rigs.euler_rig import euler_parameters
+from tests.rigs.random_excitation import play
+
+HFRAME = BUILTIN_MACHINES["hframe"]()
+KINDS = ("steps", "moves", "triangle", "telegraph", "steps")
+
+
+def scaled(values: tuple[float, ...], factor: float) -> tuple[float, ...]:
+    """Return values times a factor."""
+    return tuple(factor * value for value in values)
+
+
+def with_payload(rig: Rig, kg: float) -> Rig:
+    """Return a rig with a payload on the tool."""
+    x, y, phi1, phi2 = rig.mass
+    return dataclasses.replace(rig, mass=(x + kg, y + kg, phi1, phi2))
+
+
+def with_supply(rig: Rig, factor: float) -> Rig:
+    """Return a rig with another supply voltage."""
+    return dataclasses.replace(rig, drive_gain=scaled(rig.drive_gain, factor))
+
+
+def with_friction(rig: Rig, factor: float) -> Rig:
+    """Return a rig with other dry friction."""
+    return dataclasses.replace(rig, coulomb=scaled(rig.coulomb, factor))
+
+
+def with_cogging(rig: Rig, _: float) -> Rig:
+    """Return a rig with cogging of motor 1, the same in all runs."""
+    return dataclasses.replace(rig, wave_force=(0.0, 0.0, 0.05, 0.0))
+
+
+def record(change: Callable[[Rig, float], Rig], amounts: list[float]) -> list[Recording]:
+    """Record a run of 1.6 s at 500 Hz for each amount by which a rig is changed."""
+    rng, recordings = np.random.default_rng(4), []
+    for i, amount in enumerate(amounts):
+        parameters = euler_parameters(change(Rig(), amount))
+        run = play(
+            lambda start_s, parameters=parameters: EulerStage(parameters, (0.0, 0.0), (0.0, 0.0), start_s),
+            KINDS[i % len(KINDS)],
+            "center",
+            10.0 * i + np.arange(800) / 500.0,
+            rng,
+        )
+        outputs = run.positions[:, [2, 3, 0, 1]].copy()
+        outputs[:, :2] = np.round(outputs[:, :2] / ENCODER_STEP_RAD) * ENCODER_STEP_RAD
+        outputs[:, 2:] += rng.normal(0.0, LASER_NOISE_M, (len(outputs), 2))
+        recordings.append(Recording(f"run_{i}", run.time_s, run.inputs, outputs))
+    return recordings
+
+
+def refitted(recordings: list[Recording]) -> tuple[Fit, Dataset]:
+    """Return the declared machine, refitted to all runs, and the runs."""
+    data = prepare(recordings, HFRAME)
+    return fit(HFRAME, default_free_parameters(HFRAME), data, SEARCH_BANDWIDTH), data
+
+
+def differences(recordings: list[Recording]) -> RunDifferences | None:
+    """Return what differs between runs."""
+    return find_run_differences(*refitted(recordings), SelectionCriteria())
+
+
+@pytest.mark.parametrize(
+    ("change", "amounts", "name", "values"),
+    [
+        (with_payload, [0.0, 0.3, 0.0, 0.6], "the payload", ["+0 kg", "+0.3 kg", "+0 kg", "+0.6 kg"]),
+        (with_supply, [1.0, 0.9, 1.0, 0.95], "the voltage of all drives", ["1.11", "1", "1.11", "1.06"]),
+        (with_friction, [1.0, 1.3, 0.8, 1.0], "the dry friction", ["1.25", "1.62", "1", "1.25"]),
+    ],
+)
+def test_a_quantity_that_differs_between_runs_is_named_with_its_values(change, amounts, name, values):
+    found = differences(record(change, amounts))
+    assert found is not None
+    assert found.quantity.name == name
+    assert found.chi2 < 2.0 < 10.0 < found.chi2_before
+    relative = np.array(list(found.amounts.values()))
+    quantities = np.array(amounts) if found.quantity.additions else np.log(amounts)
+    np.testing.assert_allclose(relative, quantities - quantities.min(), atol=0.02)
+    assert all(f"run_{i} " in str(found) for i in range(len(amounts)))
+    assert values[1] in str(found)
+
+
+def test_an_effect_that_all_runs_have_is_no_difference():
+    assert differences(record(with_cogging, [0.0] * 4)) is None
+
+
+def test_runs_without_a_difference_need_none():
+    assert differences(record(with_payload, [0.2] * 3)) is None
+
+
+def test_two_runs_are_not_compared():
+    assert differences(record(with_payload, [0.0, 0.5])) is None
+
+
+@pytest.mark.slow
+def test_identify_names_the_payload_and_no_effect():
+    lines: list[str] = []
+    result = identify(record(with_payload, [0.0, 0.3, 0.0, 0.6, 0.3]), HFRAME, log=lines.append)
+    assert result.verdict == "unexplained"
+    assert not result.effects
+    assert any("if the payload has a value of its own in each run" in warning for warning in result.run_warnings)
