@@ -36,6 +36,7 @@ _CANDIDATES = 3  # quantities that are fitted: those that promise most by the li
 _ITERATIONS = 25
 _TOLERANCE = 1e-3  # relative decrease of the cost below which a fit ends
 _DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+_SAME = 0.05  # fraction of the range of the amounts below which two are the same
 _LEAST_FACTOR = 0.05  # of a mass that is reduced
 _STEP = 1e-6  # of finite differences between optimizer variables, which need no simulation
 
@@ -72,10 +73,10 @@ class Quantity:
         return changed
 
     def describe(self, amount: float) -> str:
-        """Describe by how much the quantity of a run differs from that of the run with the smallest.
+        """Describe by how much the quantity differs between two runs.
 
         Args:
-            amount: Difference of the amounts of the two runs, dimensionless.
+            amount: Difference of their amounts, dimensionless.
 
         Returns:
             Ratio, such as "1.12", or difference, such as "+0.31 kg".
@@ -90,7 +91,8 @@ class RunDifferences(NamedTuple):
 
     Attributes:
         quantity: The quantity.
-        amounts: Amounts of the runs relative to the smallest, dimensionless, by name of the run.
+        amounts: Amounts of the runs relative to the smallest, dimensionless, by name of the run, in the order of their
+            times.
         chi2_before: Chi-squared per sample with one machine for all runs.
         chi2: The same with the differences.
     """
@@ -100,14 +102,39 @@ class RunDifferences(NamedTuple):
     chi2_before: float
     chi2: float
 
+    @property
+    def drifts(self) -> bool:
+        """Whether the amounts only rise or only fall in the order of the runs' times, as in a slow change over time."""
+        amounts = np.array(list(self.amounts.values()))
+        steps, tolerance = np.diff(amounts), _SAME * np.ptp(amounts)
+        return bool(np.all(steps > -tolerance) or np.all(steps < tolerance))
+
+    @property
+    def different_run(self) -> str | None:
+        """Name of the only run whose amount differs from the others'; None if several do."""
+        amounts = np.array(list(self.amounts.values()))
+        for i, name in enumerate(self.amounts):
+            if np.ptp(np.delete(amounts, i)) <= _SAME * np.ptp(amounts):
+                return name
+        return None
+
     def __str__(self) -> str:
         """Return a sentence for the user."""
+        chi2 = f"chi-squared per sample {self.chi2:.3g} instead of {self.chi2_before:.3g}"
+        run = self.different_run
+        if run is not None:
+            amount = self.amounts[run] - float(np.mean([a for name, a in self.amounts.items() if name != run]))
+            change = self.quantity.describe(amount) + ("" if self.quantity.additions else " times that of the others")
+            return (
+                f"{run} differs from the other runs in {self.quantity.name}: {change}. With this, one machine explains "
+                f"all runs ({chi2})."
+            )
         runs = ", ".join(f"{run} {self.quantity.describe(amount)}" for run, amount in self.amounts.items())
         kind = "Difference from the lightest run" if self.quantity.additions else "Ratio to the smallest value"
         return (
             f"The runs differ: one machine explains all of them if {self.quantity.name} has a value of its own in each "
-            f"run (chi-squared per sample {self.chi2:.3g} instead of {self.chi2_before:.3g}). {kind}: {runs}. Keep it "
-            "constant while you record, or identify runs with the same value by themselves."
+            f"run ({chi2}). {kind}: {runs}. Keep it constant while you record, or identify runs with the same value by "
+            "themselves."
         )
 
 
@@ -142,7 +169,8 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
         cost, amounts = model.fit(quantity)
         if cost / data.count < explained:
             relative = (amounts - amounts.min()).tolist()
-            by_run = {run.name: amount for run, amount in zip(data.runs, relative, strict=True)}
+            in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
+            by_run = {run.name: amount for run, amount in in_time}
             found.append(RunDifferences(quantity, by_run, common.chi2, cost / data.count))
     return min(found, key=lambda each: each.chi2, default=None)
 

@@ -31,6 +31,7 @@ from .run_differences import find_run_differences
 from .start_uncertainty import refine_dataset
 from .trial_fits import converge
 
+_AS_GOOD = 1.2  # ratio of chi-squared per sample of two explanations that are equally good
 _VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
 
 
@@ -93,14 +94,12 @@ def search_effects(
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
-    Where a parameter with a value of its own in every run explains the runs, and known effects do not, neither effects
-    nor tables are accepted.
-
     One run may contradict the others because of a mistake, or because it excites a missing effect more. If the others
     need no effect, or if no known effects explain all runs, effects are first searched for without this run. The run is
     then left out and named in the outcome (`contradiction`), unless one of these conditions holds:
 
-    - The effects found without it explain the other runs, and with at most one more effect they explain all runs.
+    - The effects found without it explain the other runs, no other value of one parameter in this run explains it, and
+      with at most one more effect they explain all runs.
     - The effects found without it do not explain the other runs, and a search in all runs explains all runs, or leaves
       less than ten times the chi-squared per sample of the search without this run.
 
@@ -138,6 +137,8 @@ def search_effects(
         if complete.explained or _wide_chi2(complete) < CONTRADICTION * _wide_chi2(outcome):
             return complete
         return without_suspect(outcome)
+    if _differs_in_a_parameter(suspect, outcome, data, criteria):
+        return without_suspect(outcome)
     log(f"searching for an effect that explains {suspect}")
     after, effects = outcome.after, outcome.selected
     wide = converge(continue_fit(after, data, SEARCH_BANDWIDTH), data, thorough=True)
@@ -148,6 +149,14 @@ def search_effects(
         log(f"{suspect} is used")
         return all_runs.run(extended)
     return without_suspect(outcome)
+
+
+def _differs_in_a_parameter(suspect: str, outcome: SearchOutcome, data: Dataset, criteria: SelectionCriteria) -> bool:
+    """Return whether a run is explained as well as the others by another value of one parameter in this run alone."""
+    difference = find_run_differences(outcome.after, data, criteria)
+    if difference is None or difference.different_run != suspect:
+        return False
+    return difference.chi2 < _AS_GOOD * _wide_chi2(outcome)
 
 
 def _wide_chi2(outcome: SearchOutcome) -> float:
@@ -211,11 +220,14 @@ class _Search:
 
     @cached_property
     def runs_differ(self) -> bool:
-        """Whether a parameter with a value of its own in every run explains the runs, as no effect can."""
+        """Whether a parameter with a value of its own in every run explains the runs, as no effect or table can.
+
+        A parameter that drifts over time may be explained by a table over time.
+        """
         difference = find_run_differences(self.before, self._data, self._criteria)
         if difference is not None:
             self._log(f"{difference.quantity.name} differs between the runs")
-        return difference is not None
+        return difference is not None and not difference.drifts
 
     @cached_property
     def _known(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:

@@ -10,7 +10,7 @@ from hframe_gym.identification import Dataset, SelectionCriteria, identify, prep
 from hframe_gym.identification.estimation import Fit, fit
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.run_differences import RunDifferences, find_run_differences
+from hframe_gym.identification.run_differences import Quantity, RunDifferences, find_run_differences
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
 from tests.euler_simulator.stage import EulerStage
@@ -97,6 +97,27 @@ def test_a_quantity_that_differs_between_runs_is_named_with_its_values(change, a
     np.testing.assert_allclose(relative, quantities - quantities.min(), atol=0.02)
     assert all(f"run_{i} " in str(found) for i in range(len(amounts)))
     assert values[1] in str(found)
+
+
+@pytest.mark.parametrize(
+    ("amounts", "drifts"),
+    [([0.3, 0.2, 0.1, 0.0], True), ([0.0, 0.2, 0.2, 0.4], True), ([0.0, 0.3, 0.1, 0.2], False)],
+)
+def test_amounts_that_only_rise_or_fall_drift(amounts, drifts):
+    by_run = {f"run_{i}": amount for i, amount in enumerate(amounts)}
+    assert RunDifferences(Quantity("x.coulomb", {"x.coulomb": 1.0}), by_run, 10.0, 1.0).drifts == drifts
+
+
+@pytest.mark.parametrize(
+    ("amounts", "different"),
+    [([0.2, 0.2, 0.0, 0.2], "run_2"), ([0.0, 0.0, 0.3, 0.0], "run_2"), ([0.0, 0.1, 0.3, 0.0], None)],
+)
+def test_a_single_run_that_differs_is_named(amounts, different):
+    by_run = {f"run_{i}": amount for i, amount in enumerate(amounts)}
+    found = RunDifferences(Quantity("the voltage of motor1", {"motor1.Kt": 1.0}), by_run, 10.0, 1.0)
+    assert found.different_run == different
+    if different:
+        assert f"{np.exp(amounts[2] - amounts[0]):.3g} times that of the others" in str(found)
 
 
 def test_an_effect_that_all_runs_have_is_no_difference():

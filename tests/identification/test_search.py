@@ -183,7 +183,7 @@ def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(scripte
     scripted_search.effects = (selected(SPRING),)
     scripted_search.after = scripted_search.with_effects = scripted_search.wide = 2.0
     scripted_search.tables = [(fit_with(PUSH, chi2=1.1), (selected(PUSH),))]
-    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"))
+    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"), drifts=False)
     outcome = scripted_search.run()
     assert outcome.verdict == "unexplained"
     assert not outcome.selected
@@ -193,7 +193,7 @@ def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(scripte
 def test_effects_that_explain_the_data_are_found_although_runs_differ(scripted_search: ScriptedSearch) -> None:
     scripted_search.effects = (selected(SPRING),)
     scripted_search.after = 1.1
-    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"))
+    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"), drifts=False)
     assert scripted_search.run().verdict == "effect_found"
 
 
