@@ -132,14 +132,19 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     positioned = [state.zeros for state in initial if state.position_measured]
     by_run = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.zeros for state in initial])
     median = np.median(by_run, axis=0)  # (sensors,)
+    deviation = np.abs(by_run - median)  # (runs, sensors)
     # Standard deviation from the median absolute deviation, which single deviating runs do not change.
-    spread = 1.4826 * np.median(np.abs(by_run - median), axis=0)
+    spread = 1.4826 * np.median(deviation, axis=0)
     limit = np.maximum(max_held_angle(machine), 2 * quanta)
+    # It is zero if more than half of the runs start where nothing stretches the belts. The others show the stretch.
+    kept = deviation <= limit + _MAX_SCATTER * spread
+    of_kept = np.sqrt(np.mean(deviation**2, axis=0, where=kept))
     for j, sensor in enumerate(machine.sensors):
         rotary = machine.coordinate(sensor.coordinate).kind == "rotary"
         if sensor.incremental and rotary and spread[j] < limit[j]:
             zeros.values[j] = median[j]
-            zeros.spread[j] = spread[j] if spread[j] > max(quanta[j], _MIN_STRETCH) else 0.0
+            scatter = max(spread[j], of_kept[j])
+            zeros.spread[j] = scatter if scatter > max(quanta[j], _MIN_STRETCH) else 0.0
     return zeros
 
 

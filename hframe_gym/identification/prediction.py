@@ -144,11 +144,7 @@ def predict(
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     measured = gains = None
     if bandwidth > 0.0:
-        start = run.initial.position
-        encoders = [sensor.incremental for sensor in machine.sensors]
-        # Encoders count from the initial position, which differs from the measured one if effects change it.
-        displacement = machine.sensor_matrix[:, : len(start)] @ (starts[0, : len(start)] - start)
-        measured = run.outputs + np.where(encoders, displacement, 0.0)
+        measured = measurements_from(starts[0], machine, run)
         measured = measured if extra_measurement is None else measured - extra_measurement
         gains = observer_gains(machine, period, bandwidth)
     motion = simulate_batch(
@@ -165,6 +161,25 @@ def predict(
         parallel=False,
     )
     return motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
+
+
+def measurements_from(start: Array, machine: Machine, run: PreparedRecording) -> Array:
+    """Return the measurements of a run for an initial state other than the measured one.
+
+    Encoders count from the initial position. If effects change what sensors measure, the position at the start differs
+    from the measured one, and the encoders measure that much more or less in all rows.
+
+    Args:
+        start: Initial state: positions, m or rad, first, shape (coordinates or more,).
+        machine: Machine with its sensors.
+        run: Run, n samples.
+
+    Returns:
+        Measurements, m or rad, shape (n, sensors).
+    """
+    measured_start = run.initial.position
+    displacement = machine.sensor_matrix[:, : len(measured_start)] @ (start[: len(measured_start)] - measured_start)
+    return run.outputs + np.where([sensor.incremental for sensor in machine.sensors], displacement, 0.0)
 
 
 def noise_floor(bandwidth: float, criteria: SelectionCriteria) -> float:

@@ -17,7 +17,16 @@ from scipy import signal
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import typical_force
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, observer_gains, predict, prediction_error
+from .prediction import (
+    POLISH_STEP,
+    SEARCH_BANDWIDTH,
+    SIMULATION,
+    map_runs,
+    measurements_from,
+    observer_gains,
+    predict,
+    prediction_error,
+)
 from .start_uncertainty import most_probable_initial_state
 
 Array = NDArray[np.float64]
@@ -133,8 +142,9 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     Returns:
         Force on every coordinate, N or Nm, shape (n, coordinates).
     """
-    predicted = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
-    innovation = np.nan_to_num(run.outputs - predicted)  # (n, sensors)
+    start = run.initial_state(machine)
+    predicted = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start).readings[0]
+    innovation = np.nan_to_num(measurements_from(start, machine, run) - predicted)  # (n, sensors)
     velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]  # (coordinates, sensors)
     mass = np.array([c.mass for c in machine.coordinates])
     return innovation @ velocity_gains.T / data.period * mass

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.prediction import (
     SEARCH_BANDWIDTH,
@@ -17,7 +18,8 @@ from hframe_gym.identification.prediction import (
     prediction_error,
     residuals,
 )
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.identification.residual import force_residual
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
@@ -113,3 +115,15 @@ def test_blocks_keep_the_size_of_slow_residuals_and_of_white_noise(data: Dataset
 def test_results_of_runs_keep_their_order(axis: Machine) -> None:
     data = prepare([recorded(axis, name, rows) for name, rows in (("long", 900), ("short", 300))], axis)
     assert list(map_runs(lambda run: run.name, data)) == ["long", "short"]
+
+
+def test_the_true_machine_lacks_no_force_where_an_effect_falsifies_the_position_at_rest() -> None:
+    """The laser reads 2 % too much, so that the encoders count from another position than the laser measures."""
+    hframe = BUILTIN_MACHINES["hframe"]()
+    true = hframe.with_effects(EFFECTS["sensor_scale"].at("x_m", g=0.02))
+    time_s = np.arange(600) * 1e-3
+    inputs = np.where(time_s[:, None] > 0.1, 3.0, 0.0) * np.array([1.0, -1.0])
+    outputs = true.simulate(time_s, inputs, rest_state(true, [0.1, 0.05])).outputs
+    prepared = prepare([Recording("run", time_s, inputs, outputs)], hframe)
+    assert np.abs(force_residual(hframe, prepared.runs[0], prepared)).max() > 1.0
+    assert np.abs(force_residual(true, prepared.runs[0], prepared)).max() < 1e-3  # N and Nm

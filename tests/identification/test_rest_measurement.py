@@ -107,6 +107,16 @@ def test_encoders_that_kept_their_zero_are_found_and_others_are_not(hframe: Mach
     assert np.isnan(common_encoder_zeros(initial_states(true_zeros[:2]), hframe, quanta).values).all()
 
 
+def test_encoders_resolve_the_stretch_although_most_runs_start_without_one(hframe: Machine) -> None:
+    """Five of eight runs start at the center; the position of the others must come from the lasers alone."""
+    true_zeros = np.zeros((8, 4))
+    true_zeros[:3, 1] = 0.03, -0.01, 0.02
+    zeros = common_encoder_zeros(initial_states(true_zeros), hframe, np.array([5.2e-4, 5.2e-4, 0.0, 0.0]))
+    np.testing.assert_array_equal(zeros.values[:2], [0.0, 0.0])
+    np.testing.assert_array_equal(zeros.resolves_stretch[:2], [False, True])
+    assert zeros.spread[1] == pytest.approx(np.sqrt((0.03**2 + 0.01**2 + 0.02**2) / 8))
+
+
 def test_runs_without_a_measured_position_do_not_count_for_the_zeros(hframe: Machine) -> None:
     true_zeros = np.tile([1.5, -0.5, 0.0, 0.0], (4, 1))
     assumed = initial_states(np.zeros((5, 4)), measured=False)
