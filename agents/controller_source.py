@@ -16,7 +16,7 @@ from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, 
 from ..machine import Machine
 from .agent import SCHEMA, Agent
 from .agent_files import AGENT_FILES, read_card
-from .recipe import Recipe
+from .recipe import Recipe, recipe_task
 
 
 @CONTROLLER_SOURCES.register("agents")
@@ -116,24 +116,28 @@ def shipped_agent_folder(name: str, task: str) -> Path:
     return folder
 
 
-def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
+def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: int) -> Path:
     """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues the training.
 
     Args:
         recipe: Recipe whose `start` names the agent.
-        task: Name of the task, "reach" or "track".
+        task: Name of the task on which training continues; `recipe_task` selects among the agents of the package.
         machine: Machine on which training continues.
+        previews: Number of future goals that this task shows.
 
     Returns:
         Folder of the agent, for `load_weights`.
 
     Raises:
         InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes, observed
-            coordinates or drives.
+            coordinates or drives, or with another number of future goals.
         ImportError: If the extra `agents` is not installed.
     """
-    folder = shipped_agent_folder(recipe.start, task)
-    obstacle = Agent.load(folder).structural_mismatch(machine)
+    folder = shipped_agent_folder(recipe.start, recipe_task(task))
+    agent = Agent.load(folder)
+    obstacle = agent.structural_mismatch(machine)
+    if not obstacle and previews != agent.card["previews"]:
+        obstacle = f"was trained with {agent.card['previews']} future goals, but the task {task} shows {previews}"
     if obstacle:
         raise InputError(
             f"recipe {recipe.name}: continues the shipped agent {folder.name}, which {obstacle}. Train an agent from "
