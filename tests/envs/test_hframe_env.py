@@ -95,6 +95,27 @@ def test_reset_options_set_start_and_target():
         env.reset(options={"goal": (0.0, 0.0)})
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"start": "here"}, r"options\['start'\] is 'here', it must be a position, numbers in m"),
+        ({"start": (9.0, 0.0)}, r"options\['start'\] must be \(x, y\)"),
+        ([("start", (0.0, 0.0))], "it must be a dict, with the keys 'start' and 'target'"),
+        (5, "options is 5, it must be a dict"),
+    ],
+)
+def test_a_refused_reset_changes_nothing(options, message):
+    env, other = HFrameEnv(), HFrameEnv()
+    env.reset(seed=1)
+    other.reset(seed=1)
+    with pytest.raises(InputError, match=message):
+        env.reset(seed=7, options=options)
+    np.testing.assert_array_equal(env.reset()[0]["desired_goal"], other.reset()[0]["desired_goal"])
+    track = HFrameEnv(task="track")
+    with pytest.raises(InputError, match="task track has no target"):
+        track.reset(seed=7, options={"target": (0.0, 0.0)})
+
+
 def test_a_machine_at_rest_stays_at_rest():
     env = HFrameEnv()
     start, _ = env.reset(seed=0)

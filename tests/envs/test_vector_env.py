@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.error import Error
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import hframe_gym  # noqa: F401  (registers the environments)
@@ -193,4 +194,8 @@ def test_a_refused_reset_changes_no_random_numbers():
         vector.reset(seed=[1, 2])
     with pytest.raises(InputError, match="unknown option"):
         vector.reset(seed=9, options={"goal": (0.0, 0.0)})
+    with pytest.raises(InputError, match=r"must be \(x, y\) with x in"):
+        vector.reset(seed=9, options={"target": (9.0, 0.0)})
+    with pytest.raises(Error, match="Seed must be greater or equal to zero"):
+        vector.reset(seed=[9, -1, 9])
     np.testing.assert_array_equal(vector.reset()[0]["desired_goal"], again.reset()[0]["desired_goal"])
