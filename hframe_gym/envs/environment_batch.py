@@ -14,7 +14,7 @@ from gymnasium import error
 from numpy.typing import NDArray
 
 from ..dynamics import LANES, NotFiniteError, in_parallel
-from ..errors import InputError
+from ..errors import InputError, is_integer
 from .actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine, check_task
@@ -76,8 +76,8 @@ class EnvironmentBatch:
     """
 
     def __init__(self, config: EnvConfig, count: int) -> None:
-        if count < 1:
-            raise InputError(f"num_envs is {count}, it must be at least 1")
+        if not is_integer(count) or count < 1:
+            raise InputError(f"num_envs is {count!r}, it must be an integer, at least 1")
         self.config, self.count = config, count
         sensors = as_sensors(config.sensors)
         machine = as_machine(config.machine)

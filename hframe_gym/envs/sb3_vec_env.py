@@ -14,7 +14,7 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, is_integer
 from .config import EnvOptions, check_keywords
 from .vector_env import HFrameVectorEnv
 
@@ -28,7 +28,7 @@ Indices = None | int | Iterable[int]
 
 def _vector_entry_point(env_id: str) -> tuple[type[HFrameVectorEnv], dict[str, Any]]:
     """Return the vector environment of an id and the keywords of its registration; raises InputError for another id."""
-    spec = gym.registry.get(env_id)
+    spec = gym.registry.get(env_id) if isinstance(env_id, str) else None
     make = load_env_creator(spec.vector_entry_point) if spec and isinstance(spec.vector_entry_point, str) else None
     if not (isinstance(make, type) and issubclass(make, HFrameVectorEnv)):
         names = [name for name in gym.registry if name.startswith("HFrame")]
@@ -70,7 +70,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         **options: Unpack[EnvOptions],
     ) -> None:
         check_keywords(type(self).__name__, dict(options), ("num_envs", "env_id", "max_episode_steps", "render_mode"))
-        if not isinstance(num_envs, int | np.integer):
+        if isinstance(num_envs, str):
             raise InputError(f"num_envs is {num_envs!r}, it must be a number; HFrameVecEnv(8, env_id='HFrameTrack-v0')")
         make, keywords = _vector_entry_point(env_id)
         self.envs = make(
@@ -96,7 +96,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         Raises:
             InputError: If the seed is not an integer or negative; the stored seeds remain.
         """
-        if seed is not None and not (isinstance(seed, int | np.integer) and seed >= 0):
+        if seed is not None and not (is_integer(seed) and seed >= 0):
             raise InputError(f"seed is {seed!r}, it must be an integer that is not negative, or None")
         seeds: Sequence[int | None] = super().seed(None if seed is None else int(seed))
         return seeds

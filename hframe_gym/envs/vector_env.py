@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, is_integer
 from ..machine import Machine
 from .actuators import action_space
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
@@ -73,8 +73,11 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         **options: Unpack[EnvOptions],
     ) -> None:
         check_keywords(type(self).__name__, dict(options), _KEYWORDS)
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise InputError(f"max_episode_steps is {max_episode_steps}, it must be at least 1 or None")
+        if max_episode_steps is not None and not (is_integer(max_episode_steps) and max_episode_steps >= 1):
+            raise InputError(f"max_episode_steps is {max_episode_steps!r}, it must be an integer, at least 1, or None")
+        modes = [mode.value for mode in AutoresetMode]
+        if not (isinstance(autoreset_mode, AutoresetMode) or autoreset_mode in modes):
+            raise InputError(f"autoreset_mode is {autoreset_mode!r}; choose one of {', '.join(modes)}")
         self.batch = EnvironmentBatch(EnvConfig(**options), num_envs)
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps

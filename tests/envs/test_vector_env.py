@@ -199,3 +199,22 @@ def test_a_refused_reset_changes_no_random_numbers():
     with pytest.raises(Error, match="Seed must be greater or equal to zero"):
         vector.reset(seed=[9, -1, 9])
     np.testing.assert_array_equal(vector.reset()[0]["desired_goal"], again.reset()[0]["desired_goal"])
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        *(
+            ({"num_envs": n}, f"num_envs is {n!r}, it must be an integer, at least 1")
+            for n in (2.5, 2.0, "2", None, True)
+        ),
+        *(({"max_episode_steps": n}, f"max_episode_steps is {n!r}, it must be an integer") for n in (2.5, "5", 0)),
+        *(({"autoreset_mode": m}, f"is {m!r}; choose one of NextStep, SameStep, Disabled") for m in ("same", 5, None)),
+    ],
+)
+def test_keywords_of_a_wrong_type_are_refused(keywords, message):
+    with pytest.raises(InputError, match=message):
+        HFrameVectorEnv(**keywords)
+    if "num_envs" in keywords and keywords["num_envs"] is not None:
+        with pytest.raises(InputError, match=message):
+            gym.make_vec("HFrame-v0", **keywords)
