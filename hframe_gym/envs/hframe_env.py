@@ -131,12 +131,14 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
     - Termination: only with `ends="terminate"`, when `achieved_goal` (with sensors: the measured position) is outside
       the workspace. By default rubber buffers stop the tool.
-    - Truncation: by `gym.make` after 150 steps (1.5 s).
+    - Truncation: by `gym.make` after 150 steps, whatever `period` is (1.5 s with the default); its keyword
+      `max_episode_steps` changes the limit.
 
     `info` describes the true tool position, even where measurements are observed: `distance_m` to the goal,
     `is_success` (within the task's band now) and `contour_m` (distance to the path, for tasks with one). It also has
     `clipped_actions` (number of entries outside [-1, 1] in this episode) and, with randomization, `parameters`: the
-    values of the randomized parameters by full name.
+    values of the randomized parameters by full name. With the reward "progress" it has `previous_achieved_goal` and, if
+    goals move, `previous_desired_goal`: the goals before the step, as observed.
 
     ## Arguments
 
