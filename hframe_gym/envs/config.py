@@ -189,10 +189,12 @@ def check_reset_options(
         InputError: If the options are not a dict, a name is unknown, or a position is not of numbers, has another shape
             or is outside the workspace.
     """
+    if options is None:
+        return {}
     accepted = " and ".join(map(repr, ("start", "target", *others)))
-    if not isinstance(options, Mapping | None):
+    if not isinstance(options, Mapping):
         raise InputError(f"reset: options is {options!r}, it must be a dict, with the keys {accepted}")
-    given = dict(options or {})
+    given = dict(options)
     unknown = [name for name in given if name not in ("start", "target", *others)]
     if unknown:
         raise InputError(f"reset: unknown option {', '.join(map(repr, unknown))}; it takes {accepted}")
