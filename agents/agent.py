@@ -130,7 +130,7 @@ class Agent(Controller):
         if previews != ("preview" in observation):
             raise InputError(
                 f"agent {self.card['name']}: was trained {'with' if previews else 'without'} a preview of the goal, "
-                f"for the task {self.card['task']}; evaluate it on this task"
+                f"for the task {self.card['task']}; run it on the task {self.card['task']}"
             )
         for key, space in self.policy.observation_space.spaces.items():
             if key in observation and observation[key].shape[1:] != space.shape:

@@ -136,12 +136,13 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
     return dict(card)
 
 
-def refuse_to_replace(folder: Path, recipe: str, machine: str, seed: int, alone: bool) -> None:
+def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: int, alone: bool) -> None:
     """Raise an error if a folder holds an agent or the checkpoint of a training run, which new files would replace.
 
     Args:
         folder: Folder for the files of a training run; it need not exist.
         recipe: Name of the recipe of the new run, ALGORITHM_TASK.
+        task: Name of the task of the new run.
         machine: Name of the machine of the new run.
         seed: Seed of the new run.
         alone: Whether the command trains this seed only, not several seeds. Only then does it accept the option
@@ -149,8 +150,8 @@ def refuse_to_replace(folder: Path, recipe: str, machine: str, seed: int, alone:
 
     Raises:
         InputError: If the folder holds such files. The message says what they are and how to replace the run in the
-            folder or to continue it, which is possible if that run has a checkpoint and the same recipe, machine and
-            seed as the new one.
+            folder or to continue it, which is possible if that run has a checkpoint and the same recipe, task, machine
+            and seed as the new one.
     """
     complete_commit(folder)
     files = [name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"]  # which a user may have written
@@ -162,7 +163,12 @@ def refuse_to_replace(folder: Path, recipe: str, machine: str, seed: int, alone:
         card = read_json(folder / "card.json")
         steps = f", {card['curve'][-1]['steps']} steps" if card["curve"] else ""
         described = f"the agent {card['name']} of machine {card['machine']!r}, seed {card['seed']}{steps}"
-        resumable = resumable and (card["recipe"], card["machine"], card["seed"]) == (recipe, machine, seed)
+        resumable = resumable and [card[k] for k in ("recipe", "task", "machine", "seed")] == [
+            recipe,
+            task,
+            machine,
+            seed,
+        ]
     except (InputError, OSError, KeyError, TypeError, IndexError):  # damaged, or of another version
         described, resumable = ", ".join(present), False
     advice = ["choose another folder"]
@@ -182,8 +188,8 @@ def read_previous_card(file: Path) -> dict[str, Any]:
         file: The file card.json of the run.
 
     Returns:
-        Content of the file. It has the keys `recipe`, `seed`, `kept` (number of steps after which the policy was kept)
-        and `curve` (learning curve: one dictionary of numbers per evaluation).
+        Content of the file. It has the keys `recipe`, `task`, `seed`, `kept` (number of steps after which the policy
+        was kept) and `curve` (learning curve: one dictionary of numbers per evaluation).
 
     Raises:
         InputError: If the file is missing or damaged.
@@ -193,7 +199,7 @@ def read_previous_card(file: Path) -> dict[str, Any]:
         columns = {tuple(row) for row in card["curve"]}
         numbers = [card["kept"], *(value for row in card["curve"] for value in row.values())]
         is_valid = all(isinstance(value, int | float) and abs(value) < 1e15 for value in numbers) and len(columns) == 1
-        if is_valid and {"steps", "seconds", "cpu_s"} <= set(*columns) and {"recipe", "seed"} <= set(card):
+        if is_valid and {"steps", "seconds", "cpu_s"} <= set(*columns) and {"recipe", "task", "seed"} <= set(card):
             return dict(card)
     except (KeyError, TypeError, IndexError, AttributeError):
         pass

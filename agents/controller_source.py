@@ -7,6 +7,7 @@ declares in the entry-point group `hframe_gym.plugins`.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, 
 from ..machine import Machine
 from .agent import SCHEMA, Agent
 from .agent_files import AGENT_FILES, read_card
-from .recipe import Recipe
+from .recipe import Recipe, recipe_task
 
 
 @CONTROLLER_SOURCES.register("agents")
@@ -35,12 +36,14 @@ class AgentSource(ControllerSource):
             The agent, or None if neither a folder nor an agent that comes with the package has this name.
 
         Raises:
-            InputError: If the folder holds no agent, its files are damaged, or the machine has other numbers of axes,
-                observed coordinates or drives than the machine of the training.
+            InputError: If the package has the agent for other tasks only, the folder holds no agent, its files are
+                damaged, or the machine has other numbers of axes, observed coordinates or drives than the machine of
+                the training.
             ImportError: If the extra `agents` is not installed.
         """
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
+            _refuse_other_task(name, scenario.task_name)
             return None
         agent = Agent.load(folder)
         obstacle = agent.structural_mismatch(scenario.declared_machine)
@@ -65,7 +68,9 @@ class AgentSource(ControllerSource):
         Returns:
             A phrase that completes the error message "controller 'x' is unknown; choose ...".
         """
-        names = dict.fromkeys(label.rpartition("-seed")[0] for label in _shipped_folders(scenario.task_name))
+        names = _recipes_of(_shipped_folders(scenario.task_name))
+        if not names:
+            return f"the folder of a trained agent (none was shipped for the task {scenario.task_name})"
         return f"the folder of a trained agent; or a shipped agent ({', '.join(names)}, or one of them by NAME-seedN)"
 
     @staticmethod
@@ -102,32 +107,37 @@ def shipped_agent_folder(name: str, task: str) -> Path:
         Folder of the agent, for `Agent.load`.
 
     Raises:
-        InputError: If there is no such agent; the message lists the agents of the task.
+        InputError: If there is no such agent; the message names the tasks that have it, or the agents of the task.
     """
     folder = _find_shipped(name, task)
     if folder is None:
+        _refuse_other_task(name, task)
         raise InputError(f"no shipped agent {name!r} for the task {task}; choose one of: {_shipped_names(task)}")
     return folder
 
 
-def start_agent_folder(recipe: Recipe, task: str, machine: Machine) -> Path:
+def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: int) -> Path:
     """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues the training.
 
     Args:
         recipe: Recipe whose `start` names the agent.
-        task: Name of the task, "reach" or "track".
+        task: Name of the task on which training continues; `recipe_task` selects among the agents of the package.
         machine: Machine on which training continues.
+        previews: Number of future goals that this task shows.
 
     Returns:
         Folder of the agent, for `load_weights`.
 
     Raises:
         InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes, observed
-            coordinates or drives.
+            coordinates or drives, or with another number of future goals.
         ImportError: If the extra `agents` is not installed.
     """
-    folder = shipped_agent_folder(recipe.start, task)
-    obstacle = Agent.load(folder).structural_mismatch(machine)
+    folder = shipped_agent_folder(recipe.start, recipe_task(task))
+    agent = Agent.load(folder)
+    obstacle = agent.structural_mismatch(machine)
+    if not obstacle and previews != agent.card["previews"]:
+        obstacle = f"was trained with {agent.card['previews']} future goals, but the task {task} shows {previews}"
     if obstacle:
         raise InputError(
             f"recipe {recipe.name}: continues the shipped agent {folder.name}, which {obstacle}. Train an agent from "
@@ -142,7 +152,7 @@ def shipped_agent_names() -> tuple[str, ...]:
     Returns:
         Names without the suffix "-seedN", each once, sorted, for example ("apg", "ppo", "residual", "sac").
     """
-    return tuple(sorted({label.rpartition("-seed")[0] for label in _shipped_folders("*")}))
+    return tuple(sorted(_recipes_of(_shipped_folders("*"))))
 
 
 def _agent_folder(name: str, task: str) -> Path | None:
@@ -156,6 +166,24 @@ def _find_shipped(name: str, task: str) -> Path | None:
     return next((f for label, f in folders.items() if label == name or label.startswith(f"{name}-")), None)
 
 
+def _refuse_other_task(name: str, task: str) -> None:
+    """Raise InputError if the package has an agent of this name, but for other tasks than the one in question."""
+    trained = [folder.name for folder in sorted(_shipped_root().iterdir()) if _find_shipped(name, folder.name)]
+    if not trained:
+        return
+    others = ", ".join(_recipes_of(_shipped_folders(task)))
+    choices = [f"the task {' or '.join(trained)}", *([f"a shipped agent of {task} ({others})"] if others else [])]
+    raise InputError(
+        f"agent {name}: was trained for the task {' and for '.join(trained)}, not for {task}; choose "
+        f"{', '.join(choices)}, or train an agent for {task} (hframe train ppo)"
+    )
+
+
+def _recipes_of(labels: Iterable[str]) -> list[str]:
+    """Return the names of shipped agents without "-seedN", each once, in order."""
+    return list(dict.fromkeys(label.rpartition("-seed")[0] for label in labels))
+
+
 def _shipped_names(task: str) -> str:
     """List the shipped agents of a task for a message."""
     return ", ".join(_shipped_folders(task)) or f"none for the task {task}"
@@ -163,5 +191,9 @@ def _shipped_names(task: str) -> str:
 
 def _shipped_folders(task: str) -> dict[str, Path]:
     """Return the folders of the shipped agents of a task by name, sorted."""
-    shipped = Path(str(resources.files(__package__))) / "shipped"
-    return {file.parent.name: file.parent for file in sorted(shipped.glob(f"{task}/*/agent.json"))}
+    return {file.parent.name: file.parent for file in sorted(_shipped_root().glob(f"{task}/*/agent.json"))}
+
+
+def _shipped_root() -> Path:
+    """Return the folder with one folder of agents per task."""
+    return Path(str(resources.files(__package__))) / "shipped"

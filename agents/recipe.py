@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from typing import Any
 
 from ..controllers import MinimumEnergyTransfers, MotionModel
-from ..envs import EnvConfig
+from ..envs import TASKS, EnvConfig, Task
 from ..errors import InputError
 from ..machine import Machine
 
@@ -146,7 +146,7 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
     Raises:
         InputError: If a transfer is too long; the message lists recipes of the same task that suit the machine.
     """
-    needed = recipe.longest_transfer
+    needed, task = recipe.longest_transfer, recipe_task(task)
     if needed < 0:
         return
     designed = MinimumEnergyTransfers(MotionModel(machine), recipe.period)
@@ -162,21 +162,72 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
     )
 
 
+def build_task(recipe: Recipe, name: str) -> Task:
+    """Build the task of a training run with the recipe's settings.
+
+    Args:
+        recipe: Settings of the training run.
+        name: Name of a registered task, or `module:name`.
+
+    Returns:
+        The task.
+
+    Raises:
+        InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its observation
+            has another number of future goals (`Task.ahead_s`) than the features of the recipe use.
+    """
+    settings = {key: tuple(v) if isinstance(v, list) else v for key, v in recipe.task.items()}  # TOML has no tuples
+    try:
+        task: Task = TASKS.get(name)(**settings)
+    except TypeError as error:
+        raise InputError(f"recipe {recipe.name}, table task: {error}") from error
+    used, observed = recipe.features.get("preview", 0), len(task.ahead_s)
+    if used and used != observed:
+        raise InputError(
+            f"recipe {recipe.name}: uses {used} future goals, but the task {name} shows {observed} (ahead_s); let the "
+            f"task show {used}, or choose a recipe that takes any number: ppo, residual"
+        )
+    return task
+
+
+def recipe_task(task: str) -> str:
+    """Name the task whose recipes and shipped agents apply to a task.
+
+    Args:
+        task: Name of a registered task, or `module:name`.
+
+    Returns:
+        The task itself if the package has recipes for it; else the task with recipes that has the same metrics:
+        "reach" if an episode has a fixed goal, "track" if the goal moves along a path.
+
+    Raises:
+        InputError: If the task is unknown or its module cannot be imported.
+    """
+    with_recipes = {name.rpartition("_")[2] for name in recipe_names()}
+    return task if task in with_recipes else TASKS.get(task).metrics
+
+
 def load_recipe(name: str, task: str) -> Recipe:
     """Load the settings of a training run (a recipe) for an algorithm and a task.
 
+    A task without recipes has those of the task with the same metrics (`recipe_task`), with its own default settings
+    in place of the recipe's.
+
     Args:
         name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt".
-        task: Name of the task, for example "reach".
+        task: Name of the task, for example "reach", or `module:name`.
 
     Returns:
         The settings of the training run.
 
     Raises:
-        InputError: If there is no such recipe; the message lists the available recipes.
+        InputError: If the task is unknown, or there is no such recipe; the message lists the available recipes.
     """
-    file = resources.files(__package__) / "recipes" / f"{name}_{task}.toml"
+    trained = recipe_task(task)
+    file = resources.files(__package__) / "recipes" / f"{name}_{trained}.toml"
     if not file.is_file():
         listed = ", ".join(" on ".join(recipe.rsplit("_", 1)) for recipe in recipe_names())
-        raise InputError(f"there is no recipe for {name} on {task}; choose one of: {listed}")
-    return Recipe(name=f"{name}_{task}", **tomllib.loads(file.read_text("utf-8")))
+        likewise = "" if trained == task else f" (the task {task} has the recipes of {trained})"
+        raise InputError(f"there is no recipe for {name} on {trained}{likewise}; choose one of: {listed}")
+    recipe = Recipe(name=f"{name}_{trained}", **tomllib.loads(file.read_text("utf-8")))
+    return recipe if trained == task else replace(recipe, task={})

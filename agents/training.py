@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..atomic_files import atomic_file, newest, output_batch
-from ..envs import TASKS, EnvConfig, Task
+from ..envs import EnvConfig, Task
 from ..errors import InputError
 from ..evaluation import Scenario, period_concern
 from ..locked_folders import complete_commit, locked_folder
@@ -36,7 +36,7 @@ from .optional_dependencies import (
     require_training_packages,
     single_threaded_torch,
 )
-from .recipe import ALGORITHMS, Recipe, load_recipe, require_transfers
+from .recipe import ALGORITHMS, Recipe, build_task, load_recipe, recipe_task, require_transfers
 from .residual_action import residual_action
 
 # Environment i of a run with seed s has the seed TRAINING_SEED + s * SEED_STRIDE + i. The seeds of the evaluation
@@ -74,7 +74,7 @@ def train(
         algorithm: A recipe, or the name of one in the package without the task, for example "ppo", "sac", "residual" or
             "apg"; `recipe_names` lists them.
         machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
-        task: Name of the task, "reach" or "track".
+        task: Name of the task: "reach", "track", another registered one, or `module:name` (see `load_recipe`).
         steps: Environment steps in total, including those before a resume. Default: the recipe's.
         seed: Seed of the network, the episodes and the algorithm, not negative.
         resume: Continue from the checkpoint in `out`.
@@ -107,7 +107,7 @@ def train(
         declared = load_machine(machine)
         require_transfers(recipe, declared, task)
         if not (resume or force):
-            refuse_to_replace(Path(out), recipe.name, declared.name, seed, alone=True)
+            refuse_to_replace(Path(out), recipe.name, task, declared.name, seed, alone=True)
         run = _Run(recipe, declared, task, seed, Path(out), log, progress)
         run.trust = trust
         return run.execute(recipe.steps if steps is None else steps, resume)
@@ -135,7 +135,7 @@ class _Run:
         concern = period_concern(machine, recipe.period)
         if concern:
             log(f"warning: {concern.partition(' (')[0]} in the recipe's [env]")
-        built_task = _build_task(task, recipe.task)
+        built_task = build_task(recipe, task)
         self.environment = _build_environment(recipe, machine, built_task)
         self.card = _new_card(recipe, machine, task, seed)
         self.card["previews"] = len(built_task.ahead_s)
@@ -159,7 +159,7 @@ class _Run:
         self.evaluation_interval = max(SHORTEST_INTERVAL, steps // EVALUATIONS_PER_RUN)
         self.model = self._load_checkpoint() if resume else self._new_model()
         if recipe.start and not resume:
-            load_weights(self.model.policy, start_agent_folder(recipe, task, self.machine))
+            load_weights(self.model.policy, start_agent_folder(recipe, task, self.machine, self.card["previews"]))
         logger = import_optional("stable_baselines3.common.logger")
         self.model.set_logger(logger.configure(str(self.folder / "tensorboard"), ["tensorboard"]))
         if not resume:
@@ -209,11 +209,9 @@ class _Run:
             if not file.is_file():
                 raise InputError(f"nothing to resume: {file} does not exist")
         previous = read_previous_card(card_file)
-        if (previous["recipe"], previous["seed"]) != (self.card["recipe"], self.card["seed"]):
-            raise InputError(
-                f"nothing to resume: {self.folder} holds a run of {previous['recipe']} with seed {previous['seed']}, "
-                f"not of {self.card['recipe']} with seed {self.card['seed']}"
-            )
+        held, wanted = (f"{c['recipe']} on {c['task']} with seed {c['seed']}" for c in (previous, self.card))
+        if held != wanted:
+            raise InputError(f"nothing to resume: {self.folder} holds a run of {held}, not of {wanted}")
         kept_agent = Agent.load(self.folder)
         if not same_parameters(kept_agent.machine, self.machine):
             raise InputError(
@@ -309,13 +307,6 @@ def _algorithm(kind: str) -> Any:
     return package.CrossQ if kind == "crossq" else getattr(package, kind.upper())
 
 
-def _build_task(name: str, settings: dict[str, Any]) -> Task:
-    """Build a task with a recipe's settings; lists become tuples, which TOML lacks."""
-    task_class: Any = TASKS.get(name)
-    task: Task = task_class(**{key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()})
-    return task
-
-
 def _build_environment(recipe: Recipe, machine: Machine, task: Task) -> Any:
     """Build the vector environment of a recipe, with its action mapping."""
     from ..envs.sb3_vec_env import HFrameVecEnv
@@ -330,7 +321,7 @@ def _new_card(recipe: Recipe, machine: Machine, task: str, seed: int) -> dict[st
     """Return the card of a run that begins."""
     return {
         "schema": SCHEMA,
-        "name": recipe.name.removesuffix(f"_{task}"),
+        "name": recipe.name.removesuffix(f"_{recipe_task(task)}"),
         "task": task,
         "kind": recipe.kind,
         "machine": machine.name,

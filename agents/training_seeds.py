@@ -14,7 +14,7 @@ from ..machine import Machine
 from ..recordings import load_machine
 from .agent_files import RESUME_FILES, refuse_to_replace, sign_checkpoint
 from .optional_dependencies import require_training_packages
-from .recipe import Recipe, load_recipe, require_transfers
+from .recipe import Recipe, build_task, load_recipe, require_transfers
 from .training import Log, Progress, train
 
 
@@ -42,7 +42,7 @@ def train_seeds(
     Args:
         algorithm: A recipe (settings of a training run), or the name of one in the package without the task.
         machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
-        task: "reach" or "track".
+        task: Name of the task, as for `train`.
         steps: Environment steps of each run. Default: the recipe's.
         seeds: Seeds of the runs, all different.
         out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
@@ -64,9 +64,9 @@ def train_seeds(
     """
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
-    declared = load_machine(machine)
+    declared, _ = load_machine(machine), build_task(recipe, task)  # raise errors before any worker starts
     require_transfers(recipe, declared, task)
-    folders, done = _run_folders(Path(out), recipe.name, declared.name, seeds, force), 0
+    folders, done = _run_folders(Path(out), recipe.name, task, declared.name, seeds, force), 0
 
     def write(index: int, trained: tuple[dict[str, Any], dict[str, bytes]]) -> None:
         nonlocal done
@@ -80,13 +80,13 @@ def train_seeds(
     return {seed: card for seed, (card, _) in zip(seeds, results, strict=True)}
 
 
-def _run_folders(out: Path, recipe: str, machine: str, seeds: Sequence[int], force: bool) -> list[Path]:
+def _run_folders(out: Path, recipe: str, task: str, machine: str, seeds: Sequence[int], force: bool) -> list[Path]:
     """Return the folder of each seed's run; refuse equal seeds, and a folder with a run that may not be replaced."""
     if len(set(seeds)) < len(seeds):
         raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")
     folders = [out / f"seed_{seed}" for seed in seeds] if len(seeds) > 1 else [out]
     for seed, folder in zip(seeds, folders, strict=True) if not force else ():
-        refuse_to_replace(folder, recipe, machine, seed, alone=False)
+        refuse_to_replace(folder, recipe, task, machine, seed, alone=False)
     return folders
 
 

@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hframe_gym.agents import Agent, Recipe, load_recipe, train
 
 from benchmarks.agents import ratio
 from benchmarks.results_file import RESULTS, write_results
+from hframe_gym.agents import Agent, Recipe, load_recipe, train
 from hframe_gym.evaluation import BANDS, BOUND_BAND, Scenario, rollout, settling_times, stored_bounds
 
 SCENARIO = Scenario(episodes=512, seed=0)

@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hframe_gym.agents import Agent, train
-from hframe_gym.agents.model_card import write_card
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from benchmarks.results_file import RESULTS, write_results
+from hframe_gym.agents import Agent, train
+from hframe_gym.agents.model_card import write_card
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import TaskLike, Track
 from hframe_gym.evaluation import (

@@ -34,11 +34,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from hframe_gym.agents import Agent, load_recipe, train
 
 from benchmarks.closed_loop_plots import draw
 from benchmarks.results_file import RESULTS, write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
+from hframe_gym.agents import Agent, load_recipe, train
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import Reach, Track
 from hframe_gym.evaluation import BANDS, BOUND_BAND, mean_with_interval, settling_times

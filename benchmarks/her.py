@@ -14,9 +14,9 @@ import tempfile
 from typing import Any
 
 import numpy as np
-from hframe_gym.agents import Agent, train
 
 from benchmarks.results_file import write_results
+from hframe_gym.agents import Agent, train
 from hframe_gym.evaluation import Scenario, rollout, settling_times
 
 BAND = 5e-3  # m, the band of the recipe's reward

@@ -18,9 +18,9 @@ from dataclasses import replace
 from typing import Any
 
 import optuna
-from hframe_gym.agents import Recipe, load_recipe, train
 
 from benchmarks.results_file import write_results
+from hframe_gym.agents import Recipe, load_recipe, train
 from hframe_gym.distributed import LOCAL_RAY, map_tasks
 
 STEPS = 300_000

@@ -16,11 +16,11 @@ import time
 from typing import Any
 
 import numpy as np
-from hframe_gym.agents.optional_dependencies import single_threaded_torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from benchmarks.results_file import write_results
+from hframe_gym.agents.optional_dependencies import single_threaded_torch
 from hframe_gym.envs import EnvConfig, HFrameVectorEnv
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 

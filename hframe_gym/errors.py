@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import numbers
 from collections.abc import Iterable
 
 
@@ -11,6 +13,30 @@ class InputError(ValueError):
     The message is one line that names the file, the row, column or field, and what to do. Commands print it and exit
     with code 2.
     """
+
+
+def is_number(value: object) -> bool:
+    """Return whether an argument of a user is a finite real number.
+
+    Args:
+        value: Argument of any type.
+
+    Returns:
+        True for finite numbers of Python and NumPy; False for bool, texts, arrays, None, inf and nan.
+    """
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def is_integer(value: object) -> bool:
+    """Return whether an argument of a user is an integer.
+
+    Args:
+        value: Argument of any type.
+
+    Returns:
+        True for integers of Python and NumPy; False for bool and for a float such as 2.0.
+    """
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
 def name_runs(names: Iterable[str]) -> str:

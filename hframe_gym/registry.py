@@ -3,7 +3,7 @@
 Code outside the package can register more of them, which every command and `gym.make` then accept. There are three
 ways: a name of the form `package.module:name` imports that module first; an installed package declares a module as an
 entry point of the group `hframe_gym.plugins`; the environment variable `HFRAME_PLUGINS` lists modules. The latter two
-are imported when a name is not registered yet.
+are imported when a name is not registered yet. Modules are also found in the current folder.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
+from importlib.machinery import PathFinder
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -54,8 +55,8 @@ def import_plugin(name: str) -> None:
     """Import a plugin, a module that registers effects, controllers, ..., by its name or the path of its file.
 
     Args:
-        name: Name of a module, or path of a Python file. The file's folder is added to `sys.path`, so that other
-            processes can import the module as well.
+        name: Name of a module, which is installed, on PYTHONPATH or in the current folder, or path of a Python file.
+            The folder of the file or module is added to `sys.path`, so that other processes can import the module.
 
     Raises:
         InputError: If the module cannot be imported.
@@ -67,9 +68,27 @@ def import_plugin(name: str) -> None:
         if str(path.parent) not in sys.path:
             sys.path.append(str(path.parent))
     try:
-        importlib.import_module(module)
+        _import_from_user(module)
     except Exception as error:
         raise InputError(f"{PLUGIN_VARIABLE}: plugin {name!r} cannot be imported: {error}") from error
+
+
+def _import_from_user(module: str) -> None:
+    """Import a module that a user named: where Python finds it, else in the current folder.
+
+    The `hframe` command does not have the current folder on `sys.path`, unlike `python -m`. It is added if it has the
+    module, so that the module can import others beside it and worker processes find it too. It comes last, so that
+    files in it replace no installed module.
+    """
+    top_level = module.partition(".")[0]
+    try:
+        importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        folder = str(Path.cwd())
+        if error.name != top_level or folder in sys.path or PathFinder.find_spec(top_level, [folder]) is None:
+            raise
+        sys.path.append(folder)
+        importlib.import_module(module)
 
 
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
@@ -140,7 +159,8 @@ class Registry(Generic[T]):
         If the name is not registered yet, all plugins are imported before the name is looked up.
 
         Args:
-            name: Registered name. `package.module:name` first imports that module, which registers the name.
+            name: Registered name. `package.module:name` first imports that module, which registers the name; it is
+                installed, on PYTHONPATH or in the current folder.
 
         Returns:
             The class or function.
@@ -151,13 +171,16 @@ class Registry(Generic[T]):
         module, colon, key = name.rpartition(":")
         if colon:
             try:
-                importlib.import_module(module)
-            except ImportError as error:
-                advice = "install it or add its folder to PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
-                text = f"{self.kind} {name!r}: cannot import {module!r}: {error}"
-                raise InputError("; ".join(filter(None, (text, advice)))) from error
+                _import_from_user(module)
+            except Exception as error:
+                problem = str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+                missing = isinstance(error, ModuleNotFoundError)
+                advice = "; install it, add its folder to PYTHONPATH, or change to that folder" if missing else ""
+                raise InputError(f"{self.kind} {name!r}: cannot import {module!r}: {problem}{advice}") from error
         if key not in self:
-            raise InputError(f"{self.kind} {name!r} is unknown; choose one of {', '.join(self._parts)}")
+            file = getattr(sys.modules.get(module), "__file__", None)
+            place = f" in {file}" if file else ""  # another module than the user means may have the same name
+            raise InputError(f"{self.kind} {name!r} is unknown{place}; choose one of {', '.join(self._parts)}")
         return self._parts[key]
 
     @property

@@ -29,11 +29,12 @@ from hframe_gym.cli.support import log_time_estimate, training_proposal
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
-from hframe_gym.envs import EnvConfig
+from hframe_gym.envs import TASKS, EnvConfig
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict
+from hframe_gym.registry import load_plugins
 
 pytestmark = pytest.mark.integration
 
@@ -220,7 +221,7 @@ def test_evaluate_by_protocol_refuses_what_the_protocol_fixes(
     ("options", "fragments"),
     [
         (("no-such-recipe",), ("no recipe for no-such-recipe on reach", "ppo on reach")),
-        (("ppo", "--task", "juggle"), ("no recipe for ppo on juggle",)),
+        (("ppo", "--task", "juggle"), ("task 'juggle' is unknown", "reach, track")),
         (("ppo", "--machine", "axis", "--task", "track"), ("task track", "x and y")),
         (("ppo", "--randomize", "some"), ("some", "default, wide")),
         (("ppo", "--resume"), ("nothing to resume",)),
@@ -342,6 +343,33 @@ def test_evaluate_takes_a_controller_and_a_task_of_another_module(
     assert (code, err) == (0, "")
     scores = json.loads((tmp_path / "out/scores.json").read_text())
     assert scores["controllers"]["toy_plugin:toy-zero"]["success"]["1mm"] == 0.0
+
+
+@pytest.mark.train
+@pytest.mark.parametrize("task", ["folder_tasks:toy-move", "toy-move"], ids=["module and name", "plugin"])
+def test_train_takes_a_task_of_a_module_in_the_current_folder(
+    task: str, hframe_command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder])
+    monkeypatch.delitem(sys.modules, "folder_tasks", raising=False)
+    text = "from hframe_gym.envs import TASKS, Reach\n@TASKS.register('toy-move')\nclass Move(Reach):\n    pass\n"
+    Path("folder_tasks.py").write_text(text)
+    if ":" not in task:
+        monkeypatch.setenv("HFRAME_PLUGINS", "folder_tasks")
+    load_plugins.cache_clear()
+    try:
+        code, out, err = hframe_command("train", "ppo", "--task", task, "--steps", 1, "--out", "agent")
+        assert (code, err) == (0, "")
+        assert f"Next: hframe evaluate agent pid --machine hframe --task {task} --out agent/scores" in out
+        code, _, err = hframe_command("evaluate", "agent", "--task", task, "--episodes", 2, "--out", "out")
+        assert (code, err) == (0, "")
+        assert json.loads(Path("agent/card.json").read_text())["task"] == task
+        code, out, _ = hframe_command("evaluate", "pid", "--task", task, "--episodes", 2, "--out", "out")
+        assert f"Next: hframe train ppo --machine hframe --task {task} --out FOLDER" in out
+    finally:
+        TASKS.unregister("toy-move")
+        load_plugins.cache_clear()
 
 
 def test_evaluate_follows_a_path(hframe_command: Command, tmp_path: Path) -> None:
@@ -595,6 +623,7 @@ def test_a_proposal_to_train_names_what_differs_from_the_recipe(monkeypatch: pyt
     other = training_proposal("hframe", "reach", "default", 0.01)
     assert " --randomize default --out FOLDER" in other
     assert other.endswith(" too with --period 0.02, the control period of the recipe")
+    monkeypatch.undo()
     assert training_proposal("hframe", "my_package.tasks:juggle", "default", 0.01) == ""
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 import typer
-from hframe_gym.agents import train, train_seeds
-from hframe_gym.agents.agent_files import refuse_unsigned
 
 from hframe_gym import distributed
+from hframe_gym.agents import train, train_seeds
+from hframe_gym.agents.agent_files import refuse_unsigned
 from hframe_gym.cli.app import CommandWithChoices, RayOption
 from hframe_gym.distributed import files_of, map_tasks, write_files
 from hframe_gym.errors import InputError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -68,6 +69,45 @@ def test_a_name_with_a_module_imports_the_module_first(monkeypatch: pytest.Monke
     assert SENSOR_KINDS.get("toy_kinds:toy").incremental
     with pytest.raises(InputError, match="cannot import 'no_such_module'"):
         SENSOR_KINDS.get("no_such_module:toy")
+
+
+def test_modules_are_found_in_the_current_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder])
+    text = (
+        "from hframe_gym.machine import SENSOR_KINDS, SensorKind\n"
+        "@SENSOR_KINDS.register({0!r})\n"
+        "class FolderKind(SensorKind):\n"
+        "    pass\n"
+    )
+    for module in ("folder_kinds", "folder_plugin"):
+        Path(f"{module}.py").write_text(text.format(module.replace("_", "-")))
+    Path("tomllib.py").write_text("raise AssertionError('an installed module comes first')\n")
+    from hframe_gym.machine import SENSOR_KINDS
+
+    with pytest.raises(InputError, match=r"cannot import 'folder_kids': .*change to that folder"):
+        SENSOR_KINDS.get("folder_kids:folder-kinds")
+    assert str(tmp_path) not in sys.path
+    try:
+        assert SENSOR_KINDS.get("folder_kinds:folder-kinds").__module__ == "folder_kinds"
+        registry.import_plugin("folder_plugin")
+        assert "folder-plugin" in SENSOR_KINDS
+    finally:
+        for name in ("folder-kinds", "folder-plugin"):
+            SENSOR_KINDS.unregister(name)
+    assert sys.path.count(str(tmp_path)) == 1
+    with pytest.raises(
+        InputError, match=r"sensor kind 'tomllib:nothing' is unknown in .*tomllib.__init__\.py; choose one"
+    ):
+        SENSOR_KINDS.get("tomllib:nothing")
+
+
+def test_a_mistake_in_a_module_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "faulty_kinds.py").write_text("1 / 0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    shapes: Registry[type] = Registry("shape")
+    with pytest.raises(InputError, match=r"cannot import 'faulty_kinds': ZeroDivisionError: division by zero$"):
+        shapes.get("faulty_kinds:toy")
 
 
 def test_a_part_can_be_removed() -> None:

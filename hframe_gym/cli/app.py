@@ -85,7 +85,7 @@ MaxRowsOption = Annotated[
         "but at least 20,000.",
     ),
 ]
-TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name.")]
+TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")]
 RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
 EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
 ControllersArgument = Annotated[

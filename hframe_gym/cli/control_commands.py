@@ -77,7 +77,7 @@ def train(
     The folder receives the best agent so far, its description (card.json) with the learning curve, TensorBoard logs and
     a checkpoint. A run may be killed at any time and continued with --resume; the run in a folder is replaced only with
     --force. Several seeds become the folders seed_0, seed_1, ..., each complete when its training ends; to resume such
-    a run, train its seed alone with --out FOLDER/seed_N.
+    a run, train its seed alone with --out FOLDER/seed_N. A task without recipes has those of reach or track.
 
     Example:  hframe train ppo --out out/ppo
     """

@@ -135,11 +135,12 @@ def training_proposal(machine: str, task: str, randomize: str, period: float) ->
         One line with the command and, if it differs, the control period of the recipe; empty if the package has no
         recipe "ppo" for the task.
     """
-    from ..agents import load_recipe, recipe_names
+    from ..agents import load_recipe
 
-    if f"ppo_{task}" not in recipe_names():
+    try:
+        recipe = load_recipe("ppo", task)
+    except InputError:
         return ""
-    recipe = load_recipe("ppo", task)
     words = option_words(machine=machine, task=task, randomize=None if randomize == recipe.randomize else randomize)
     note = "" if period == recipe.period else f" with --period {recipe.period:g}, the control period of the recipe"
     return f"Next: hframe train ppo{words} --out FOLDER, then evaluate FOLDER too{note}"

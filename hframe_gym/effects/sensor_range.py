@@ -21,6 +21,6 @@ EFFECT = Effect(
     measurement=measurement,
     parameters=(
         EffectParameter("low", "position", -1e6, 1e6, scale=0.01),
-        EffectParameter("high", "position", -1e6, 1e6, scale=0.01),
+        EffectParameter("high", "position", -1e6, 1e6, scale=0.01, above="low"),
     ),
 )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..dynamics import LANES
 from ..dynamics.simd_math import read_block
 from ..effects import EFFECTS
-from ..errors import InputError
+from ..errors import InputError, is_integer, is_number
 from ..machine import Machine
 from .random_numbers import compiled
 
@@ -34,7 +34,8 @@ class Actuators:
     """D/A converter, current limit and dead time of all drives. They replace the converters that the machine declares.
 
     Args:
-        bits: Resolution of the D/A converter, which has 2**bits levels from -range_V to range_V; None: not quantized.
+        bits: Resolution of the D/A converter, an integer from 1 to 32: it has 2**bits levels from -range_V to range_V;
+            None: not quantized.
         range_V: Voltage range of the converter, V; None: the rated voltage.
         current_limit: Largest current in either direction, A; None: only the machine's limits. The amplifier lowers
             the voltage V so that |V - Ke N w| / R stays within the limit (back-EMF constant Ke, gear ratio N, pulley
@@ -51,14 +52,14 @@ class Actuators:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.bits is not None and not 1 <= self.bits <= 32:
-            raise InputError(f"drives: bits is {self.bits!r}, it must be from 1 to 32 or None")
+        if self.bits is not None and not (is_integer(self.bits) and 1 <= self.bits <= 32):
+            raise InputError(f"drives: bits is {self.bits!r}, it must be an integer from 1 to 32 or None")
         for name in ("range_V", "current_limit"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
+            if value is not None and not (is_number(value) and value > 0.0):
                 raise InputError(f"drives: {name} is {value!r}, it must be a positive number or None")
-        if not 0.0 <= self.delay <= 0.1:
-            raise InputError(f"drives: delay is {self.delay!r}, it must be from 0 to 0.1 s")
+        if not (is_number(self.delay) and 0.0 <= self.delay <= 0.1):
+            raise InputError(f"drives: delay is {self.delay!r}, it must be a number from 0 to 0.1 s")
 
     def apply(self, machine: Machine) -> Machine:
         """Return a copy of a machine whose drives have this D/A converter, current limit and dead time.

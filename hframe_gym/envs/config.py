@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -168,6 +168,48 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
     if mode is not None and mode not in modes:
         raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
     return mode
+
+
+def check_reset_options(
+    options: Any, workspace: NDArray[np.float64], count: int, others: Sequence[str] = ()
+) -> dict[str, NDArray[np.float64]]:
+    """Check the argument `options` of an environment's `reset`.
+
+    Args:
+        options: Dict of the keys `start` and `target`, positions of the tool and of the goal, m, shape (axes,) or
+            (count, axes), both optional; None for no options.
+        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
+        count: Number of environments that are reset.
+        others: Further keys that are accepted and not checked.
+
+    Returns:
+        Positions by key, m, shape (count, axes); without the keys that are not given.
+
+    Raises:
+        InputError: If the options are not a dict, a name is unknown, or a position is not of numbers, has another shape
+            or is outside the workspace.
+    """
+    if options is None:
+        return {}
+    accepted = " and ".join(map(repr, ("start", "target", *others)))
+    if not isinstance(options, Mapping):
+        raise InputError(f"reset: options is {options!r}, it must be a dict, with the keys {accepted}")
+    given = dict(options)
+    unknown = [name for name in given if name not in ("start", "target", *others)]
+    if unknown:
+        raise InputError(f"reset: unknown option {', '.join(map(repr, unknown))}; it takes {accepted}")
+    points, axes = {}, len(workspace)
+    for name in (name for name in ("start", "target") if given.get(name) is not None):
+        label = f"options[{name!r}]"
+        try:
+            values = np.asarray(given[name], np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{label} is {given[name]!r}, it must be a position, numbers in m") from None
+        check_point(label, values, workspace)
+        if values.ndim > 1 and values.shape not in ((1, axes), (count, axes)):
+            raise InputError(f"{label} has shape {values.shape}, it must be ({axes},) or ({count}, {axes})")
+        points[name] = np.array(np.broadcast_to(values, (count, axes)))
+    return points
 
 
 def check_task(task: Task, workspace: NDArray[np.float64]) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import exp10, ndtri
 
-from ..errors import InputError
+from ..errors import InputError, is_number
 from ..registry import Registry
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ class Uniform(Distribution):
     bounded = True
 
     def __post_init__(self) -> None:
-        _check(self, math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high)
+        _check(self, "low <= high", lambda: self.low <= self.high)
 
     def quantile(self, u: Array) -> Array:
         """Compute the quantiles low + (high - low) u.
@@ -113,7 +113,7 @@ class LogUniform(Distribution):
     bounded = True
 
     def __post_init__(self) -> None:
-        _check(self, 0.0 < self.low <= self.high < math.inf)
+        _check(self, "0 < low <= high", lambda: 0.0 < self.low <= self.high)
 
     def quantile(self, u: Array) -> Array:
         """Compute the quantiles low (high / low)^u.
@@ -147,7 +147,7 @@ class Normal(Distribution):
     bounded = False
 
     def __post_init__(self) -> None:
-        _check(self, math.isfinite(self.mean) and 0.0 <= self.std < math.inf)
+        _check(self, "std >= 0", lambda: self.std >= 0.0)
 
     def quantile(self, u: Array) -> Array:
         """Compute the quantiles mean + std * (standard normal quantile of u).
@@ -161,10 +161,10 @@ class Normal(Distribution):
         return self.mean + self.std * np.asarray(ndtri(u))
 
 
-def _check(distribution: object, valid: bool) -> None:
-    """Raise InputError unless the numbers of a distribution are valid."""
-    if not valid:
-        raise InputError(f"randomize: the distribution {distribution} is empty or not finite")
+def _check(distribution: Distribution, condition: str, holds: Callable[[], bool]) -> None:
+    """Raise InputError unless the arguments of a distribution are finite numbers that meet a condition."""
+    if not (all(map(is_number, vars(distribution).values())) and holds()):
+        raise InputError(f"randomize: the distribution {distribution} must have finite numbers with {condition}")
 
 
 @dataclass(frozen=True)
@@ -191,18 +191,23 @@ class RandomizeParameter:
     shared: bool = False
 
     def __post_init__(self) -> None:
-        if isinstance(self.distribution, Sequence) and self.distribution:
-            name, *arguments = self.distribution
+        if not isinstance(self.parameter, str):
+            raise InputError(
+                f"randomize: parameter is {self.parameter!r}, it must be the name or pattern of a parameter"
+            )
+        given, label = self.distribution, f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}"
+        if isinstance(given, Sequence) and not isinstance(given, str) and given:
+            name, *arguments = given
             try:
                 distribution = DISTRIBUTIONS.get(str(name))(*arguments)
-            except TypeError as error:
-                raise InputError(f"randomize: distribution {list(self.distribution)}: {error}") from None
+            except (TypeError, InputError) as error:
+                raise InputError(f"{label}: {str(error).removeprefix('randomize: ')}") from None
             object.__setattr__(self, "distribution", distribution)
-        if not isinstance(self.distribution, Distribution):
+        if isinstance(self.distribution, type) or not isinstance(self.distribution, Distribution):
             names = ", ".join(DISTRIBUTIONS)
             raise InputError(
-                f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}; give a Distribution, or "
-                f"a list of a name and its arguments, with a name of {names}"
+                f"{label}; give a Distribution such as Uniform(0.9, 1.1), or a list of a name and its numbers such as "
+                f"['uniform', 0.9, 1.1], with a name of {names}"
             )
 
     def quantile(self, u: Array) -> Array:

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import error
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..dynamics import LANES, NotFiniteError, in_parallel
-from ..errors import InputError
+from ..errors import InputError, is_integer
 from .actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine, check_task
@@ -24,7 +24,7 @@ from .rewards import PenalizedReward, as_reward, distances
 from .sensors import as_sensors
 from .spaces import ObservationFormat, observation_signals
 from .step_rewards import StepRewards
-from .tasks import as_task, check_point
+from .tasks import as_task
 from .tasks.base import ReferenceTrajectories
 from .workspace import outside_workspace, workspace_of
 
@@ -76,8 +76,8 @@ class EnvironmentBatch:
     """
 
     def __init__(self, config: EnvConfig, count: int) -> None:
-        if count < 1:
-            raise InputError(f"num_envs is {count}, it must be at least 1")
+        if not is_integer(count) or count < 1:
+            raise InputError(f"num_envs is {count!r}, it must be an integer, at least 1")
         self.config, self.count = config, count
         sensors = as_sensors(config.sensors)
         machine = as_machine(config.machine)
@@ -122,44 +122,31 @@ class EnvironmentBatch:
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
-    def reset(self, index: Index, start: ArrayLike | None = None, target: ArrayLike | None = None) -> None:
+    def reset(self, index: Index, start: Array | None = None, plan: Array | None = None) -> None:
         """Begin a new episode in k environments, with new parameters, start position and goal.
 
         Args:
             index: Indices of the environments, ascending, shape (k,).
-            start: Tool positions at the start, m, shape (axes,) or (k, axes). Default: the task chooses them.
-            target: Goal positions, m, shape (axes,) or (k, axes). Default: the task chooses them.
+            start: Tool positions at the start, m, shape (k, axes). Default: the task chooses them.
+            plan: Plans (goals at all times) in the task's format, shape (k, plan_size). Default: the task chooses them.
 
         Raises:
-            InputError: If a position is outside the workspace or has another shape, a sampled parameter is outside its
-                limits, or `target` is given for a task without one, such as "track".
+            InputError: If a sampled parameter is outside its limits.
         """
-        starts, targets = self._points("start", start, len(index)), self._points("target", target, len(index))
-        aimed = None if targets is None else self.task.aim(targets)  # raises an error before anything is changed
         keys, uniforms, values = self.sampler.sample(index, self.task.draws)
         names = self.sampler.space.names
         parameters = {name: values[:, names.index(f"task.{name}")] for name in self.task.parameters}
-        position, plan = self.task.begin(self.workspace, uniforms, parameters)
+        position, chosen = self.task.begin(self.workspace, uniforms, parameters)
         self.clipped[index] = 0
         self.values[index] = values
-        self.references.begin(index, plan if aimed is None else aimed)
-        self.simulator.reset(index, position if starts is None else starts, values)
+        self.references.begin(index, chosen if plan is None else plan)
+        self.simulator.reset(index, position if start is None else start, values)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
         if self.rewards.compares_steps:
             observation = self._blank()
             self._write_rows(index, observation)
             self.rewards.begin(index, observation)
         self._was_reset = True
-
-    def _points(self, name: str, points: ArrayLike | None, k: int) -> Array | None:
-        """Return positions of an option of reset, m, shape (k, axes), or None without the option."""
-        if points is None:
-            return None
-        values, axes = np.asarray(points, np.float64), len(self.workspace)
-        check_point(f"options[{name!r}]", values, self.workspace)
-        if values.ndim > 1 and values.shape not in ((1, axes), (k, axes)):
-            raise InputError(f"options[{name!r}] has shape {values.shape}, it must be ({axes},) or ({k}, {axes})")
-        return np.array(np.broadcast_to(values, (k, axes)))
 
     def randomized(self, index: Index) -> dict[str, Array]:
         """Return the values of the randomized parameters in the running episodes.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .actuators import action_space
-from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
+from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode, check_reset_options
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
@@ -62,6 +62,13 @@ class BatchProperties:
         if self.batch.config.flat:
             raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
         return self.batch.rewards.compute
+
+    def _reset_keywords(self, options: Any, count: int, others: tuple[str, ...] = ()) -> dict[str, NDArray[np.float64]]:
+        """Check the options of a reset of `count` environments; return keywords of `EnvironmentBatch.reset`."""
+        keywords = check_reset_options(options, self.batch.workspace, count, others)
+        if "target" in keywords:
+            keywords["plan"] = self.batch.task.aim(keywords.pop("target"))
+        return keywords
 
 
 class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
@@ -124,12 +131,14 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
     - Termination: only with `ends="terminate"`, when `achieved_goal` (with sensors: the measured position) is outside
       the workspace. By default rubber buffers stop the tool.
-    - Truncation: by `gym.make` after 150 steps (1.5 s).
+    - Truncation: by `gym.make` after 150 steps, whatever `period` is (1.5 s with the default); its keyword
+      `max_episode_steps` changes the limit.
 
     `info` describes the true tool position, even where measurements are observed: `distance_m` to the goal,
     `is_success` (within the task's band now) and `contour_m` (distance to the path, for tasks with one). It also has
     `clipped_actions` (number of entries outside [-1, 1] in this episode) and, with randomization, `parameters`: the
-    values of the randomized parameters by full name.
+    values of the randomized parameters by full name. With the reward "progress" it has `previous_achieved_goal` and, if
+    goals move, `previous_desired_goal`: the goals before the step, as observed.
 
     ## Arguments
 
@@ -190,7 +199,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
                 without one, such as "track", or an unbounded distribution yields an impossible parameter.
         """
-        reset_options = check_reset_options(options)  # an error changes no random numbers
+        reset_options = self._reset_keywords(options, 1)  # an error changes no random numbers
         super().reset(seed=seed)
         if self._seeded_by is not self.np_random or seed is not None:
             self._seeded_by = self.np_random
@@ -328,22 +337,3 @@ def require_path(batch: EnvironmentBatch) -> None:
     """
     if batch.task.metrics != "track":
         raise InputError(f"HFrameTrack-v0 needs a task with a path, not {batch.task.name!r}; use HFrame-v0 for it")
-
-
-def check_reset_options(options: dict[str, Any] | None) -> dict[str, Any]:
-    """Check the names in the argument `options` of an environment's `reset`.
-
-    Args:
-        options: Values of the keys `start` and `target`, both optional; None for no options.
-
-    Returns:
-        The same dict, whose keys are keywords of `EnvironmentBatch.reset`; an empty dict for None.
-
-    Raises:
-        InputError: If a name is neither "start" nor "target".
-    """
-    options = options or {}
-    unknown = sorted(set(options) - {"start", "target"})
-    if unknown:
-        raise InputError(f"reset: unknown option {', '.join(map(repr, unknown))}; it takes 'start' and 'target'")
-    return options

@@ -24,6 +24,7 @@ from .domain_randomization import (
     matching,
 )
 from .random_numbers import LARGEST_UNIFORM, SMALLEST_UNIFORM, CorrelatedSampler, episode_keys, reset_uniforms
+from .workspace import effect_and_belt_limits
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -70,7 +71,7 @@ class ParameterSpace:
         """
         task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
         values = {**machine.parameters, **machine.device_parameters, **task}
-        bounds = _effect_and_belt_bounds(machine)
+        bounds = effect_and_belt_limits(machine, SMALLEST_FRACTION)
         bounds |= {name: (0.0, MAXIMUM_CONVERTER_BITS) for name in values if name.endswith(".converter_bits")}
         defaults = {name: SMALLEST_FRACTION * value if value >= 0.0 else -math.inf for name, value in values.items()}
         defaults |= {name: 0.0 for name in values if name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))}
@@ -80,23 +81,6 @@ class ParameterSpace:
         names = tuple(values)
         clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
         return cls(machine.name, names, np.array(list(values.values()), np.float64), lower, upper, frozenset(clipped))
-
-
-def _effect_and_belt_bounds(machine: Machine) -> dict[str, tuple[float, float]]:
-    """Return (lower, upper) limits of the parameters of effects and of the `rest_length` of belts, by full name."""
-    bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
-    for belt in machine.belts:
-        # The unstretched length is rest_length plus the sum of factor * belt travel, smallest at the end of a range.
-        coordinates = [(machine.coordinate(name), factor) for name, factor in belt.length.items()]
-        changes = [[f * c.travel_per_unit * end for end in c.range or (0.0, 0.0)] for c, f in coordinates]
-        smallest_change = sum(map(min, changes))
-        smallest = SMALLEST_FRACTION * belt.rest_length - smallest_change
-        # A tied rest_length is a factor times that of another belt, which must then be large enough for both.
-        name = f"{belt.name}.rest_length"
-        free_name, factor = machine.ties.get(name, (name, 1.0))
-        other_limit, _ = bounds.get(free_name, (0.0, math.inf))
-        bounds[free_name] = (max(smallest / factor, other_limit), math.inf)
-    return bounds
 
 
 class _RuleStep(NamedTuple):
@@ -272,6 +256,7 @@ class MachineSampler:
         self._startup = RuleSampler(self.space, rules, machine, "startup")
         self._reset = RuleSampler(self.space, rules, machine, "reset", (self._startup.low, self._startup.high))
         self.low, self.high = self._reset.low, self._reset.high
+        self._check_order(machine, rules)
         self.columns = [i for i, n in enumerate(self.space.names) if n in self._startup.names + self._reset.names]
         self.names = [self.space.names[i] for i in self.columns]
         self._integers = [i for i in self.columns if self.space.names[i].endswith(".converter_bits")]
@@ -281,6 +266,22 @@ class MachineSampler:
         # An environment needs startup samples from its seeding to the next reset.
         self._seeded, self._needs_startup = np.zeros(count, np.bool_), np.ones(count, np.bool_)
         self._keys, self._episodes = np.zeros(count, np.uint64), np.zeros(count, np.int64)
+
+    def _check_order(self, machine: Machine, rules: Sequence[Rule]) -> None:
+        """Raise InputError if a parameter of an effect can fall below the one that its `above` names, as of a range.
+
+        A rule with one number for both (`shared`) keeps their order.
+        """
+        names = self.space.names
+        shared = [set(matching(names, r)) for r in rules if isinstance(r, RandomizeParameter) and r.shared]
+        pairs = [(e.label, p) for e in machine.effects for p in e.definition.parameters if p.above]
+        for label, p in pairs:
+            below, above = names.index(f"{label}.{p.above}"), names.index(f"{label}.{p.name}")
+            if self.high[below] > self.low[above] and not any({below, above} <= indices for indices in shared):
+                raise InputError(
+                    f"randomize: the rules can yield {names[above]} = {self.low[above]:g}, below {names[below]} = "
+                    f"{self.high[below]:g}; choose ranges of the two that do not overlap"
+                )
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
         """Seed one environment. Its next reset also samples the parameters whose rules have `when="startup"`.

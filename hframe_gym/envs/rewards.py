@@ -242,7 +242,8 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
         computes the reward.
 
     Raises:
-        InputError: If the name is unknown, or the reward does not return one finite number per row.
+        InputError: If the name is unknown, the function cannot be called with two arrays, or it does not return one
+            finite number per row.
     """
     if isinstance(reward, str):
         function = REWARDS.get(reward)(band)
@@ -253,7 +254,10 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
         raise InputError(f"reward is {reward!r}; choose {names} or a function of (achieved, desired)")
     if not isinstance(function, BuiltinReward):
         positions = np.zeros((3, axes), np.float32)
-        result = np.asarray(function(positions, positions))
+        try:
+            result = np.asarray(function(positions, positions))
+        except TypeError as error:  # for example another number of arguments
+            raise InputError(f"reward: a test call with (achieved, desired) failed: {error}") from error
         if result.shape != (3,) or result.dtype.kind not in "fiub" or not np.all(np.isfinite(result)):
             raise InputError(
                 f"reward: for positions of shape (3, {axes}) the function returned shape {result.shape} of "

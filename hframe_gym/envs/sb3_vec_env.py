@@ -14,7 +14,7 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, is_integer
 from .config import EnvOptions, check_keywords
 from .vector_env import HFrameVectorEnv
 
@@ -28,7 +28,7 @@ Indices = None | int | Iterable[int]
 
 def _vector_entry_point(env_id: str) -> tuple[type[HFrameVectorEnv], dict[str, Any]]:
     """Return the vector environment of an id and the keywords of its registration; raises InputError for another id."""
-    spec = gym.registry.get(env_id)
+    spec = gym.registry.get(env_id) if isinstance(env_id, str) else None
     make = load_env_creator(spec.vector_entry_point) if spec and isinstance(spec.vector_entry_point, str) else None
     if not (isinstance(make, type) and issubclass(make, HFrameVectorEnv)):
         names = [name for name in gym.registry if name.startswith("HFrame")]
@@ -70,7 +70,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         **options: Unpack[EnvOptions],
     ) -> None:
         check_keywords(type(self).__name__, dict(options), ("num_envs", "env_id", "max_episode_steps", "render_mode"))
-        if not isinstance(num_envs, int | np.integer):
+        if isinstance(num_envs, str):
             raise InputError(f"num_envs is {num_envs!r}, it must be a number; HFrameVecEnv(8, env_id='HFrameTrack-v0')")
         make, keywords = _vector_entry_point(env_id)
         self.envs = make(
@@ -84,31 +84,51 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         self._previous_goals: tuple[str, ...] = ()  # keys of the infos from which `compute_reward` takes goals
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Store the seeds for the next reset: environment i gets the seed `seed` + i.
+
+        Args:
+            seed: Seed, not negative. Default: a random one.
+
+        Returns:
+            Seeds of the environments.
+
+        Raises:
+            InputError: If the seed is not an integer or negative; the stored seeds remain.
+        """
+        if seed is not None and not (is_integer(seed) and seed >= 0):
+            raise InputError(f"seed is {seed!r}, it must be an integer that is not negative, or None")
+        seeds: Sequence[int | None] = super().seed(None if seed is None else int(seed))
+        return seeds
+
     def reset(self) -> Any:
         """Begin episodes in all environments, with the seeds and options that `seed` and `set_options` stored.
+
+        The options hold for one reset, also if it raises an error; the seeds remain for the next one in this case.
 
         Returns:
             Observation arrays by key, float32, shape (num_envs, entries of the key), in the units of the observation
             space; with `flat=True` or an id such as "HFrameFlat-v0" one array of shape (num_envs, entries).
 
         Raises:
-            ValueError: If `set_options` gave an option to some environments only.
-            InputError: If an option is unknown or a position is outside the workspace.
+            InputError: If an option is unknown, a position is outside the workspace, or `set_options` gave an option to
+                some environments only.
         """
-        options = self._stacked_options()
-        observation, info = self.envs.reset(seed=self._seeds, options=options)
+        options = self._options
+        self._reset_options()
+        observation, info = self.envs.reset(seed=self._seeds, options=self._stacked(options))
         self._keep_reset_infos(info, range(self.num_envs))
         self._previous_goals = tuple(key for key in info if key.startswith("previous_"))
         self._reset_seeds()
-        self._reset_options()
         return observation
 
-    def _stacked_options(self) -> dict[str, Any]:
-        """Return the options of all environments, one row each; raises ValueError if only some have an option."""
-        names = set().union(*self._options)
-        if any(set(options) != names for options in self._options):
-            raise ValueError("set_options: give every environment the same options")
-        return {name: np.array([options[name] for options in self._options]) for name in names}
+    def _stacked(self, options: Any) -> dict[str, list[Any]]:
+        """Return options of all environments, one row each; raises InputError unless all have the same options."""
+        if not isinstance(options, Sequence) or not all(isinstance(entry, dict) for entry in options):
+            raise InputError(f"set_options: {options!r} must be a dict, or a list of one dict per environment")
+        if len(options) != self.num_envs or any(set(entry) != set(options[0]) for entry in options):
+            raise InputError(f"set_options: give each of the {self.num_envs} environments the same options")
+        return {name: [entry[name] for entry in options] for name in options[0]}
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store actions; `step_wait` applies them.

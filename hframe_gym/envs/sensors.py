@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS
-from ..errors import InputError
+from ..errors import InputError, is_number
 from ..machine import Machine, Sensor, observed_coordinates, rest_state
 
 Array = NDArray[np.float64]
@@ -32,14 +32,14 @@ class Encoders:
         lines: Lines per turn of the motor shaft, at least 1; quadrature decoding gives four counts per line.
 
     Raises:
-        InputError: If `lines` is less than 1.
+        InputError: If `lines` is not a number or less than 1.
     """
 
     lines: int = 512
 
     def __post_init__(self) -> None:
-        if not self.lines >= 1:
-            raise InputError(f"sensors: lines is {self.lines!r}, it must be at least 1")
+        if not (is_number(self.lines) and self.lines >= 1):
+            raise InputError(f"sensors: lines is {self.lines!r}, it must be a number, at least 1")
 
     def resolution(self, gear_ratio: float) -> float:
         """Compute the rotation of the pulley, on the output side of the gear, per encoder count.
@@ -71,11 +71,11 @@ class Lasers:
     noise: float = 20e-6
 
     def __post_init__(self) -> None:
-        if not self.span > 0.0:
+        if not (is_number(self.span) or self.span == math.inf) or self.span <= 0.0:
             raise InputError(f"sensors: span is {self.span!r}, it must be a positive number of meters")
-        if not (math.isfinite(self.noise) and self.noise >= 0.0):
+        if not (is_number(self.noise) and self.noise >= 0.0):
             raise InputError(f"sensors: noise is {self.noise!r}, it must be a number of meters that is not negative")
-        if len(self.centre) != 2 or not all(map(math.isfinite, self.centre)):
+        if np.shape(self.centre) != (2,) or not all(map(is_number, self.centre)):
             raise InputError(f"sensors: centre is {self.centre!r}, it must be (x, y) in m")
 
 
@@ -119,13 +119,16 @@ class Sensors(SensorSuite):
         lasers: Lasers on x and y; None: not observed.
 
     Raises:
-        InputError: If both are None.
+        InputError: If both are None, or one is of another type.
     """
 
     encoders: Encoders | None = Encoders()
     lasers: Lasers | None = Lasers()
 
     def __post_init__(self) -> None:
+        for name, kind in (("encoders", Encoders), ("lasers", Lasers)):
+            if not isinstance(value := getattr(self, name), kind | None):
+                raise InputError(f"sensors: {name} is {value!r}, it must be {kind.__name__}(...) or None")
         if self.encoders is None and self.lasers is None:
             raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
 
@@ -270,8 +273,7 @@ def _with_sensor(machine: Machine, coordinate: str, **fields: Any) -> Machine:
 def _with_range(machine: Machine, channel: str, low: float, high: float) -> Machine:
     """Return the machine with a range of a sensor, in place of one that it has."""
     definition = EFFECTS["sensor_range"]
-    bounds = {p.name: (p.lower, p.upper) for p in definition.parameters}
-    limits = {"low": max(low, bounds["low"][0]), "high": min(high, bounds["high"][1])}
+    limits = {"low": max(low, definition.parameter("low").lower), "high": min(high, definition.parameter("high").upper)}
     effect = definition.at(channel, **limits)
     if f"{effect.label}.low" in machine.parameters:
         return machine.replace({f"{effect.label}.{name}": value for name, value in limits.items()})
@@ -331,15 +333,13 @@ class PositionFromSensors:
         others = [j for j, sensor in enumerate(sensors) if sensor.coordinate not in axes]
         if others:
             rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
-            linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-            count = len(machine.coordinates)
+            count, linear = len(machine.coordinates), [c.name for c in machine.coordinates if c.kind == "linear"]
             # All coordinates with unstretched belts where the tool is 1 m along each axis.
             unit = [rest_state(machine, [float(c == axis) for c in linear])[:count] for axis in axes]
             per_position = rows @ np.stack(unit, axis=1)  # measurements per meter of each axis, (others, axes)
             if np.linalg.matrix_rank(per_position) == len(axes):
                 # More sensors than axes determine the position by least squares.
-                invert = np.linalg.inv if len(others) == len(axes) else np.linalg.pinv
-                belts[:, others] = invert(per_position)
+                belts[:, others] = (np.linalg.inv if len(others) == len(axes) else np.linalg.pinv)(per_position)
         for axis, name in enumerate(axes):
             if direct[axis] < 0 and not belts[axis].any():
                 channels = ", ".join(sensor.channel for sensor in sensors) or "none"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
@@ -12,12 +12,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, is_integer
 from ..machine import Machine
 from .actuators import action_space
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
-from .hframe_env import BatchProperties, check_reset_options, require_path
+from .hframe_env import BatchProperties, require_path
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 
@@ -73,8 +73,11 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         **options: Unpack[EnvOptions],
     ) -> None:
         check_keywords(type(self).__name__, dict(options), _KEYWORDS)
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise InputError(f"max_episode_steps is {max_episode_steps}, it must be at least 1 or None")
+        if max_episode_steps is not None and not (is_integer(max_episode_steps) and max_episode_steps >= 1):
+            raise InputError(f"max_episode_steps is {max_episode_steps!r}, it must be an integer, at least 1, or None")
+        modes = [mode.value for mode in AutoresetMode]
+        if not (isinstance(autoreset_mode, AutoresetMode) or autoreset_mode in modes):
+            raise InputError(f"autoreset_mode is {autoreset_mode!r}; choose one of {', '.join(modes)}")
         self.batch = EnvironmentBatch(EnvConfig(**options), num_envs)
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps
@@ -135,15 +138,12 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing, or the number of seeds is wrong.
         """
-        options = dict(options or {})
-        index = self._selected(options.pop("reset_mask", None))
-        if isinstance(seed, Sequence) and len(seed) != self.num_envs:
-            raise ValueError(f"seed has {len(seed)} entries, but there are {self.num_envs} environments")
-        reset_options = check_reset_options(options)  # an error changes no random numbers
-        for b in index.tolist():
-            env_seed = seed[b] if isinstance(seed, Sequence) else None if seed is None else seed + b
-            if env_seed is not None:
-                self.batch.sampler.seed(b, seeding.np_random(env_seed)[0])
+        mask = options.get("reset_mask") if isinstance(options, Mapping) else None
+        index = self._selected(mask)
+        # Errors change no random numbers.
+        reset_options = self._reset_keywords(options, len(index), ("reset_mask",))
+        for b, generator in self._generators(seed, index).items():
+            self.batch.sampler.seed(b, generator)
         self.batch.reset(index, **reset_options)
         self._over[index] = False
         self._collect_parameters()
@@ -153,6 +153,15 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         info: dict[str, Any] = {}
         self._describe(info, self._mask(index), distance, self.batch.contour(slice(None)))
         return self.batch.format.apply(self.batch.observe()), info
+
+    def _generators(self, seed: int | Sequence[int | None] | None, index: Index) -> dict[int, np.random.Generator]:
+        """Return the random generators of environments index (k,) that are seeded; raise an error for a bad seed."""
+        if seed is None:
+            return {}
+        seeds = list(seed) if isinstance(seed, Sequence) else [seed + b for b in range(self.num_envs)]
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries, but there are {self.num_envs} environments")
+        return {b: seeding.np_random(seeds[b])[0] for b in index.tolist() if seeds[b] is not None}
 
     def _selected(self, mask: Any) -> Index:
         """Return the environments of a mask, all without one; raises TypeError or ValueError for an invalid mask."""

@@ -8,6 +8,7 @@ References:
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,33 @@ STIFFNESS_LIMIT, DAMPING_LIMIT = 0.5, 1.5
 # m. Carriages of which the belts take more oscillate too fast for the step, also without buffers.
 BELT_FRACTION, SMALLEST_FRACTION = 0.25, 0.1
 LARGEST_DEPTH = 1e3  # m, more than any machine's workspace
+
+
+def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[str, tuple[float, float]]:
+    """Compute the limits of the parameters of effects and of the unstretched lengths of belts.
+
+    Effects declare the bounds of their parameters. A belt must keep a fraction of its `rest_length`, the unstretched
+    length at position 0, at every position in the workspace.
+
+    Args:
+        machine: Machine with its effects and belts.
+        smallest_fraction: This fraction of the rest length, dimensionless.
+
+    Returns:
+        Smallest and largest value by full name of the parameter, SI.
+    """
+    bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
+    for belt in machine.belts:
+        # The unstretched length is rest_length plus the sum of factor * belt travel, smallest at the end of a range.
+        coordinates = [(machine.coordinate(name), factor) for name, factor in belt.length.items()]
+        changes = [[f * c.travel_per_unit * end for end in c.range or (0.0, 0.0)] for c, f in coordinates]
+        smallest = smallest_fraction * belt.rest_length - sum(map(min, changes))
+        # A tied rest_length is a factor times that of another belt, which must then be large enough for both.
+        name = f"{belt.name}.rest_length"
+        free_name, factor = machine.ties.get(name, (name, 1.0))
+        other_limit, _ = bounds.get(free_name, (0.0, math.inf))
+        bounds[free_name] = (max(smallest / factor, other_limit), math.inf)
+    return bounds
 
 
 def workspace_of(machine: Machine) -> Array:

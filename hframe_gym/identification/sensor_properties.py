@@ -325,5 +325,5 @@ def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect]
         for e in selected:
             if e.label == f"sensor_range@{channel}":
                 low, high = max(low, e.parameters["low"]), min(high, e.parameters["high"])
-        effects.append(EFFECTS["sensor_range"].at(channel, low=low, high=high))
+        effects.append(EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high)))  # ranges may be disjoint
     return tuple(effects)

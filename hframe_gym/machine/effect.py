@@ -15,7 +15,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal
+
+from ..errors import InputError
 
 if TYPE_CHECKING:
     from .machine import Machine
@@ -23,23 +26,9 @@ if TYPE_CHECKING:
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
 Hook = Callable[..., Any]
 HOOKS = (
-    "force",
-    "active_region",
-    "coulomb",
-    "friction",
-    "viscous",
-    "voltage",
-    "delay",
-    "current",
-    "tension",
-    "energy_slope",
-    "belt_travel",
-    "lever_arm",
-    "rest_angle_offset",
-    "measurement",
-    "measurement_delay",
-    "next_state",
-    "initial_spread",
+    *("force", "active_region", "coulomb", "friction", "viscous", "voltage", "delay", "current", "tension"),
+    *("energy_slope", "belt_travel", "lever_arm", "rest_angle_offset", "measurement", "measurement_delay"),
+    *("next_state", "initial_spread"),
 )
 
 
@@ -60,6 +49,7 @@ class EffectParameter:
         role: "amplitude": with the value zero the effect is absent. "phase" shifts the sine of the amplitude, so that
             both are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows from
             the distance traveled. On a "switch", measurements may depend in steps. "fixed" is not fitted.
+        above: Name of the parameter of the effect that this one must not be smaller than; empty if there is none.
     """
 
     name: str
@@ -70,6 +60,7 @@ class EffectParameter:
     grid: tuple[float, ...] = (0.0,)
     largest: float = math.inf
     role: Literal["amplitude", "phase", "period", "rate", "switch", "shape", "fixed"] = "shape"
+    above: str = ""
 
     @property
     def amplitude(self) -> bool:
@@ -222,23 +213,27 @@ class Effect:
         Args:
             site: Name of the coordinate, drive, belt or sensor channel on which the effect acts; or "drives" or "belts"
                 for all of them, or "machine". `possible_sites` lists the choices, `Machine.with_effects` checks them.
-            **parameters: Value of every parameter of the effect, SI, within its bounds.
+            **parameters: Value of every parameter of the effect, SI, within its bounds (`EffectParameter`).
 
         Returns:
             The effect on this component, for `Machine.with_effects`.
 
         Raises:
-            ValueError: If a parameter is missing, unknown or outside its bounds; the message names it.
+            InputError: If a parameter is missing, unknown, no number, outside its bounds or below the parameter that
+                its `above` names; the message names it.
         """
-        names = [p.name for p in self.parameters]
+        names, label = [p.name for p in self.parameters], f"effect {self.name} at {site}"
         if set(parameters) != set(names):
-            raise ValueError(f"effect {self.name} at {site} takes {', '.join(names)}, not {', '.join(parameters)}")
+            raise InputError(f"{label} takes {', '.join(names)}, not {', '.join(parameters)}")
         for p in self.parameters:
-            if not p.lower <= parameters[p.name] <= p.upper:
-                raise ValueError(
-                    f"effect {self.name} at {site}: {p.name} = {parameters[p.name]:g} is outside "
-                    f"[{p.lower:g}, {p.upper:g}]"
-                )
+            value = parameters[p.name]
+            if not isinstance(value, Real):
+                raise InputError(f"{label}: {p.name} is {value!r}, it must be a number")
+            if not p.lower <= value <= p.upper:
+                raise InputError(f"{label}: {p.name} = {value:g} is outside [{p.lower:g}, {p.upper:g}]")
+            if p.above and value < parameters[p.above]:
+                other = f"{p.above} = {parameters[p.above]:g}"
+                raise InputError(f"{label}: {p.name} = {value:g} is below {other}; it must not be smaller")
         return AppliedEffect(self, site, {n: float(parameters[n]) for n in names})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any, get_args
 
@@ -29,14 +30,17 @@ def load_machine(source: str | Path | Machine) -> Machine:
         The machine.
 
     Raises:
-        InputError: If the source is neither a file nor a preset, or a field of the file is invalid. The message names
-            the file and the field.
+        InputError: If the source is of another type, neither a file nor a preset, or a field of the file is invalid.
+            The message names the file and the field.
 
     Warns:
         UserWarning: For each value of the file that is possible but not plausible, such as a length in millimeters.
     """
     if isinstance(source, Machine):
         return source
+    if not isinstance(source, str | PathLike):
+        presets = ", ".join(BUILTIN_MACHINES)
+        raise InputError(f"machine is {source!r}; give one of {presets}, the path of a machine.json, or a Machine")
     if str(source) in BUILTIN_MACHINES:
         return BUILTIN_MACHINES[str(source)]()
     path = Path(source)

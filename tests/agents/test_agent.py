@@ -5,8 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
-from hframe_gym.agents import Agent, shipped_agent_folder, train
 
+from hframe_gym.agents import Agent, shipped_agent_folder, train
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+
 from hframe_gym.agents import Agent, load_recipe, train
 from hframe_gym.agents.agent import policy_keywords
 from hframe_gym.agents.analytic_gradient import AnalyticPolicyGradient
@@ -13,7 +14,6 @@ from hframe_gym.agents.features import feature_parameters
 from hframe_gym.agents.model_card import score_agent
 from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.agents.sb3_adapters import ResidualActionVecEnv
-
 from hframe_gym.controllers import MotionModel
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS

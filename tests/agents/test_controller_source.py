@@ -4,10 +4,12 @@ import shutil
 import warnings
 
 import pytest
-from hframe_gym.agents import Agent, AgentSource, shipped_agent_folder, shipped_agent_names
 
+from hframe_gym.agents import Agent, AgentSource, shipped_agent_folder, shipped_agent_names
+from hframe_gym.envs import Reach
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import Scenario, make_controller
+from hframe_gym.evaluation import Scenario, get_protocol, make_controller
+from hframe_gym.evaluation.protocols import make_entry
 
 
 @pytest.mark.parametrize(("name", "expected"), [("ppo", "ppo-seed0"), ("sac-seed2", "sac-seed2")])
@@ -35,6 +37,36 @@ def test_unknown_shipped_agent_is_refused_with_a_list():
         InputError, match="no shipped agent 'pp' for the task reach; choose one of: apg-seed0, apg_mix-seed0, "
     ):
         shipped_agent_folder("pp", "reach")
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "message"),
+    [
+        ("apg_predictive", "reach", r"apg_predictive: was trained for the task track, not for reach; choose the task "),
+        (
+            "apg_plan-seed1",
+            "track",
+            r"for the task reach, not for track; .* a shipped agent of track \(apg, .*, sac\), or",
+        ),
+    ],
+)
+def test_an_agent_of_another_task_is_refused_with_the_task_of_its_training(name, task, message):
+    with pytest.raises(InputError, match=message):
+        make_controller(name, Scenario(task=task))
+    with pytest.raises(InputError, match=message):
+        shipped_agent_folder(name, task)
+    with pytest.raises(InputError, match=message):
+        make_entry(name, get_protocol(f"{task}-v1"), "reach" if task == "reach" else "square")
+
+
+def test_agents_for_a_task_of_the_user():
+    class Elsewhere(Reach):
+        """A task for which no agent was shipped."""
+
+    with pytest.raises(InputError, match="for the task reach and for track, not for elsewhere; choose the task reach"):
+        make_controller("ppo", Scenario(task=Elsewhere()))
+    with pytest.raises(InputError, match=r"'pp' is unknown; .* \(none was shipped for the task elsewhere\)"):
+        make_controller("pp", Scenario(task=Elsewhere()))
 
 
 def test_agents_are_controllers_by_name_and_by_folder(tmp_path):

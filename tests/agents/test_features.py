@@ -4,9 +4,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+
 from hframe_gym.agents.features import TransferBank, feature_parameters
 from hframe_gym.agents.sb3_adapters import LogScaleFeatures
-
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+
 from hframe_gym.agents import shipped_agent_folder
 from hframe_gym.agents.model_card import episode_costs, improves, progress_line, render_card
-
 from hframe_gym.evaluation import Episodes
 
 LENGTH_S = 1.5  # of an evaluation episode

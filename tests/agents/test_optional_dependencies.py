@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+
 from hframe_gym.agents import train
 from hframe_gym.agents.optional_dependencies import (
     EXTRA_MODULES,

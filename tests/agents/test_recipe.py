@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import pytest
+
 from hframe_gym.agents import load_recipe, recipe_names
 from hframe_gym.agents.recipe import LinearSchedule
-
+from hframe_gym.envs import TASKS, Track
 from hframe_gym.errors import InputError
 
 
@@ -30,8 +31,24 @@ def test_every_recipe_loads(name):
 
 
 def test_unknown_recipe_is_refused_with_a_list():
-    with pytest.raises(InputError, match=r"no recipe for ppo on juggle; .* ppo on reach, ppo on track, .*, sac_her on"):
-        load_recipe("ppo", "juggle")
+    with pytest.raises(InputError, match=r"no recipe for dqn on reach; .* ppo on reach, ppo on track, .*, sac_her on"):
+        load_recipe("dqn", "reach")
+
+
+def test_a_task_without_recipes_has_those_of_the_task_with_the_same_metrics():
+    @TASKS.register("user-path")
+    class UserPath(Track):
+        """A path of the user."""
+
+    try:
+        recipe = load_recipe("sac", "user-path")
+        assert recipe == replace(load_recipe("sac", "track"), task={})
+        with pytest.raises(
+            InputError, match=r"no recipe for dqn on track \(the task user-path has the recipes of track"
+        ):
+            load_recipe("dqn", "user-path")
+    finally:
+        TASKS.unregister("user-path")
 
 
 @pytest.mark.parametrize("option", ["machine", "task", "normalize", "flat"])

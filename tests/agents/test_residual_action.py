@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+
 from hframe_gym.agents.features import VARIANTS
 from hframe_gym.agents.residual_action import LARGEST_HELD, Authority, ResidualAction
-
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.errors import InputError

@@ -10,19 +10,19 @@ import subprocess
 import sys
 import time
 import zipfile
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import pytest
 import torch
+
 from hframe_gym.agents import Agent, load_recipe, train, train_seeds
 from hframe_gym.agents.model_card import score_agent
-
 from hframe_gym.controllers import CONTROLLERS
-from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs import TASKS, HFrameVectorEnv, Reach
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import Scenario
+from hframe_gym.evaluation import Scenario, evaluate
 from hframe_gym.machine import BUILTIN_MACHINES
 
 pytestmark = pytest.mark.train
@@ -190,7 +190,9 @@ def test_resuming_an_empty_folder_is_refused(tmp_path):
 
 
 def test_resuming_another_run_is_refused(untrained_agent):
-    with pytest.raises(InputError, match=r"holds a run of ppo_reach with seed 0, not of ppo_reach with seed 1"):
+    with pytest.raises(
+        InputError, match=r"a run of ppo_reach on reach with seed 0, not of ppo_reach on reach with seed 1"
+    ):
         train("ppo", steps=10, seed=1, out=untrained_agent, resume=True)
 
 
@@ -266,5 +268,53 @@ def test_the_recipes_that_this_message_names_train_on_one_axis(algorithm, tmp_pa
 
 
 def test_an_unknown_task_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no recipe for ppo on juggle"):
+    with pytest.raises(InputError, match="task 'juggle' is unknown"):
         train("ppo", task="juggle", out=tmp_path)
+
+
+@dataclass(frozen=True)
+class UserTask(Reach):
+    """A task of the user that shows future goals."""
+
+    shown: int = 0
+
+    @property
+    def ahead_s(self):
+        """Times of the future goals, s."""
+        return tuple(0.01 * (i + 1) for i in range(self.shown))
+
+
+@pytest.fixture
+def user_task():
+    """Register a task without recipes and return its name."""
+    TASKS.register("user-task")(UserTask)
+    yield "user-task"
+    TASKS.unregister("user-task")
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "apg", "adapt"])
+def test_a_task_without_recipes_is_trained_by_those_of_the_same_metrics(algorithm, tmp_path, user_task):
+    recipe = replace(load_recipe(algorithm, user_task), steps=1)
+    card = train(recipe, task=user_task, out=tmp_path, log=ignore)
+    assert (card["name"], card["task"], card["recipe"]) == (algorithm, user_task, f"{algorithm}_reach")
+    evaluate(str(tmp_path), task=user_task, episodes=2)
+
+
+def test_runs_of_two_tasks_are_not_mixed(untrained_agent, user_task):
+    with pytest.raises(InputError, match="a run of ppo_reach on reach with seed 0, not of ppo_reach on user-task"):
+        train("ppo", task=user_task, steps=10, out=untrained_agent, resume=True)
+    with pytest.raises(InputError, match="would replace; choose another folder, or replace it with --force"):
+        train("ppo", task=user_task, steps=1, out=untrained_agent, log=ignore)
+
+
+def test_recipes_that_do_not_fit_a_task_of_the_user_are_refused(tmp_path, user_task):
+    shows = {"shown": 3}
+    recipe = replace(load_recipe("apg", "track"), task=shows)
+    with pytest.raises(InputError, match=r"uses 10 future goals, but the task user-task shows 3 .*: ppo, residual"):
+        train(recipe, task=user_task, out=tmp_path, log=ignore)
+    with pytest.raises(InputError, match=r"uses 10 future goals, but the task user-task shows 3 .*: ppo, residual"):
+        train_seeds(recipe, task=user_task, out=tmp_path, log=ignore, jobs=2)
+    with pytest.raises(InputError, match=r"recipe adapt_reach: .* with 0 future goals, but the task user-task shows 3"):
+        train(replace(load_recipe("adapt", user_task), task=shows), task=user_task, out=tmp_path, log=ignore)
+    with pytest.raises(InputError, match=r"recipe ppo_track, table task: .*keyword argument 'path'"):
+        train(load_recipe("ppo", "track"), task=user_task, out=tmp_path, log=ignore)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hframe_gym.agents import shipped_agent_folder
 
+from hframe_gym.agents import shipped_agent_folder
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hframe_gym.agents import train
 from hframe_gym.agents.agent_files import key_file, refuse_unsigned, sign_checkpoint
-
 from hframe_gym.errors import InputError
 from hframe_gym.recordings.machine_schema import TABLES
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from hframe_gym.agents.residual_action import ResidualAction
 
+from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.controllers import CONTROLLERS, MotionModel, ParameterFilter
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv

@@ -93,10 +93,15 @@ def test_dead_time_is_an_effect_of_the_machine():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"bits": 0}, "bits is 0"),
+        ({"bits": 0}, "bits is 0, it must be an integer from 1 to 32 or None"),
+        ({"bits": 2.5}, "bits is 2.5, it must be an integer"),
+        ({"bits": "12"}, "bits is '12', it must be an integer"),
         ({"range_V": -1.0}, "range_V is -1.0"),
+        ({"range_V": "12"}, "range_V is '12', it must be a positive number or None"),
         ({"current_limit": 0.0}, "current_limit is 0.0"),
+        ({"current_limit": [12.0]}, r"current_limit is \[12.0\], it must be a positive number"),
         ({"delay": 1.0}, "delay is 1.0"),
+        ({"delay": None}, "delay is None, it must be a number from 0 to 0.1 s"),
     ],
 )
 def test_invalid_actuators_are_refused(settings, message):

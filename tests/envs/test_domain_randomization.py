@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import DISTRIBUTIONS, HFrameEnv, LogUniform, Normal, RandomizeParameter, Uniform
 from hframe_gym.envs.domain_randomization import as_rules, matching
 from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES
 
 NAMES = ("x.mass", "y.mass", "left.EA", "x_m.noise", "task.speed")
 
@@ -24,8 +26,15 @@ def test_a_distribution_can_be_given_by_name():
         RandomizeParameter("x.mass", ("gamma", 1.0))
     with pytest.raises(InputError, match="uniform"):
         RandomizeParameter("x.mass", ("uniform", 1.0))
-    with pytest.raises(InputError, match="give a Distribution"):
-        RandomizeParameter("x.mass", 1.0)
+    for wrong in (1.0, "uniform", "unifrom", "", Uniform):
+        with pytest.raises(
+            InputError, match=r"randomize: the distribution of 'x.mass' is .*; give a Distribution such as"
+        ):
+            RandomizeParameter("x.mass", wrong)
+    with pytest.raises(
+        InputError, match=r"of 'x.mass' is .*: the distribution .* must have finite numbers with low <= "
+    ):
+        RandomizeParameter("x.mass", ("uniform", "a", 1.0))
 
 
 def test_a_rule_can_be_a_mapping():
@@ -48,6 +57,8 @@ def test_apply(how, expected):
         ([RandomizeParameter("x.mass", Uniform(-1, 1))], "x.mass = -4.07"),
         ([RandomizeParameter("x.mass", Uniform(1, 2), how="times")], "times"),
         ([RandomizeParameter("x.mass", Uniform(1, 2), when="never")], "never"),
+        ([{"parameter": "x.mass", "distribution": "uniform"}], r"of 'x.mass' is 'uniform'; .* \['uniform', 0.9, 1.1\]"),
+        ([{"parameter": 5, "distribution": ["uniform", 1, 2]}], "parameter is 5, it must be the name"),
         (["x.mass"], "neither"),
     ],
 )
@@ -58,11 +69,54 @@ def test_invalid_rules_are_refused(rules, message):
 
 @pytest.mark.parametrize(
     ("distribution", "numbers"),
-    [(Uniform, (2, 1)), (Uniform, (0, np.inf)), (LogUniform, (0, 1)), (Normal, (0, -1)), (Normal, (np.nan, 1))],
+    [
+        *((Uniform, numbers) for numbers in ((2, 1), (0, np.inf), ("a", 1), (True, 2))),
+        *((LogUniform, numbers) for numbers in ((0, 1), (None, 1))),
+        *((Normal, numbers) for numbers in ((0, -1), (np.nan, 1), ([0.0], 1))),
+    ],
 )
 def test_invalid_distributions_are_refused(distribution, numbers):
     with pytest.raises(InputError, match=distribution.__name__):
         distribution(*numbers)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "distribution", "refused"),
+    [
+        ("high", Uniform(-0.2, 0.06), True),
+        ("low", Uniform(-0.06, 0.06), True),
+        ("high", Normal(0.05, 0.1), True),
+        ("high", Uniform(0.04, 0.06), False),
+        ("high", Normal(0.05, 1e-3), False),
+    ],
+)
+def test_a_sensor_range_cannot_be_reversed_by_rules(pattern, distribution, refused):
+    rule = RandomizeParameter(f"sensor_range@x_m.{pattern}", distribution, how="set")
+    if not refused:
+        HFrameEnv(sensors="rig", randomize=[rule]).reset(seed=0)
+        return
+    with pytest.raises(InputError, match=r"can yield sensor_range@x_m.high = .*, below sensor_range@x_m.low = "):
+        HFrameEnv(sensors="rig", randomize=[rule])
+
+
+def test_one_number_for_both_ends_of_a_range_keeps_their_order():
+    rule = RandomizeParameter("sensor_range@x_m.*", LogUniform(0.01, 100.0), shared=True)
+    machine = BUILTIN_MACHINES["hframe"]().with_effects(EFFECTS["sensor_range"].at("x_m", low=0.01, high=0.1))
+    HFrameEnv(machine=machine, sensors="machine", randomize=[rule]).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("ends", "message"),
+    [
+        ({"low": 0.1, "high": -0.1}, "range at x_m: high = -0.1 is below low = 0.1; it must not be smaller"),
+        ({"low": "left", "high": 0.1}, "effect sensor_range at x_m: low is 'left', it must be a number"),
+        ({"low": np.nan, "high": 0.1}, "effect sensor_range at x_m: low = nan is outside"),
+        ({"low": 0.1}, "effect sensor_range at x_m takes low, high, not low"),
+    ],
+)
+def test_an_impossible_sensor_range_is_refused(ends, message):
+    with pytest.raises(InputError, match=message):
+        EFFECTS["sensor_range"].at("x_m", **ends)
 
 
 @pytest.mark.parametrize("distribution", [Uniform(1, 3), LogUniform(0.1, 9), Normal(2, 1)])

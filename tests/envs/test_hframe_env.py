@@ -95,6 +95,27 @@ def test_reset_options_set_start_and_target():
         env.reset(options={"goal": (0.0, 0.0)})
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"start": "here"}, r"options\['start'\] is 'here', it must be a position, numbers in m"),
+        ({"start": (9.0, 0.0)}, r"options\['start'\] must be \(x, y\)"),
+        ([("start", (0.0, 0.0))], "it must be a dict, with the keys 'start' and 'target'"),
+        (5, "options is 5, it must be a dict"),
+    ],
+)
+def test_a_refused_reset_changes_nothing(options, message):
+    env, other = HFrameEnv(), HFrameEnv()
+    env.reset(seed=1)
+    other.reset(seed=1)
+    with pytest.raises(InputError, match=message):
+        env.reset(seed=7, options=options)
+    np.testing.assert_array_equal(env.reset()[0]["desired_goal"], other.reset()[0]["desired_goal"])
+    track = HFrameEnv(task="track")
+    with pytest.raises(InputError, match="task track has no target"):
+        track.reset(seed=7, options={"target": (0.0, 0.0)})
+
+
 def test_a_machine_at_rest_stays_at_rest():
     env = HFrameEnv()
     start, _ = env.reset(seed=0)
@@ -247,3 +268,43 @@ def test_infos_of_reset_and_step_have_the_same_keys(options):
     env = HFrameEnv(**options)
     _, at_reset = env.reset(seed=0)
     assert env.step([0.0, 0.0])[4].keys() == at_reset.keys()
+
+
+@pytest.mark.parametrize("machine", [5, None, ["hframe"], True, b"hframe"])
+def test_a_machine_of_another_type_is_refused(machine):
+    with pytest.raises(
+        InputError, match=r"machine is .*; give one of hframe, .*, the path of a machine.json, or a Mach"
+    ):
+        gym.make("HFrame-v0", machine=machine)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"reward": lambda achieved: achieved},
+            r"reward: a test call with \(achieved, desired\) failed: .*1 positional",
+        ),
+        ({"task": Reach(band="1 mm")}, "band is '1 mm', it must be a positive number of meters"),
+        ({"task": Reach(margin="a")}, "margin is 'a'"),
+        ({"task": Reach(start="home")}, "start must be"),
+        ({"task": Track(margin="a")}, "margin of 'a' m does not fit"),
+    ],
+)
+def test_options_of_a_wrong_type_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        gym.make("HFrame-v0", **options)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"previews": 2.5}, "previews is 2.5, it must be an integer, at least 1"),
+        ({"speed": "fast"}, "speed is 'fast', it must be a positive number"),
+        ({"phase": "a"}, "phase is 'a'"),
+        ({"path": ["circle", "square"]}, "choose from circle"),
+    ],
+)
+def test_keywords_of_track_of_a_wrong_type_are_refused(keywords, message):
+    with pytest.raises(InputError, match=message):
+        Track(**keywords)

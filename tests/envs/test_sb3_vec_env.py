@@ -68,8 +68,40 @@ def test_wrong_keywords_are_answered_with_the_right_ones():
 def test_options_must_be_the_same_for_all():
     vec = HFrameVecEnv(2)
     vec.set_options([{"start": (0.0, 0.0)}, {}])
-    with pytest.raises(ValueError, match="same options"):
+    with pytest.raises(InputError, match="same options"):
         vec.reset()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"target": (9.0, 9.0)}, r"options\['target'\] must be \(x, y\) with x in"),
+        ({"target": "far"}, r"options\['target'\] is \['far', 'far'\], it must be a position"),
+        ({"goal": (0.0, 0.0)}, "unknown option 'goal'; it takes 'start' and 'target'"),
+        ([{"target": (0.0, 0.0)}], "give each of the 2 environments the same options"),
+        (5, "set_options: 5 must be a dict, or a list"),
+    ],
+)
+def test_refused_options_are_dropped_and_the_seed_is_kept(options, message):
+    vec, other = HFrameVecEnv(2), HFrameVecEnv(2)
+    for env in (vec, other):
+        env.seed(3)
+    vec.set_options(options)
+    with pytest.raises(InputError, match=message):
+        vec.reset()
+    np.testing.assert_array_equal(vec.reset()["desired_goal"], other.reset()["desired_goal"])
+
+
+def test_a_refused_seed_is_not_stored():
+    vec, other = HFrameVecEnv(2), HFrameVecEnv(2)
+    for env in (vec, other):
+        env.seed(3)
+    for seed in (-1, "a", 1.5):
+        with pytest.raises(InputError, match=f"seed is {seed!r}, it must be an integer"):
+            vec.seed(seed)
+    np.testing.assert_array_equal(vec.reset()["desired_goal"], other.reset()["desired_goal"])
+    vec.seed()
+    vec.reset()
 
 
 @pytest.mark.train

@@ -266,6 +266,13 @@ def test_environments_that_were_never_reset_have_sensors_of_nominal_resolution(m
     [
         (lambda: Sensors(encoders=None, lasers=None), "neither"),
         (lambda: Encoders(lines=0), "lines is 0"),
+        (lambda: Encoders(lines="512"), "lines is '512', it must be a number"),
+        (lambda: Lasers(noise=None), "noise is None, it must be a number"),
+        (lambda: Lasers(span="0.1"), "span is '0.1', it must be a positive number"),
+        (lambda: Lasers(centre=0.0), "centre is 0.0, it must be"),
+        (lambda: Lasers(centre=("a", "b")), "centre is"),
+        (lambda: Sensors(encoders=512), r"encoders is 512, it must be Encoders\(...\) or None"),
+        (lambda: Sensors(lasers=True), r"lasers is True, it must be Lasers\(...\) or None"),
         (lambda: Lasers(noise=-1.0), "noise is -1.0"),
         (lambda: Lasers(span=float("nan")), "span is nan"),
         (lambda: Lasers(centre=(0.0,)), "centre"),

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.error import Error
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import hframe_gym  # noqa: F401  (registers the environments)
@@ -193,4 +194,27 @@ def test_a_refused_reset_changes_no_random_numbers():
         vector.reset(seed=[1, 2])
     with pytest.raises(InputError, match="unknown option"):
         vector.reset(seed=9, options={"goal": (0.0, 0.0)})
+    with pytest.raises(InputError, match=r"must be \(x, y\) with x in"):
+        vector.reset(seed=9, options={"target": (9.0, 0.0)})
+    with pytest.raises(Error, match="Seed must be greater or equal to zero"):
+        vector.reset(seed=[9, -1, 9])
     np.testing.assert_array_equal(vector.reset()[0]["desired_goal"], again.reset()[0]["desired_goal"])
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        *(
+            ({"num_envs": n}, f"num_envs is {n!r}, it must be an integer, at least 1")
+            for n in (2.5, 2.0, "2", None, True)
+        ),
+        *(({"max_episode_steps": n}, f"max_episode_steps is {n!r}, it must be an integer") for n in (2.5, "5", 0)),
+        *(({"autoreset_mode": m}, f"is {m!r}; choose one of NextStep, SameStep, Disabled") for m in ("same", 5, None)),
+    ],
+)
+def test_keywords_of_a_wrong_type_are_refused(keywords, message):
+    with pytest.raises(InputError, match=message):
+        HFrameVectorEnv(**keywords)
+    if "num_envs" in keywords and keywords["num_envs"] is not None:
+        with pytest.raises(InputError, match=message):
+            gym.make_vec("HFrame-v0", **keywords)

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hframe_gym.agents import shipped_agent_folder
 
 import hframe_gym
+from hframe_gym.agents import shipped_agent_folder
 from hframe_gym.envs import Uniform
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import Scenario, export_dataset

@@ -190,9 +190,9 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
     Raises:
-        InputError: If a point is not finite or outside the workspace, or has another number of coordinates.
+        InputError: If a point is not of finite numbers, outside the workspace, or has another number of coordinates.
     """
-    fits = points.shape[-1:] == (len(workspace),)
+    fits = points.dtype.kind in "fiu" and points.shape[-1:] == (len(workspace),)
     if not (fits and np.all((points >= workspace[:, 0]) & (points <= workspace[:, 1]))):
         names = ("x", "y")[: len(workspace)]
         ranges = " and ".join(f"{n} in [{low:g}, {high:g}] m" for n, (low, high) in zip(names, workspace, strict=True))

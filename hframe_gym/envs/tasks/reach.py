@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, is_number
 from .base import TASKS, Array, Task, check_point
 
 
@@ -43,14 +43,14 @@ class Reach(Task):
         Raises:
             InputError: If `band` or `margin` is invalid, or `start` or `target` is outside the workspace.
         """
-        if not self.band > 0.0:
+        if not (is_number(self.band) and self.band > 0.0):
             raise InputError(f"task reach: band is {self.band!r}, it must be a positive number of meters")
-        room = workspace[:, 1] - workspace[:, 0] - 2.0 * self.margin
-        if not (self.margin >= 0.0 and np.all(room > 0.0)):
+        size = workspace[:, 1] - workspace[:, 0]
+        if not (is_number(self.margin) and self.margin >= 0.0 and np.all(size > 2.0 * self.margin)):
             raise InputError(f"task reach: margin is {self.margin!r} m, it must leave room in the workspace")
         for name, point in (("start", self.start), ("target", self.target)):
             if point is not None:
-                check_point(f"task reach: {name}", np.asarray(point, float), workspace)
+                check_point(f"task reach: {name}", np.asarray(point), workspace)
 
     def begin(
         self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...dynamics import LANES
 from ...dynamics.simd import load, store
 from ...dynamics.simd_math import read_block, write_block
-from ...errors import InputError
+from ...errors import InputError, is_integer, is_number
 from ...recordings import read_path
 from ..random_numbers import compiled
 from .base import TASKS, Array, Metrics, Task
@@ -71,14 +71,14 @@ class Track(Task):
     def __post_init__(self) -> None:
         for name in ("size", "speed", "lead_s", "preview_s", "band"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
+            if not (is_number(value) and value > 0.0):
                 raise InputError(f"task track: {name} is {value!r}, it must be a positive number")
         if self.direction not in (None, 1, -1):
             raise InputError(f"task track: direction is {self.direction!r}, choose 1, -1 or None")
-        if self.phase is not None and not 0.0 <= self.phase <= 1.0:
+        if self.phase is not None and not (is_number(self.phase) and 0.0 <= self.phase <= 1.0):
             raise InputError(f"task track: phase is {self.phase!r}, it must be a fraction of a lap, 0 to 1")
-        if self.previews < 1:
-            raise InputError(f"task track: previews is {self.previews!r}, it must be at least 1")
+        if not (is_integer(self.previews) and self.previews >= 1):
+            raise InputError(f"task track: previews is {self.previews!r}, it must be an integer, at least 1")
         _ = self._curves  # refuses a path that cannot be read when the task is made, not at the first reset
 
     @property
@@ -97,7 +97,7 @@ class Track(Task):
         names = self.path if isinstance(self.path, tuple) else (self.path,)
         if not isinstance(self.path, tuple) and str(self.path).endswith(".csv"):
             return (self._from_file[0],)
-        unknown = [str(name) for name in names if name not in SHAPES]
+        unknown = [str(name) for name in names if not isinstance(name, str) or name not in SHAPES]
         if unknown or not names:
             shapes = ", ".join(SHAPES)
             raise InputError(
@@ -143,8 +143,8 @@ class Track(Task):
         if self._is_file:
             self._check_file(workspace)
             return
-        room = workspace[:, 1] - workspace[:, 0] - 2.0 * self.margin - self.size
-        if not (self.margin >= 0.0 and np.all(room >= 0.0)):
+        room = workspace[:, 1] - workspace[:, 0] - self.size
+        if not (is_number(self.margin) and self.margin >= 0.0 and np.all(room >= 2.0 * self.margin)):
             raise InputError(
                 f"task track: a path {self.size:g} m across with a margin of {self.margin!r} m does not fit"
             )
