@@ -190,8 +190,9 @@ def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantit
         # Less voltage acts like a smaller torque constant with the same product of torque and back-EMF constant; a
         # larger resistance like a smaller torque constant.
         torque, emf = ({name: 1.0 for d in some if (name := f"{d}.{key}") in names} for key in ("Kt", "Ke"))
-        found.append(Quantity(f"the voltage of {of}", torque | dict.fromkeys(emf, -1.0)))
-        found.append(Quantity(f"the conductance (1 / winding resistance) of {of}", torque))
+        if torque:
+            found.append(Quantity(f"the voltage of {of}", torque | dict.fromkeys(emf, -1.0)))
+            found.append(Quantity(f"the conductance (1 / winding resistance) of {of}", torque))
     axes = [f"{c.name}.mass" for c in machine.coordinates if c.kind == "linear" and f"{c.name}.mass" in names]
     if len(axes) > 1:
         found.append(Quantity("the payload", additions=dict.fromkeys(axes, 1.0)))
@@ -216,7 +217,7 @@ class _ModelByRun:
     """Residual of runs whose machines differ in one quantity.
 
     The unknowns z (k + n,) are theta of the k common parameters and the amounts of the n runs. A run is simulated with
-    K = k + 1 parameters: the torque constant of the first drive, which fits leave at its declared value, may differ.
+    K parameters: torque constants that fits leave as declared, such as that of the first drive, may differ as well.
 
     Args:
         common: Fit of one machine to all runs.
@@ -228,12 +229,15 @@ class _ModelByRun:
     """
 
     def __init__(self, common: Fit, data: Dataset) -> None:
-        drive, n = common.machine.drives[0], len(data.runs)
-        self.free = (*common.free, FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=1.0))
+        machine, n = common.machine, len(data.runs)
+        not_fixed = {*(f.name for f in common.free), *machine.ties}
+        gains = {f"{d.name}.Kt": d.Kt for d in machine.drives}
+        self._fixed = tuple(FreeParameter(name, Kt, 1.0) for name, Kt in gains.items() if name not in not_fixed)
+        self.free = (*common.free, *self._fixed)
         self.start = np.concatenate([common.theta, np.zeros(n)])
         self._k, self._count = len(common.free), data.count
         one_run = (data.with_runs([run.name]) for run in data.runs)
-        self._models = [ResidualModel(common.machine, self.free, each, SEARCH_BANDWIDTH) for each in one_run]
+        self._models = [ResidualModel(machine, self.free, each, SEARCH_BANDWIDTH) for each in one_run]
         self._precision = np.diag(np.full(self._k + n, _AMOUNT_PRIOR**-2))
         self._precision[: self._k, : self._k] = prior_precision(common.free)
         low, high = np.array([f.theta_limits for f in common.free]).T
@@ -242,7 +246,7 @@ class _ModelByRun:
 
     def _theta_of_run(self, z: Array, run: int, quantity: Quantity) -> Array:
         """Return the optimizer's variables of the parameters of a run, shape (K,)."""
-        values = values_at(self.free, np.append(z[: self._k], 0.0))
+        values = values_at(self.free, np.append(z[: self._k], np.zeros(len(self._fixed))))
         changed = quantity.changed(values, float(z[self._k + run]))
         return np.array([f.theta(changed[f.name]) for f in self.free])
 

@@ -127,7 +127,7 @@ def search_effects(
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
-    if not others.needs_no_effect and (all_runs.known_effects_explain or others.runs_differ):
+    if not others.needs_no_effect and (all_runs.known_effects_explain or all_runs.runs_differ):
         return in_all_runs()
     log(f"searching for effects without {suspect}")
     outcome = others.run()
