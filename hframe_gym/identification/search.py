@@ -222,12 +222,13 @@ class _Search:
     def runs_differ(self) -> bool:
         """Whether a parameter with a value of its own in every run explains the runs, as no effect or table can.
 
-        A parameter that drifts over time may be explained by a table over time.
+        A parameter that drifts over time may be explained by a table over time. If a single run differs, the others
+        may have effects.
         """
         difference = find_run_differences(self.before, self._data, self._criteria)
         if difference is not None:
             self._log(f"{difference.quantity.name} differs between the runs")
-        return difference is not None and not difference.drifts
+        return difference is not None and not difference.drifts and difference.different_run is None
 
     @cached_property
     def _known(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:

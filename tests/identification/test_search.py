@@ -179,11 +179,27 @@ def test_one_table_replaces_several_effects_that_leave_twice_the_error(
     assert [s.effect for s in scripted_search.run().selected] == found
 
 
+def differences(**changes: Any) -> SimpleNamespace:
+    """Return runs that differ in the payload."""
+    fields = {"quantity": SimpleNamespace(name="the payload"), "drifts": False, "different_run": None, "chi2": 1.0}
+    return SimpleNamespace(**(fields | changes))
+
+
+@pytest.mark.parametrize("changes", [{"drifts": True}, {"different_run": "c"}])
+def test_effects_are_found_beside_a_drift_or_a_single_run_that_differs(
+    scripted_search: ScriptedSearch, changes: dict[str, Any]
+) -> None:
+    scripted_search.effects = (selected(SPRING),)
+    scripted_search.after = scripted_search.with_effects = scripted_search.wide = 2.0
+    scripted_search.differences = differences(**changes)
+    assert scripted_search.run().verdict == "effect_found"
+
+
 def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(scripted_search: ScriptedSearch) -> None:
     scripted_search.effects = (selected(SPRING),)
     scripted_search.after = scripted_search.with_effects = scripted_search.wide = 2.0
     scripted_search.tables = [(fit_with(PUSH, chi2=1.1), (selected(PUSH),))]
-    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"), drifts=False)
+    scripted_search.differences = differences()
     outcome = scripted_search.run()
     assert outcome.verdict == "unexplained"
     assert not outcome.selected
@@ -193,7 +209,7 @@ def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(scripte
 def test_effects_that_explain_the_data_are_found_although_runs_differ(scripted_search: ScriptedSearch) -> None:
     scripted_search.effects = (selected(SPRING),)
     scripted_search.after = 1.1
-    scripted_search.differences = SimpleNamespace(quantity=SimpleNamespace(name="the payload"), drifts=False)
+    scripted_search.differences = differences()
     assert scripted_search.run().verdict == "effect_found"
 
 
