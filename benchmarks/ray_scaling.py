@@ -4,10 +4,9 @@
 
 Two kinds of tasks: training (PPO on reach, several seeds) and identification (the example rigs). The plain run does the
 tasks one after the other in one process, with as many threads as there are cores, as `hframe train` and `hframe
-identify` do; it is repeated with one thread, because a task that uses both cores by itself leaves less to gain. They
-take turns with two workers of Ray, so that other load affects all; a ratio is the time of a run without Ray divided by
-Ray's. Ray's workers are running and have imported the package; how long that takes is a figure of its own. Every result
-is compared with that of the plain run, bit for bit.
+identify` do. It takes turns with two workers of Ray, so that other load affects both; a ratio is the plain run's time
+divided by Ray's. Ray's workers are running and have imported the package; how long that takes is a figure of its own.
+Every result is compared with that of the plain run, bit for bit.
 """
 
 from __future__ import annotations
@@ -20,12 +19,9 @@ import resource
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-
-from threadpoolctl import threadpool_limits
 
 from benchmarks.results_file import ROOT, write_results
 from hframe_gym.agents import train
@@ -35,10 +31,9 @@ from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import load_recordings
 
 WORKERS = 2
-KINDS = ("plain", "one thread", "ray")
 STEPS = 60_000  # of a training
 SEEDS = (0, 1, 2, 3)
-RIGS = ("rig_a", "rig_b") * 4  # many tasks, so that both workers are busy to the end
+RIGS = ("rig_a", "rig_b", "rig_a", "rig_b")
 
 
 class Done(NamedTuple):
@@ -86,22 +81,6 @@ def identify_rig(name: str) -> Done:
     return measured(run)
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Do all work of this process in one thread, as workers do."""
-    import torch
-
-    count = torch.get_num_threads()
-    os.environ["HFRAME_THREADS"] = "1"
-    torch.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        del os.environ["HFRAME_THREADS"]
-        torch.set_num_threads(count)
-
-
 def timed(function: Callable[[Any], Done], items: Sequence[Any], ray: str | None) -> tuple[float, list[Done]]:
     """Return the wall time of all tasks, s, and their results."""
     begin = time.perf_counter()
@@ -109,46 +88,26 @@ def timed(function: Callable[[Any], Done], items: Sequence[Any], ray: str | None
     return time.perf_counter() - begin, results
 
 
-def timed_run(kind: str, function: Callable[[Any], Done], items: Sequence[Any]) -> tuple[float, list[Done]]:
-    """Return wall time, s, and results of a run of one kind: "plain", "one thread" or "ray"."""
-    if kind == "one thread":
-        with one_thread():
-            return timed(function, items, None)
-    return timed(function, items, LOCAL_RAY if kind == "ray" else None)
-
-
 def compare(function: Callable[[Any], Done], items: Sequence[Any], repeats: int) -> dict[str, Any]:
-    """Time runs without Ray and Ray in turn."""
-    seconds: dict[str, list[float]] = {kind: [] for kind in KINDS}
-    equal, busy = 0, []
+    """Time the plain run and Ray in turn."""
+    plain, with_ray, equal = [], [], 0
     tasks: list[Done] = []
     for repeat in range(repeats):
-        runs = {}
-        for kind in KINDS if repeat % 2 == 0 else reversed(KINDS):
-            cpu = time.process_time()
-            runs[kind] = timed_run(kind, function, items)
-            if kind == "plain":
-                busy.append((time.process_time() - cpu) / runs[kind][0])
-        for kind, (wall, _) in runs.items():
-            seconds[kind].append(wall)
-        tasks += runs["ray"][1]
-        equal += sum(a.digest == b.digest for a, b in zip(runs["plain"][1], runs["ray"][1], strict=True))
-        print("  " + ", ".join(f"{kind} {seconds[kind][-1]:.1f} s" for kind in KINDS), flush=True)
-
-    def ratios(kind: str) -> list[float]:
-        return [a / b for a, b in zip(seconds[kind], seconds["ray"], strict=True)]
-
+        order = (None, LOCAL_RAY) if repeat % 2 == 0 else (LOCAL_RAY, None)
+        runs = {ray: timed(function, items, ray) for ray in order}
+        plain.append(runs[None][0])
+        with_ray.append(runs[LOCAL_RAY][0])
+        tasks += runs[LOCAL_RAY][1]
+        equal += sum(a.digest == b.digest for a, b in zip(runs[None][1], runs[LOCAL_RAY][1], strict=True))
+        print(f"  plain {plain[-1]:.1f} s, Ray {with_ray[-1]:.1f} s: {plain[-1] / with_ray[-1]:.2f}", flush=True)
+    ratios = [p / r for p, r in zip(plain, with_ray, strict=True)]
     return {
         "tasks": len(items),
         "repeats": repeats,
-        "plain_s": seconds["plain"],
-        "one_thread_s": seconds["one thread"],
-        "ray_s": seconds["ray"],
-        "busy_cores": statistics.median(busy),  # of the plain run
-        "ratio": statistics.median(ratios("plain")),
-        "spread": [min(ratios("plain")), max(ratios("plain"))],
-        "one_thread_ratio": statistics.median(ratios("one thread")),
-        "one_thread_spread": [min(ratios("one thread")), max(ratios("one thread"))],
+        "plain_s": plain,
+        "ray_s": with_ray,
+        "ratio": statistics.median(ratios),
+        "spread": [min(ratios), max(ratios)],
         "compared": repeats * len(items),
         "equal": equal,
         "cpu_s_per_task": statistics.median(task.cpu_s for task in tasks),

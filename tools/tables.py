@@ -428,22 +428,17 @@ def ray_scaling(results: dict[str, Any]) -> str:
     rows = []
     for name in ("training", "identification"):
         r = results[name]
-        seconds = [f"{statistics.median(r[key]):.0f} s" for key in ("plain_s", "one_thread_s", "ray_s")]
-        seconds[0] += f" ({r['busy_cores']:.1f} cores busy)"
-        ratio_cells = (
-            f"{r[f'{kind}ratio']:.2f} ({min(r[f'{kind}spread']):.2f} to {max(r[f'{kind}spread']):.2f})"
-            for kind in ("", "one_thread_")
-        )
+        low, high = r["spread"]
+        seconds = (f"{statistics.median(r[key]):.0f} s" for key in ("plain_s", "ray_s"))
+        ratio_cell = f"{r['ratio']:.2f} ({low:.2f} to {high:.2f})"
         equal = f"{r['equal']} of {r['compared']}"
         costs = f"{r['cpu_s_per_task']:.1f} s", f"{r['worker_memory_MB']:.0f} MB"
-        rows.append([f"{r['tasks']} tasks of {name}", *seconds, *ratio_cells, equal, *costs])
+        rows.append([f"{r['tasks']} tasks of {name}", *seconds, ratio_cell, equal, *costs])
     header = [
         "work",
         "plain run",
-        "one thread",
         "two workers",
-        "gain over the plain run",
-        "over one thread",
+        "ratio",
         "results equal",
         "processor time of a task",
         "worker's memory",
@@ -471,7 +466,7 @@ def cluster_plan(results: dict[str, Any]) -> str:
     ]
     rows = []
     for work, kind, count, mean_s, longest_s in plan:
-        per_worker = min(1.0, results[kind]["one_thread_ratio"] / results["workers"])
+        per_worker = min(1.0, results[kind]["ratio"] / results["workers"])
         hours = [max(count * mean_s / cores, longest_s) / per_worker / 3600.0 for cores in PLANNED_CORES]
         rows.append([work, f"{count * mean_s / 3600.0:.3g}", *map(_duration, hours)])
     header = ["work", "core hours", *(f"{cores} cores" for cores in PLANNED_CORES)]
@@ -488,10 +483,7 @@ def cluster_plan(results: dict[str, Any]) -> str:
         ],
         ["memory of a worker, at most", f"{memory:.0f} MB"],
         [f"memory of workers on {PLANNED_CORES[-2]} cores", f"{1e-3 * PLANNED_CORES[-2] * memory:.0f} GB"],
-        [
-            "work of one of two workers, in multiples of a run with one thread (training)",
-            f"{training['one_thread_ratio'] / 2:.2f}",
-        ],
+        ["work of one of two workers, in multiples of a plain run's (training)", f"{training['ratio'] / 2:.2f}"],
         ["start of Ray and two workers", f"{results['start_s']:.0f} s"],
     ]
     return f"{markdown(['measured', 'value'], figures)}\n\n{markdown(header, rows)}"
