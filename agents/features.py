@@ -36,7 +36,7 @@ from ..controllers import (
 )
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
-from ..machine import Machine, observed_coordinates, rest_state
+from ..machine import Machine, observed_coordinates, rest_positions_per_axis
 
 Array = NDArray[np.float64]
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
@@ -100,16 +100,12 @@ def feature_parameters(
     Raises:
         InputError: If the machine has no transfer of one of these durations.
     """
-    axes = machine.tool_axes
-    linear_names = [c.name for c in machine.coordinates if c.kind == "linear"]
     # The tool's axes come first, then the motors.
-    motors = [machine.coordinate_names.index(name) for name in observed_coordinates(machine)[len(axes) :]]
-    # Rest states for a displacement of 1 m along each axis.
-    unit_states = [rest_state(machine, [float(name == axis) for name in linear_names]) for axis in axes]
-    geometry = {
-        "radii": [float(machine.travel_per_unit[i]) for i in motors],
-        "rest": [[float(state[i] * machine.travel_per_unit[i]) for state in unit_states] for i in motors],
-    }
+    motor_names = observed_coordinates(machine)[len(machine.tool_axes) :]
+    motors = [machine.coordinate_names.index(name) for name in motor_names]
+    radii = machine.travel_per_unit[motors]
+    rest = rest_positions_per_axis(machine)[motors] * radii[:, None]
+    geometry = {"radii": radii.tolist(), "rest": rest.tolist()}
     if transfers:
         return {**geometry, "gains": _transfer_gains(MotionModel(machine), period, transfers)}
     if preview:

@@ -285,7 +285,7 @@ def _ray_workers(address: str, cores: int) -> Iterator[_Run]:
     connected = not ray.is_initialized()
     if connected:
         _connect(ray, address, cores)
-    remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_run_task)
+    remote: Any = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_run_task)
     settings = _task_settings()
     try:
         yield lambda function, item: remote.remote(function, item, _version(), settings).future()

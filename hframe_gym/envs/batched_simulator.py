@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
 from ..errors import InputError
-from ..machine import Machine, rest_state
+from ..machine import Machine, rest_positions_per_axis
 from .actuators import ActuatorModel
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
@@ -128,7 +128,7 @@ class BatchedSimulator:
         self._n = len(machine.coordinates)
         self._tool_terms = tool_terms(machine)
         # Travel of every coordinate at rest with unstretched belts per meter of each axis, (n, axes).
-        self._rest = np.stack([self._rest_travel(name) for name in machine.tool_axes], axis=1)
+        self._rest = rest_positions_per_axis(machine) * machine.travel_per_unit[:, None]
         # The stepped machine may have end stops; their parameters come last and depend on the masses.
         self._end_stops = EndStops(machine, self.h) if end_stops else None
         self._stepped = machine if self._end_stops is None else self._end_stops.machine
@@ -150,12 +150,6 @@ class BatchedSimulator:
         if sensors and self._kernel.lagged:
             self._delay_line = DelayLine(machine, self.blocks, self.h)
         self._steps_done = 0  # at the end of the present control period
-
-    def _rest_travel(self, name: str) -> Array:
-        """Return the travel of every coordinate at rest, m, for a position of 1 m along x or y."""
-        linear = [c.name for c in self.machine.coordinates if c.kind == "linear"]
-        unit = rest_state(self.machine, [float(c == name) for c in linear])
-        return unit[: self._n] * self.machine.travel_per_unit
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "_kernel"}

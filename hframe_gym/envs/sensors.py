@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..errors import InputError, is_number
-from ..machine import Machine, Sensor, observed_coordinates, rest_state
+from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -333,10 +333,9 @@ class PositionFromSensors:
         others = [j for j, sensor in enumerate(sensors) if sensor.coordinate not in axes]
         if others:
             rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
-            count, linear = len(machine.coordinates), [c.name for c in machine.coordinates if c.kind == "linear"]
-            # All coordinates with unstretched belts where the tool is 1 m along each axis.
-            unit = [rest_state(machine, [float(c == axis) for c in linear])[:count] for axis in axes]
-            per_position = rows @ np.stack(unit, axis=1)  # measurements per meter of each axis, (others, axes)
+            per_position = rows @ rest_positions_per_axis(
+                machine
+            )  # measurements per meter of each axis, (others, axes)
             if np.linalg.matrix_rank(per_position) == len(axes):
                 # More sensors than axes determine the position by least squares.
                 belts[:, others] = (np.linalg.inv if len(others) == len(axes) else np.linalg.pinv)(per_position)

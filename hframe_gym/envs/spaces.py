@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from ..machine import Machine, Sensor, observed_coordinates, rest_state
+from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .random_numbers import compiled
 from .workspace import workspace_of
 
@@ -91,12 +91,10 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[fl
 
     Both are at least `MARGIN` of travel.
     """
-    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-    index = machine.coordinate_names.index(name)
     total = 0.0
-    for axis, edges in zip(machine.tool_axes, workspace, strict=True):
-        unit = rest_state(machine, [float(c == axis) for c in linear])[index]
-        total += abs(unit) * float(np.abs(edges).max())
+    per_axis = rest_positions_per_axis(machine)[machine.coordinate_names.index(name)]
+    for ratio, edges in zip(per_axis, workspace, strict=True):
+        total += abs(ratio) * float(np.abs(edges).max())
     margin = MARGIN / machine.coordinate(name).travel_per_unit
     return float(max(total, margin)), float(max(1.5 * total, margin))
 

@@ -26,6 +26,7 @@ from .motion import (
     Trajectory,
     motion_limits,
     observed_coordinates,
+    rest_positions_per_axis,
     rest_state,
     rigid_motions,
 )
@@ -64,6 +65,7 @@ __all__ = [
     "draw_machine",
     "motion_limits",
     "observed_coordinates",
+    "rest_positions_per_axis",
     "rest_state",
     "rigid_motions",
     "stage_geometry",

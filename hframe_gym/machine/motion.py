@@ -104,6 +104,24 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     return np.concatenate([q, np.zeros(count)])
 
 
+def rest_positions_per_axis(machine: Machine) -> Array:
+    """Return how far every coordinate moves if the tool moves along one of its axes and no belt is stretched.
+
+    Where the tool is at p, the positions in `rest_state` are this matrix times p.
+
+    Args:
+        machine: Machine with its tool axes and belts.
+
+    Returns:
+        Positions of all coordinates at rest per meter of each tool axis, m/m or rad/m, shape (coordinates, axes).
+    """
+    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+    positions = np.zeros((len(machine.coordinates), len(machine.tool_axes)))
+    for column, axis in enumerate(machine.tool_axes):
+        positions[:, column] = rest_state(machine, [float(name == axis) for name in linear])[: len(positions)]
+    return positions
+
+
 def rigid_motions(machine: Machine) -> dict[str, Array]:
     """Return the rigid-body motions of a machine: independent motions in which no belt is stretched.
 

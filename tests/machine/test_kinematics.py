@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.machine import BUILTIN_MACHINES, Belt, Machine, rest_state, rigid_motions
+from hframe_gym.machine import (
+    BUILTIN_MACHINES,
+    Belt,
+    Machine,
+    rest_positions_per_axis,
+    rest_state,
+    rigid_motions,
+)
 
 pytestmark = pytest.mark.oracle
 
@@ -20,6 +27,17 @@ def test_angles_at_rest_follow_from_unstretched_belts(hframe: Machine) -> None:
     np.testing.assert_allclose(state[2:4] * 0.0194, [-x - y, x - y], rtol=1e-12)
     inverse = 0.5 * 0.0194 * np.array([[-1, 1], [-1, -1]])
     np.testing.assert_allclose(inverse @ state[2:4], [x, y], rtol=1e-12)
+
+
+def test_positions_at_rest_are_linear_in_the_tool_position(hframe: Machine) -> None:
+    """Compare with eq. 1-2, also for a machine whose pulleys come first, and for one with a single axis."""
+    expected = [[1.0, 0.0], [0.0, 1.0], [-1 / 0.0194, -1 / 0.0194], [1 / 0.0194, -1 / 0.0194]]
+    reordered = hframe.replace(coordinates=hframe.coordinates[::-1])
+    np.testing.assert_allclose(rest_positions_per_axis(hframe), expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        rest_positions_per_axis(reordered), np.array(expected)[::-1, ::-1], rtol=1e-12, atol=1e-12
+    )
+    np.testing.assert_array_equal(rest_positions_per_axis(BUILTIN_MACHINES["axis"]()), [[1.0]])
 
 
 def test_carriages_coupled_by_a_spring_have_one_rigid_motion() -> None:
