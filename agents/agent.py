@@ -21,12 +21,11 @@ from ..errors import InputError
 from ..locked_folders import complete_commit
 from ..machine import Machine, observed_coordinates
 from ..recordings import load_machine, save_machine
-from .agent_files import AGENT_FILES, read_card
+from .agent_files import read_agent_json
 from .features import feature_parameters
 from .optional_dependencies import import_optional, single_threaded_torch
 from .residual_action import ResidualAction, residual_action
 
-SCHEMA = 2
 # Entries of card.json that agent.json repeats: they identify the agent and are needed to build its policy.
 AGENT_KEYS = (
     "schema",
@@ -248,7 +247,7 @@ class Agent(Controller):
         """
         path = Path(folder)
         complete_commit(path)
-        card = read_card(path, SCHEMA, AGENT_FILES)
+        card = read_agent_json(path)
         machine = load_machine(path / "machine.json")
         mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])

@@ -1,4 +1,6 @@
-"""Read the files of agents as data: check agent.json before anything is built from it, and sign checkpoints.
+"""Read the files of agents and of training runs as data, before anything is built from them, and sign checkpoints.
+
+agent.json says how to build the policy of an agent. card.json says how the agent was trained, and how well it performs.
 
 A checkpoint of stable-baselines3 is a pickle, which executes code when it is loaded. Training signs its checkpoints
 with a secret key of this installation, and only a signed checkpoint is loaded unless the user trusts it.
@@ -20,6 +22,7 @@ from ..errors import InputError
 from ..file_limits import read_json
 from ..locked_folders import complete_commit
 
+SCHEMA = 2  # version of the formats of agent.json and card.json
 AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
 RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC, TQC, CrossQ
 KEY_BYTES = 32
@@ -84,7 +87,7 @@ class _Features(_Table):
     gains: dict[str, Annotated[list[Annotated[list[FiniteFloat], Field(max_length=1000)]], Field(max_length=1000)]] = {}
 
 
-class _Card(_Table):
+class _AgentJson(_Table):
     """Content of agent.json."""
 
     model_config = ConfigDict(extra="ignore", strict=True)
@@ -102,13 +105,11 @@ class _Card(_Table):
     previews: Annotated[int, Field(ge=0, le=1000)]
 
 
-def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, Any]:
+def read_agent_json(folder: Path) -> dict[str, Any]:
     """Read agent.json, which says how to build the policy of an agent, after a check of its values and of the folder.
 
     Args:
-        folder: Folder of the agent.
-        schema: Version of the format of agent.json that can be read.
-        files: Names of the files that the folder must have.
+        folder: Folder of the agent, with agent.json, machine.json and policy.safetensors.
 
     Returns:
         Entries of agent.json. The values that build the policy have been checked: types and ranges are right.
@@ -117,23 +118,23 @@ def read_card(folder: Path, schema: int, files: tuple[str, ...]) -> dict[str, An
         InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has a value of
             the wrong type or out of range.
     """
-    for name in files:
+    for name in AGENT_FILES:
         if not (folder / name).is_file():
             raise InputError(f"{folder} is not an agent: {name} is missing")
     file = folder / "agent.json"
-    card = read_json(file)
-    version = card.get("schema") if isinstance(card, dict) else None
-    if version != schema or isinstance(version, bool):
-        raise InputError(f"{file}: schema is {repr(version)[:40]}, this version reads {schema}")
+    content = read_json(file)
+    version = content.get("schema") if isinstance(content, dict) else None
+    if version != SCHEMA or isinstance(version, bool):
+        raise InputError(f"{file}: schema is {repr(version)[:40]}, this version reads {SCHEMA}")
     try:
-        _Card.model_validate(card)
+        _AgentJson.model_validate(content)
     except ValidationError as error:
         missing = [".".join(map(str, e["loc"])) for e in error.errors() if e["type"] == "missing"]
         if missing:
             raise InputError(f"{file}: entries are missing: {', '.join(missing)}") from None
         first = error.errors()[0]
         raise InputError(f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-    return dict(card)
+    return dict(content)
 
 
 def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: int, alone: bool) -> None:
@@ -181,7 +182,7 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
     )
 
 
-def read_previous_card(file: Path) -> dict[str, Any]:
+def read_training_card(file: Path) -> dict[str, Any]:
     """Read settings and results of a training run that is to be resumed, and check the entries that are used.
 
     Args:

@@ -14,8 +14,8 @@ from pathlib import Path
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
 from ..machine import Machine
-from .agent import SCHEMA, Agent
-from .agent_files import AGENT_FILES, read_card
+from .agent import Agent
+from .agent_files import AGENT_FILES, read_agent_json
 from .recipe import Recipe, recipe_task
 
 
@@ -91,7 +91,7 @@ class AgentSource(ControllerSource):
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None
-        environment = read_card(folder, SCHEMA, AGENT_FILES)["settings"].get("env", {})
+        environment = read_agent_json(folder)["settings"].get("env", {})
         files = tuple(folder / file for file in AGENT_FILES)
         return ControllerFiles(folder.resolve().name, files, str(environment.get("sensors", "state")))
 

@@ -25,8 +25,15 @@ from ..evaluation import Scenario, period_concern
 from ..locked_folders import complete_commit, locked_folder
 from ..machine import Machine
 from ..recordings import load_machine
-from .agent import SCHEMA, Agent, load_weights, policy_class, policy_keywords, same_parameters
-from .agent_files import RESUME_FILES, read_previous_card, refuse_to_replace, refuse_unsigned, sign_checkpoint
+from .agent import Agent, load_weights, policy_class, policy_keywords, same_parameters
+from .agent_files import (
+    RESUME_FILES,
+    SCHEMA,
+    read_training_card,
+    refuse_to_replace,
+    refuse_unsigned,
+    sign_checkpoint,
+)
 from .controller_source import start_agent_folder
 from .features import feature_parameters
 from .model_card import EVALUATION_EPISODES, improves, progress_line, score_agent, versions, write_card
@@ -109,8 +116,7 @@ def train(
         if not (resume or force):
             refuse_to_replace(Path(out), recipe.name, task, declared.name, seed, alone=True)
         run = _Run(recipe, declared, task, seed, Path(out), log, progress)
-        run.trust = trust
-        return run.execute(recipe.steps if steps is None else steps, resume)
+        return run.execute(recipe.steps if steps is None else steps, resume=resume, trust=trust)
 
 
 class _Run:
@@ -122,7 +128,6 @@ class _Run:
     next_evaluation: int  # environment step
     start_time: float  # s, monotonic clock; such that the time before a resume counts
     start_cpu_time: float  # s, likewise
-    trust = False  # whether to resume from a checkpoint that this installation did not write
     kept_costs: Any = None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
     improved_agent: Agent | None = None  # the agent to keep that is not saved yet
     evaluated: bool = False  # whether an evaluation is not saved yet
@@ -152,12 +157,12 @@ class _Run:
             drives=recipe.env.get("drives", EnvConfig.drives),
         )
 
-    def execute(self, steps: int, resume: bool) -> dict[str, Any]:
-        """Train up to a total number of steps and return the card."""
+    def execute(self, steps: int, *, resume: bool, trust: bool) -> dict[str, Any]:
+        """Train up to a total number of steps and return the card; arguments as those of `train`."""
         recipe, task = self.recipe, self.card["task"]
         self.total_steps = steps
         self.evaluation_interval = max(SHORTEST_INTERVAL, steps // EVALUATIONS_PER_RUN)
-        self.model = self._load_checkpoint() if resume else self._new_model()
+        self.model = self._load_checkpoint(trust) if resume else self._new_model()
         if recipe.start and not resume:
             load_weights(self.model.policy, start_agent_folder(recipe, task, self.machine, self.card["previews"]))
         logger = import_optional("stable_baselines3.common.logger")
@@ -201,14 +206,18 @@ class _Run:
             adapters.set_mean_action_to_zero(model.policy)
         return model
 
-    def _load_checkpoint(self) -> Any:
-        """Load the folder's checkpoint: model, environment, random numbers, and the learning curve into the card."""
+    def _load_checkpoint(self, trust: bool) -> Any:
+        """Load the folder's checkpoint: model, environment, random numbers, and the learning curve into the card.
+
+        Args:
+            trust: Whether to load it also if this installation did not write it.
+        """
         complete_commit(self.folder)
         card_file, checkpoint, environment, replay = (self.folder / name for name in RESUME_FILES)
         for file in (card_file, checkpoint, environment):
             if not file.is_file():
                 raise InputError(f"nothing to resume: {file} does not exist")
-        previous = read_previous_card(card_file)
+        previous = read_training_card(card_file)
         held, wanted = (f"{c['recipe']} on {c['task']} with seed {c['seed']}" for c in (previous, self.card))
         if held != wanted:
             raise InputError(f"nothing to resume: {self.folder} holds a run of {held}, not of {wanted}")
@@ -219,7 +228,7 @@ class _Run:
                 f"parameters are not those of {self.machine.name!r}; resume it with --machine "
                 f"{self.folder / 'machine.json'}"
             )
-        for file in (checkpoint, environment, replay) if not self.trust else ():
+        for file in (checkpoint, environment, replay) if not trust else ():
             if file.is_file():
                 refuse_unsigned(file)
         state = pickle.loads(environment.read_bytes())
