@@ -108,16 +108,16 @@ def identify(
     recordings = [clean_recording(recording, machine, log) for recording in recordings]
     all_runs, ranges = _prepare(recordings, machine, criteria, log)
     search = partial(_search, machine, all_runs, criteria=criteria, log=log)
-    found = search(held_names)
-    hint = () if found.outcome.selected or held_out else _effects_of_differing_runs(found, search, log)
-    agreeing = found.held_out.with_runs([run.name for run in found.held_out.runs if run.name not in found.differing])
-    outcome = _without_unconfirmed(found.outcome, agreeing, log)
+    checked = search(held_names)
+    hint = () if checked.outcome.selected or held_out else _effects_of_differing_runs(checked, search, log)
+    agreeing = [run.name for run in checked.held_out.runs if run.name not in checked.differing]
+    outcome = _without_unconfirmed(checked.outcome, checked.held_out.with_runs(agreeing), log)
     messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
-    messages += (*map(_HELD_OUT_CONTRADICTION.format, found.differing), *hint)
+    messages += (*map(_HELD_OUT_CONTRADICTION.format, checked.differing), *hint)
     if messages or outcome.verdict == "unexplained":
-        difference = find_run_differences(outcome.after, _comparable_runs(found, all_runs), criteria)
+        difference = find_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
         messages += (str(difference),) if difference else ()
-    validation = with_all_measurements(found.held_out, recordings)
+    validation = with_all_measurements(checked.held_out, recordings)
     result = _result(outcome, machine, ranges, validation, as_measured, criteria)
     messages += _unexcited(result, outcome.after.bandwidth)
     for warning in (*messages, *result.limit_warnings, *result.divergence_warnings):
@@ -126,11 +126,11 @@ def identify(
     for s in result.effects:
         if s.rivals:
             log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
-    return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*messages, *found.messages))
+    return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*messages, *checked.messages))
 
 
-class _Found(NamedTuple):
-    """Outcome of a search in the fitted runs.
+class _CheckedOutcome(NamedTuple):
+    """Outcome of a search in the fitted runs, and what the held-out runs say about it.
 
     Attributes:
         outcome: Outcome of the search.
@@ -147,7 +147,7 @@ class _Found(NamedTuple):
 
 def _search(
     machine: Machine, all_runs: Dataset, held_names: Sequence[str], *, criteria: SelectionCriteria, log: Log
-) -> _Found:
+) -> _CheckedOutcome:
     """Search for effects in the runs that are not held out, and compare the result with those that are."""
     fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
     held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
@@ -163,34 +163,36 @@ def _search(
 
     outcome = search_effects(machine, data, criteria, log, confirmed=confirmed)
     differing = _contradicting_held_out_runs(outcome, held_out)
-    return _Found(outcome, held_out, differing, (*unused, *excluded))
+    return _CheckedOutcome(outcome, held_out, differing, (*unused, *excluded))
 
 
-def _comparable_runs(found: _Found, all_runs: Dataset) -> Dataset:
+def _comparable_runs(checked: _CheckedOutcome, all_runs: Dataset) -> Dataset:
     """Return the fitted, the held-out and the contradictory runs; with estimated voltages, where rows were dropped."""
-    used = {run.name: run for run in (*found.outcome.data.runs, *found.held_out.runs)}
-    names = [*used, found.outcome.contradiction]
+    used = {run.name: run for run in (*checked.outcome.data.runs, *checked.held_out.runs)}
+    names = [*used, checked.outcome.contradiction]
     return dataclasses.replace(all_runs, runs=tuple(used.get(r.name, r) for r in all_runs.runs if r.name in names))
 
 
-def _effects_of_differing_runs(found: _Found, search: Callable[[Sequence[str]], _Found], log: Log) -> tuple[str, ...]:
+def _effects_of_differing_runs(
+    checked: _CheckedOutcome, search: Callable[[Sequence[str]], _CheckedOutcome], log: Log
+) -> tuple[str, ...]:
     """Return a hint if every held-out run contradicts the fitted ones, and effects would explain all runs together.
 
     Either something was wrong with the held-out runs, or only they excite an effect. The effects are searched for with
     these runs fitted. They are named only as a hint: no run is left that could confirm them.
 
     Args:
-        found: Outcome of the search, without effects.
+        checked: Outcome of the search, without effects.
         search: Function that searches with other held-out runs, given their names.
         log: Called with a line of text.
 
     Returns:
         A sentence for the user, or nothing.
     """
-    fitted = [run.name for run in found.outcome.data.runs]
-    if len(found.differing) < len(found.held_out.runs) or len(fitted) <= len(found.differing):
+    fitted = [run.name for run in checked.outcome.data.runs]
+    if len(checked.differing) < len(checked.held_out.runs) or len(fitted) <= len(checked.differing):
         return ()
-    names, others = ", ".join(found.differing), fitted[: len(found.differing)]
+    names, others = ", ".join(checked.differing), fitted[: len(checked.differing)]
     log(f"all held-out runs contradict the fitted ones ({names}); searching with {', '.join(others)} held out instead")
     exchanged = search(others)
     outcome = exchanged.outcome
@@ -248,7 +250,8 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
     kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it. If each effect reduces their
     error but all together make their simulation worse than without effects, the weakest is removed as well.
     """
-    before, before_explains, _, verdict, after, selected, considered, data, _ = outcome
+    before, after, verdict = outcome.before, outcome.after, outcome.verdict
+    selected, considered, data = outcome.selected, outcome.considered, outcome.data
     while selected and validation.runs:
         runs = refine_dataset(validation, after.machine, data)
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
@@ -269,7 +272,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         selected = tuple(s for s in selected if s is not weakest)
         after, considered = reduced if selected else before, (*considered, entry)
         selected = tuple(s.with_values(after.machine) for s in selected)
-        verdict = verdict if selected else "no_effect" if before_explains else "unexplained"
+        verdict = verdict if selected else "no_effect" if outcome.before_explains else "unexplained"
     return outcome._replace(verdict=verdict, after=after, selected=selected, considered=considered)
 
 
@@ -282,9 +285,9 @@ def _result(
     criteria: SelectionCriteria,
 ) -> IdentificationResult:
     """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
-    before, _, _, verdict, after, selected, considered, data, _ = outcome
+    before, after, data = outcome.before, outcome.after, outcome.data
     refined = refine_dataset(data, after.machine)
-    corrected, selected = _corrected(after, selected, ranges, refined, f"{machine.name}-identified")
+    corrected, selected = _corrected(after, outcome.selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     declared_evaluation, refitted_evaluation, corrected_evaluation = (
         evaluate_held_out(m, data, validation, recordings) for m in (machine, refitted, corrected)
@@ -296,13 +299,13 @@ def _result(
     validation = refine_dataset(validation, corrected, data)
     drives = drive_force(corrected, data)
     return IdentificationResult(
-        verdict="effect_found" if selected and verdict == "no_effect" else verdict,
+        verdict="effect_found" if selected and outcome.verdict == "no_effect" else outcome.verdict,
         declared=declared_evaluation,
         before=refitted_evaluation,
         after=corrected_evaluation,
         effects=selected,
         gains={s.effect.label: held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
-        considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in considered),
+        considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in outcome.considered),
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
         dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
         white=is_white(corrected, validation),
