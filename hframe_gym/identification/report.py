@@ -16,6 +16,7 @@ from ..machine import Machine
 from ..web_page import number, write_page
 from .parameter_diagnostics import parameter_doubts, sum_text
 from .plots import readable_unit, report_panels, save_plots, slow_fractions
+from .result import STAGES
 from .saved_result import SavedResult, load_result, next_command
 
 Array = NDArray[np.float64]
@@ -24,7 +25,6 @@ _VERDICTS = {  # heading and tone of the page
     "no_effect": ("No missing effect found", "neutral"),
     "unexplained": ("Unexplained error", "warning"),
 }
-_STAGES = ("declared", "before", "after")
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
 _DIVERGES = "infinitely many (its simulation diverges)"
 _NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
@@ -100,7 +100,7 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     unit = "% of the drives' force" if by_force else "times the sensors' noise"
     errors = {
         stage: 100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
-        for stage in _STAGES
+        for stage in STAGES
     }
     before, after = (number(errors[stage], _DIVERGES) for stage in ("before", "after"))
     declared, refitted = errors["declared"], errors["before"]
@@ -179,7 +179,7 @@ def _largest_position_error(errors: Mapping[str, Any]) -> str:
 def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
     """Return the errors of one channel for each machine, in one readable unit and in multiples of the noise."""
     row: dict[str, Any] = {"name": channel}
-    errors = {stage: report[stage]["held_out"][channel] for stage in _STAGES}
+    errors = {stage: report[stage]["held_out"][channel] for stage in STAGES}
     factor, unit = readable_unit(channel, errors["before"]["rmse"] or 0.0)
     absent = "diverges" if any(error["rmse"] is not None for error in errors.values()) else "not measured"
     for stage, error in errors.items():
@@ -195,7 +195,7 @@ def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:
     """Return the relative force error of each machine, None where there is none."""
     if "force_error" not in report["after"]["held_out"]:
         return None
-    return {s: f"{100 * report[s]['held_out']['force_error']:.2f} %" for s in _STAGES}
+    return {s: f"{100 * report[s]['held_out']['force_error']:.2f} %" for s in STAGES}
 
 
 def _run_row(

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 SCHEMA = 1
+STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
 _MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
 
 
@@ -172,12 +173,16 @@ class IdentificationResult:
 
     @property
     def left(self) -> float:
-        """Simulation error / sensor noise of the machine with the selected effects, on the held-out runs.
+        """Ratio of the simulation error to the sensor noise on the held-out runs, rms over the measured channels.
 
-        Root mean square over the measured channels, dimensionless; about 1 if only the sensors' noise remains. Held-out
-        runs are those to which nothing was fitted.
+        It is that of the machine with the selected effects, and about 1 if only the sensors' noise remains.
         """
         return self.after.held_out.noise_ratio
+
+    @property
+    def evaluations(self) -> dict[str, ModelEvaluation]:
+        """The three machines with their errors, shape (n, sensors) per run, by their keys in report.json."""
+        return dict(zip(STAGES, (self.declared, self.before, self.after), strict=True))
 
     @property
     def limit_warnings(self) -> tuple[str, ...]:
@@ -206,9 +211,8 @@ class IdentificationResult:
             By key: "verdict", "runs" (names), "declared", "before", "after" (errors of the three machines), "effects",
             "residual", "considered" (rejected effects) and others, as dictionaries, lists, text and numbers.
         """
-        stages = {"declared": self.declared, "before": self.before, "after": self.after}
-        errors = {stage: evaluation.held_out.as_json() for stage, evaluation in stages.items()}
-        for error in errors.values() if any(s.held_out.force is None for s in stages.values()) else ():
+        errors = {stage: evaluation.held_out.as_json() for stage, evaluation in self.evaluations.items()}
+        for error in errors.values() if any(e.held_out.force is None for e in self.evaluations.values()) else ():
             error.pop("force_error", None)  # one machine has none: an effect added a coordinate without a drive
         return {
             "schema": SCHEMA,
@@ -315,23 +319,20 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
           "position of C" or "velocity of C" for each linear coordinate C (if there is none, for each coordinate).
     """
     curves: dict[str, Array] = {}
-    evaluations = {"declared": result.declared, "before": result.before, "after": result.after}
     for run in result.held_out.runs:
-        curves[f"{run.name}/time_s"] = run.time_s
-        curves[f"{run.name}/measured"] = run.outputs
-        for name, evaluation in evaluations.items():
+        curves |= {f"{run.name}/time_s": run.time_s, f"{run.name}/measured": run.outputs}
+        for name, evaluation in result.evaluations.items():
             evaluated = evaluation.errors.get(run.name)
             error = simulation_error(evaluation.machine, run, result.held_out) if evaluated is None else evaluated
             curves[f"{run.name}/{name}"] = error
     if result.dependence:
-        strongest = result.dependence[0]
+        data, strongest = result.fitted, result.dependence[0]
         i = result.declared.machine.coordinate_names.index(strongest.coordinate)
-        data = result.fitted
         by_run = [dependence_variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
         thin = max(1, sum(map(len, by_run)) // _MAX_POINTS)
         curves["force/variable"] = np.concatenate(by_run)[::thin]
         for name in ("before", "after"):
-            machine = evaluations[name].machine
+            machine = result.evaluations[name].machine
             forces = [smooth_force_residual(machine, run, data)[:, i] for run in data.runs]
             curves[f"force/{name}"] = np.concatenate(forces)[::thin]
     return curves | {f"coverage/{name}": values for name, values in _coverage(result).items()}
@@ -341,8 +342,7 @@ def _coverage(result: IdentificationResult) -> dict[str, Array]:
     """Return positions, velocities and inputs of the fitted runs, thinned."""
     machine, data = result.before.machine, result.fitted
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-    coordinates = linear or machine.coordinate_names
-    names = [f"{quantity} of {c}" for quantity in ("position", "velocity") for c in coordinates]
+    names = [f"{what} of {c}" for what in ("position", "velocity") for c in linear or machine.coordinate_names]
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
     thin = max(1, sum(len(run.time_s) for run in data.runs) // _MAX_POINTS)
     return {

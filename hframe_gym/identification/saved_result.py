@@ -19,7 +19,7 @@ from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
-from .result import Verdict
+from .result import STAGES, Verdict
 
 Array = NDArray[np.float64]
 
@@ -273,7 +273,7 @@ def _check_report(saved: SavedResult, path: Path) -> None:
     machine, channels = saved.machine, saved.machine.output_channels
     if saved.declared.output_channels != channels:
         raise _damaged(path.with_name("declared.json"), "has other sensors than machine.json")
-    for stage in ("declared", "before", "after"):
+    for stage in STAGES:
         errors = saved.report[stage]["held_out"]
         for channel in channels:
             if not isinstance(errors.get(channel), dict):
@@ -301,7 +301,7 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
     needed: dict[str, int] = {}  # dimensions by name
     for run in saved.report["runs"]["held_out"]:
         needed |= {f"{run}/time_s": 1}
-        needed |= {f"{run}/{name}": 2 for name in ("measured", "declared", "before", "after")}
+        needed |= {f"{run}/{name}": 2 for name in ("measured", *STAGES)}
     if "force/variable" in curves:
         needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
         if not saved.report["residual"]["depends_on"]:
