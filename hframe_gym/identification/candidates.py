@@ -200,8 +200,7 @@ def _shapes(
 
 def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
     """Return the ends at which sensor j may saturate: its outermost measurements, where many lie together."""
-    values = np.concatenate([run.outputs[:, j] for run in data.runs])
-    values = values[np.isfinite(values)]
+    values = data.measured_values(j)
     if len(values) == 0:
         return []
     ends = []

@@ -113,6 +113,27 @@ class Dataset:
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
+    def single_runs(self) -> tuple[Dataset, ...]:
+        """Divide the data set into data sets of one run each.
+
+        Returns:
+            Data set of each run, in the order of the runs; measurements have the shape (n, sensors).
+        """
+        return tuple(dataclasses.replace(self, runs=(run,)) for run in self.runs)
+
+    def measured_values(self, sensor: int) -> Array:
+        """Return what a sensor measured in all runs.
+
+        Args:
+            sensor: Index of the sensor in the machine, from 0.
+
+        Returns:
+            Measurements minus the sensor's zero, m or rad, one run after the other, without the rows in which the
+            sensor did not measure, shape (m,).
+        """
+        values = np.concatenate([run.outputs[:, sensor] for run in self.runs])
+        return values[np.isfinite(values)]
+
 
 def require_usable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:
     """Check that runs are long enough for the filters, and that a fitted run moves a sensor.

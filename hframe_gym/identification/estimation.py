@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 # Relative to the diagonal of the Hessian. The step without damping (Gauss-Newton) lets combinations of parameters that
 # only the prior determines converge: damping holds them back, because the data determine each parameter by itself.
 _DAMPINGS = (0.0, 1e-5, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2)
-# Changes of theta at which the cost is compared for a parameter on which measurements depend in steps.
 # Changes of theta over which derivatives are computed where parts collide: from the general slope to the details.
 _IMPACT_DIFFERENCE_STEPS = (0.1, 0.01, DIFFERENCE_STEP)
+# Changes of theta at which the cost is compared for a parameter on which measurements depend in steps.
 SWITCH_CHANGES = 0.5 ** np.arange(1, 14)  # 50 to 0.01 % of a threshold
 
 

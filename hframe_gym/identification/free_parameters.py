@@ -122,6 +122,18 @@ class FreeParameter:
         """
         return self.center * math.exp(theta) if self.scale is None else self.scale
 
+    def prior_std(self, value: float) -> float:
+        """Return the standard deviation of the prior as a change of the parameter's value.
+
+        Args:
+            value: Value at which a relative standard deviation is converted, SI, if the parameter is fitted as a
+                logarithm.
+
+        Returns:
+            Standard deviation, in the SI unit of the value.
+        """
+        return self.prior * (abs(value) if self.scale is None else self.scale)
+
 
 def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
     """Convert the optimizer's variables theta to values: center * exp(theta), or center + scale * theta.

@@ -110,9 +110,8 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
         in which one run with a large error of another cause does not decide. False if both diverge.
     """
     changes = []
-    for run in validation.runs:
-        alone = validation.with_runs([run.name])
-        costs = [prediction_cost(m, alone, SIMULATION, longest_step=POLISH_STEP) for m in (without, machine)]
+    for run in validation.single_runs():
+        costs = [prediction_cost(m, run, SIMULATION, longest_step=POLISH_STEP) for m in (without, machine)]
         changes.append(np.log(costs[1]) - np.log(costs[0]) if np.isfinite(costs).any() else 0.0)
     return bool(np.sum(changes) > 0.0)
 
@@ -160,9 +159,8 @@ def contradicting_held_out_runs(fitted: Fit, validation: Dataset) -> tuple[str, 
         bandwidth of the fit, exceeds ten times the larger of 1 and that of the fitted runs.
     """
     limit = CONTRADICTION * max(1.0, fitted.chi2)
-    runs = [validation.with_runs([run.name]) for run in validation.runs]
     return tuple(
         run.runs[0].name
-        for run in runs
+        for run in validation.single_runs()
         if prediction_cost(fitted.machine, run, fitted.bandwidth, longest_step=POLISH_STEP) > limit * run.count
     )

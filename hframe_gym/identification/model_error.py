@@ -294,8 +294,8 @@ def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float
         information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
         hessian, slope = information + precision, gradient + precision @ fitted.theta
         step = bounded_step(fitted.free, fitted.theta, hessian, slope)
-        own = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
-        costs.append((own, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step)))
+        cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
+        costs.append((cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step)))
     return costs
 
 

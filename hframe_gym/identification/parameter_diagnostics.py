@@ -24,7 +24,8 @@ _BOUND_TOLERANCE = 1e-6  # relative
 _KNOWN_PARAMETERS = ("mass", "EA", "Kt")
 # A combination of parameters is not determined if its variance is beyond this fraction of the prior's.
 _UNDETERMINED_VARIANCE = 0.25
-_EFFECT_PRIOR = 0.5  # Standard deviation by which an effect's parameters are scaled, relative to their value.
+# Standard deviation, relative to the value, that counts as the prior of an effect's parameter that was not declared.
+_UNDECLARED_PRIOR = 0.5
 # A parameter belongs to a direction that is not determined if two values are at least this large: its component (in
 # units of the prior's standard deviation) relative to the largest one, and the fraction of its variance that is along
 # the direction.
@@ -156,11 +157,10 @@ def _prior_std(machine: Machine, declared: Machine) -> dict[str, float]:
     for name in machine.uncertainty.names if machine.uncertainty else ():
         value = machine.parameters[name]
         if name in declared_free:
-            prior = declared_free[name]
-            stds[name] = prior.prior * (abs(value) if prior.scale is None else prior.scale)
+            stds[name] = declared_free[name].prior_std(value)
         else:
             role, ordinate = parameters.get(name, ("shape", False))
-            stds[name] = 0.0 if ordinate else 1.0 if role == "phase" else _EFFECT_PRIOR * abs(value)
+            stds[name] = 0.0 if ordinate else 1.0 if role == "phase" else _UNDECLARED_PRIOR * abs(value)
     return stds
 
 
@@ -311,8 +311,7 @@ def _add_precision_doubts(
         value, std = machine.parameters[name], uncertainty.std(name) or 0.0
         prior = priors.get(name)
         limit = _POOR_PHASE_STD if roles.get(name) == "phase" else _POOR_RELATIVE_STD * abs(value)
-        prior_unit = 0.0 if prior is None else abs(value) if prior.scale is None else prior.scale
-        if prior is not None and std > _PRIOR_DOMINATES * prior.prior * prior_unit:
+        if prior is not None and std > _PRIOR_DOMINATES * prior.prior_std(value):
             reasons.append("determined by the declared value more than by the data")
         elif std > limit:
             reasons.append("poorly determined")

@@ -236,8 +236,7 @@ class _ModelByRun:
         self.free = (*common.free, *self._fixed)
         self.start = np.concatenate([common.theta, np.zeros(n)])
         self._k, self._count = len(common.free), data.count
-        one_run = (data.with_runs([run.name]) for run in data.runs)
-        self._models = [ResidualModel(machine, self.free, each, SEARCH_BANDWIDTH) for each in one_run]
+        self._models = [ResidualModel(machine, self.free, run, SEARCH_BANDWIDTH) for run in data.single_runs()]
         self._precision = np.diag(np.full(self._k + n, _AMOUNT_PRIOR**-2))
         self._precision[: self._k, : self._k] = prior_precision(common.free)
         low, high = np.array([f.theta_limits for f in common.free]).T

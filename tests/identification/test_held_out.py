@@ -79,11 +79,8 @@ def test_an_effect_that_hardly_changes_a_prediction_is_not_excited(
 def test_held_out_runs_that_contradict_are_named(monkeypatch: pytest.MonkeyPatch, chi2: float, limit: float) -> None:
     """More than ten times the error of the fit, which counts as at least that of the noise."""
     costs = {"a": 0.99 * limit, "b": 1.01 * limit, "c": 5.0 * limit}
-
-    def with_runs(names: list[str]) -> Any:
-        return SimpleNamespace(runs=[SimpleNamespace(name=name) for name in names], count=50)
-
-    data: Any = SimpleNamespace(runs=[SimpleNamespace(name=name) for name in "abc"], with_runs=with_runs)
+    single_runs = [SimpleNamespace(runs=[SimpleNamespace(name=name)], count=50) for name in costs]
+    data: Any = SimpleNamespace(single_runs=lambda: single_runs)
     monkeypatch.setattr(
         held_out, "prediction_cost", lambda machine, run, bandwidth, longest_step: costs[run.runs[0].name] * run.count
     )
