@@ -66,7 +66,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "--deselect=tests/effects/test_library.py::test_zero_amplitude_changes_nothing",
     ),
     "identification/criteria.py": ("tests/identification/test_criteria.py",),
-    "identification/evidence.py": _DECISIONS,
+    "identification/significance.py": _DECISIONS,
     "identification/forward_selection.py": _DECISIONS,
     "identification/held_out.py": _DECISIONS,
     "identification/model_error.py": _DECISIONS,

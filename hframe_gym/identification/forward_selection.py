@@ -2,9 +2,9 @@
 
 An effect is a deviation from the nominal model, such as cogging. The best candidates of the screening are fitted
 together with the machine's parameters. The best of them is selected if it reduces chi-squared per sample by enough and
-passes the tests of `evidence`; the search continues from there. At the end, effects that fail a test beside the others
-are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared per sample. A rival is
-another effect that explains the same data equally well.
+passes the tests of `significance`; the search continues from there. At the end, effects that fail a test beside the
+others are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared per sample. A rival
+is another effect that explains the same data equally well.
 
 Predictions are corrected by an observer, which feeds the measurements back. An observer with a wide bandwidth tolerates
 a model that is still wrong, but hides slow errors, see `model_error`.
@@ -21,10 +21,10 @@ from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
-from .evidence import doubt_about_candidate, doubt_beside_others
 from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SIMULATION, noise_floor
 from .rivals import close_rivals, compare_rivals, simplest_first
+from .significance import doubt_about_candidate, doubt_beside_others
 from .trial_fits import (
     converge,
     replacement_fit,
@@ -128,10 +128,10 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        The tests of `evidence` are: other runs confirm the effect, chance does not explain its gain, the machine stays
-        stable, and the force of the effect exceeds the force that remains unexplained. Effects that fail a test are
-        added to `considered`. After each selected effect, the bandwidth of the observer that corrects predictions by
-        the measurements is chosen anew (maximum likelihood), and earlier effects may be replaced by others that now
+        The tests of `significance` are: other runs confirm the effect, chance does not explain its gain, the machine
+        stays stable, and the force of the effect exceeds the force that remains unexplained. Effects that fail a test
+        are added to `considered`. After each selected effect, the bandwidth of the observer that corrects predictions
+        by the measurements is chosen anew (maximum likelihood), and earlier effects may be replaced by others that now
         explain more. The search also ends at `max_effects` effects or when only noise is left (`noise_level`).
 
         Args:
@@ -279,8 +279,8 @@ class EffectSearch:
 
         Each effect is tested while the machine has all other selected effects, the one with the smallest gain first.
         The machine is fitted without the effect, and this fit is compared with the one that includes it. The effect is
-        kept if it reduces the error by enough and passes all tests of `evidence`: for example, other runs must confirm
-        it, and chance must not explain the reduction. After a removal, the remaining effects are tested again.
+        kept if it reduces the error by enough and passes all tests of `significance`: for example, other runs must
+        confirm it, and chance must not explain the reduction. After a removal, the remaining effects are tested again.
 
         An effect is kept without a test if another effect requires it or acts on a coordinate that it adds. Removed
         effects are added to `considered`.

@@ -14,9 +14,9 @@ from .candidates import is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
-from .evidence import long_run_variance
 from .model_error import continue_fit, likelihood_loss, polish
 from .prediction import SIMULATION
+from .significance import long_run_variance
 from .trial_fits import fit_in_place_of
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, evidence, forward_selection
+from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, forward_selection, significance
 from hframe_gym.identification.forward_selection import EffectSearch
 from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect
@@ -79,7 +79,7 @@ class Scripted:
             "replacement_fit": lambda *arguments: self.replacement,
         }
         for name, function in replaced.items():
-            for module in (evidence, forward_selection):
+            for module in (significance, forward_selection):
                 if hasattr(module, name):
                     monkeypatch.setattr(module, name, function)
 

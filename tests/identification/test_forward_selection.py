@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hframe_gym.identification import evidence, forward_selection
+from hframe_gym.identification import forward_selection, significance
 from tests.identification.scripted_fits import (
     CRITERIA,
     DATA,
@@ -203,5 +203,5 @@ def test_an_effect_on_which_another_rests_is_kept(scripted: Scripted) -> None:
 def test_each_test_is_repeated_beside_all_effects(scripted: Scripted, change: Mapping[str, Any], reason: str) -> None:
     for name, value in change.items():
         setattr(scripted, name, value)
-    text = evidence.doubt_beside_others(fit_with(chi2=6.0), fit_with(PUSH, chi2=2.0), PUSH, DATA, CRITERIA)
+    text = significance.doubt_beside_others(fit_with(chi2=6.0), fit_with(PUSH, chi2=2.0), PUSH, DATA, CRITERIA)
     assert (reason in text) if reason else text == ""

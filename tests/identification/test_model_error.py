@@ -14,7 +14,6 @@ from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, model_error, prepare
 from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.evidence import long_run_variance
 from hframe_gym.identification.force_sizes import residue_force
 from hframe_gym.identification.free_parameters import FreeParameter
 from hframe_gym.identification.model_error import (
@@ -27,6 +26,7 @@ from hframe_gym.identification.model_error import (
     narrower_observer,
 )
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.significance import long_run_variance
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import CRITERIA, DATA, HFRAME, fit_with, runs

@@ -1,4 +1,4 @@
-"""Tests of the evidence for an effect: its force, the unexplained force, and the doubts about it."""
+"""Tests of the significance of an effect: its force, the unexplained force, and the doubts about it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import evidence, force_sizes
-from hframe_gym.identification.evidence import depend_on_same_variable
+from hframe_gym.identification import force_sizes, significance
 from hframe_gym.identification.force_sizes import force_size
 from hframe_gym.identification.free_parameters import FreeParameter
+from hframe_gym.identification.significance import depend_on_same_variable
 from hframe_gym.machine import AppliedEffect, Machine
 from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import (
@@ -105,7 +105,7 @@ def doubt(scripted: Scripted, without: float = 1.4, with_effect: float = 1.2, *e
     """Return the doubt about the last effect of a trial."""
     present = effects or (PUSH,)
     fits = fit_with(*present[:-1], chi2=without), fit_with(*present, chi2=with_effect)
-    return evidence.doubt_about_candidate(*fits, DATA, CRITERIA)
+    return significance.doubt_about_candidate(*fits, DATA, CRITERIA)
 
 
 def test_an_effect_without_doubt(scripted: Scripted) -> None:
@@ -227,23 +227,24 @@ class CorrelatedResidual:
 def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_variance(
     monkeypatch: pytest.MonkeyPatch, rows: int
 ) -> None:
-    monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(significance, "ResidualModel", CorrelatedResidual)
+    monkeypatch.setattr(significance, "map_runs", lambda function, data: map(function, data.runs))
     free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
     fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
     data: Any = SimpleNamespace(period=1e-3, runs=[(seed, rows) for seed in range(100)])
     # 800 blocks of 0.5 s; the largest of three estimates, the last one of 100 runs.
-    assert evidence.long_run_variance(fitted, PUSH.label, data) == pytest.approx(rows, rel=0.35)
+    assert significance.long_run_variance(fitted, PUSH.label, data) == pytest.approx(rows, rel=0.35)
 
 
 def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     """The quantile of F(1, 8) at one in ten thousand is 3.35 times that of the chi-squared distribution."""
-    monkeypatch.setattr(evidence, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(evidence, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(significance, "ResidualModel", CorrelatedResidual)
+    monkeypatch.setattr(significance, "map_runs", lambda function, data: map(function, data.runs))
     free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
     fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
     run = (0, 200)
     one, many = (
-        evidence.long_run_variance(fitted, PUSH.label, SimpleNamespace(period=1e-3, runs=[run] * n)) for n in (1, 1000)
+        significance.long_run_variance(fitted, PUSH.label, SimpleNamespace(period=1e-3, runs=[run] * n))
+        for n in (1, 1000)
     )
     assert one / many == pytest.approx(3.35, rel=0.01)

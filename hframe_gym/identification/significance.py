@@ -1,4 +1,4 @@
-"""Evidence for an effect: the tests that it must pass against noise and model error.
+"""Significance of an effect: the tests that it must pass against noise and model error.
 
 An effect that reduces the error may still not exist. Other runs must confirm it (leave-one-run-out), chance must not
 explain the reduction, the machine must stay stable, and its force must exceed the one that remains unexplained.
