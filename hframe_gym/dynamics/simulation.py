@@ -79,27 +79,16 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="hframe")
 
 
-def parameter_batch(machine: Machine, changes: dict[str, Array] | None = None) -> Array:
-    """Return the parameters of B variants of a machine as an array.
+def parameter_batch(machine: Machine) -> Array:
+    """Return the parameters of a machine as an array, a batch of one machine.
 
     Args:
-        machine: Machine with the nominal parameters.
-        changes: Values by full name ("x.mass"), SI, each of shape (B,), that replace the nominal ones. Default: none,
-            and B = 1.
+        machine: The machine.
 
     Returns:
-        Values of the P parameters in the order of `Machine.parameters`, SI, shape (B, P).
-
-    Raises:
-        ValueError: If the machine has no parameter of a given name, or the arrays differ in length.
+        Values of the P parameters in the order of `Machine.parameters`, SI, shape (1, P).
     """
-    values = machine.parameters
-    changes = changes or {}
-    batch = max((len(v) for v in changes.values()), default=1)
-    table = np.tile(np.array(list(values.values())), (batch, 1))
-    for name, column in changes.items():
-        table[:, list(values).index(name)] = column
-    return table
+    return np.array([list(machine.parameters.values())])
 
 
 class Motion(NamedTuple):

@@ -139,8 +139,8 @@ END_STOP = Effect(
 )
 
 
-def with_end_stops(machine: Machine, step: float) -> Machine:
-    """Return a copy of a machine with rubber buffers at both ends of every tool axis.
+class EndStops:
+    """Rubber buffers at both ends of every tool axis, for machines with the same structure and different masses.
 
     A buffer touches the tool at the end of the axis' declared range. Beyond it by d, m, at the speed v, m/s (positive
     outward), the tool is pushed back with k d (1 + c v), N, never pulled; stiffness k = 2e5 N/m, damping c = 1.5 s/m.
@@ -150,26 +150,11 @@ def with_end_stops(machine: Machine, step: float) -> Machine:
 
     Args:
         machine: Machine with a range for each tool axis.
-        step: Step of the integrator with which the machine is simulated, s.
-
-    Returns:
-        Copy with one more effect `end_stop` per axis, whose parameters follow the parameters of the machine.
-
-    Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
-    """
-    return EndStops(machine, step).machine
-
-
-class EndStops:
-    """End stops of machines with the same structure and different masses.
-
-    Args:
-        machine: Machine with a range for each tool axis.
         step: Step of the integrator with which the machines are simulated, s.
 
     Attributes:
-        machine: Copy of the machine with end stops, as `with_end_stops` returns it.
+        machine: Copy of the machine with one more effect `end_stop` per axis, whose parameters follow the parameters of
+            the machine.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.

@@ -5,7 +5,7 @@ import pytest
 
 from hframe_gym.dynamics import LANES
 from hframe_gym.envs import HFrameVectorEnv, RandomizeParameter, Uniform
-from hframe_gym.envs.workspace import BUFFER_STIFFNESS, END_STOP, with_end_stops
+from hframe_gym.envs.workspace import BUFFER_STIFFNESS, END_STOP, EndStops
 from hframe_gym.machine import BUILTIN_MACHINES
 
 
@@ -18,7 +18,7 @@ def test_the_active_region_is_where_the_force_is():
 
 
 def test_the_machine_s_parameters_come_first(hframe):
-    both = list(with_end_stops(hframe, 5e-4).parameters)
+    both = list(EndStops(hframe, 5e-4).machine.parameters)
     assert both[: len(hframe.parameters)] == list(hframe.parameters)
 
 
