@@ -6,10 +6,8 @@ Each log becomes one run, or several, cut where the machine rests or into pieces
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import tomllib
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -26,11 +24,10 @@ from .log_file import Log, find_logs, log_name, open_log
 from .log_mapping import ChannelSource, MappingOptions, map_columns
 from .measurement_units import TIME
 from .recording import Recording, run_name
-from .table_file import SUFFIXES, Array
-from .text_reader import Progress
+from .table_file import SUFFIXES, Array, compressed_by_name
+from .text_reader import Progress, cumulative
 
 RunFormat = Literal["csv.gz", "csv", "parquet"]
-Say = Callable[[str], None]
 
 _ROWS_PER_WRITE = 50_000  # so many rows are held in memory as text, a few tens of MB
 # s; a single motion takes a few seconds, so that a longer log probably holds several, with rests between them.
@@ -63,7 +60,7 @@ def import_logs(
     out: str | Path,
     machine: Machine,
     settings: ImportSettings = ImportSettings(),
-    say: Say = print,
+    log: Callable[[str], None] = print,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Convert the logs of a controller or data logger to recordings of a machine.
@@ -76,7 +73,7 @@ def import_logs(
         out: Folder for the recordings; created if it does not exist. Existing runs are never replaced.
         machine: Machine that was logged; the names of its input and output channels are the columns of the recordings.
         settings: Columns and units that the user assigned to channels, and whether to cut the logs into runs.
-        say: Called with a line of text for everything that is converted, assumed or left out.
+        log: Called with a line of text for everything that is converted, assumed or left out.
         progress: Called with the work done and the total work, both in bytes of the logs; reading and writing count
             once each.
 
@@ -96,17 +93,10 @@ def import_logs(
         raise InputError(f"--out {folder}: is a file, but must be a folder")
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     if other_files:
-        say(f"skipped (by their names, no logs): {', '.join(p.name for p in other_files)}")
+        log(f"skipped (by their names, no logs): {', '.join(p.name for p in other_files)}")
     # Each byte counts twice: once for reading, once for writing, which take about as long.
-    total, done = 2 * sum(path.stat().st_size for path in paths), 0
-
-    def add_progress(count: int) -> None:
-        nonlocal done
-        done += count
-        if progress is not None:
-            progress(done, total)
-
-    importer = _Importer(machine, settings, say, add_progress)
+    total = 2 * sum(path.stat().st_size for path in paths)
+    importer = _Importer(machine, settings, log, cumulative(progress, total))
     written: list[Path] = []
     with output_batch(folder):
         for path in paths:
@@ -202,16 +192,13 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
         if progress is not None:
             progress(len(recording.time_s))
         return
-    with atomic_file(path) as raw:
-        # With an empty name and time in the header of gzip, equal recordings give identical files.
-        packed = gzip.GzipFile("", "wb", _COMPRESSION, raw, mtime=0) if path.suffix == ".gz" else None
-        with packed or nullcontext(raw) as file:
-            file.write(f"{','.join(names)}\n".encode("ascii"))
-            for begin in range(0, len(recording.time_s), _ROWS_PER_WRITE):
-                cells = [_texts(column[begin : begin + _ROWS_PER_WRITE]) for column in columns]
-                file.write("".join(f"{row}\n" for row in map(",".join, zip(*cells, strict=True))).encode("ascii"))
-                if progress is not None:
-                    progress(len(cells[0]))
+    with atomic_file(path) as raw, compressed_by_name(path, raw, _COMPRESSION) as file:
+        file.write(f"{','.join(names)}\n".encode("ascii"))
+        for begin in range(0, len(recording.time_s), _ROWS_PER_WRITE):
+            cells = [_texts(column[begin : begin + _ROWS_PER_WRITE]) for column in columns]
+            file.write("".join(f"{row}\n" for row in map(",".join, zip(*cells, strict=True))).encode("ascii"))
+            if progress is not None:
+                progress(len(cells[0]))
 
 
 def _texts(values: Array) -> list[str]:
@@ -225,8 +212,10 @@ def _texts(values: Array) -> list[str]:
 class _Importer:
     """Converts the logs of one session, one after the other, and tells the user what it converts or assumes."""
 
-    def __init__(self, machine: Machine, settings: ImportSettings, say: Say, progress: Progress) -> None:
-        self._machine, self._settings, self._say, self._progress = machine, settings, say, progress
+    def __init__(
+        self, machine: Machine, settings: ImportSettings, log: Callable[[str], None], progress: Progress
+    ) -> None:
+        self._machine, self._settings, self._log, self._progress = machine, settings, log, progress
         self._converter = LogConverter(machine)
         self._last_mapping: list[str] = []
         self._bytes_per_row = 0.0
@@ -235,7 +224,7 @@ class _Importer:
         """Convert a log and return its runs."""
         log = open_log(path)
         sources = map_columns(log, self._machine, self._settings.mapping)
-        self._say_mapping(log, sources)
+        self._log_mapping(log, sources)
         recording, remarks = self._converter.convert(log, sources, self._progress)
         recording = dataclasses.replace(recording, name=log_name(path))
         self._bytes_per_row = path.stat().st_size / len(recording.time_s)
@@ -255,15 +244,15 @@ class _Importer:
                 "--split-every 10 if it has no rests"
             )
         for remark in remarks:
-            self._say(f"  {remark}")
+            self._log(f"  {remark}")
         return runs
 
     def count_rows(self, rows: int) -> None:
         """Report the progress of writing the last log, by its number of rows."""
         self._progress(round(rows * self._bytes_per_row))
 
-    def _say_mapping(self, log: Log, sources: Sequence[ChannelSource]) -> None:
-        """Print the format of a log and the column of each channel, unless they are those of the log before."""
+    def _log_mapping(self, log: Log, sources: Sequence[ChannelSource]) -> None:
+        """Report the format of a log and the column of each channel, unless they are those of the log before."""
         lines = [f"  {remark}" for remark in log.remarks]
         width = max(len(source.channel) for source in sources)
         for source in sources:
@@ -274,11 +263,11 @@ class _Importer:
         unused = [column.header for column in log.columns if column not in used]
         lines += [f"  not used: {', '.join(unused)}"] if unused else []
         if lines == self._last_mapping:
-            self._say(f"{log.path.name}: same format and columns as the log before")
+            self._log(f"{log.path.name}: same format and columns as the log before")
         else:
-            self._say(f"{log.path.name}:")
+            self._log(f"{log.path.name}:")
             for line in lines:
-                self._say(line)
+                self._log(line)
         self._last_mapping = lines
 
 

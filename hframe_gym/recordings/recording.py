@@ -6,9 +6,7 @@ an output that was not measured is empty. Errors name file, row (1 is the first 
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -24,13 +22,14 @@ from .table_file import (
     Array,
     ForeignFormatError,
     cell_text,
+    compressed_by_name,
     import_command,
     read_table,
     recording_files,
     refuse_decreasing_times,
     refuse_rows,
 )
-from .text_reader import Progress
+from .text_reader import Progress, cumulative
 
 MIN_ROWS = 20_000  # rows that are read of each run; typical runs have fewer
 # The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
@@ -107,14 +106,7 @@ def load_recordings(
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):
             raise InputError(f"{second}: the run {run_name(second)!r} exists twice, also as {first.name}; delete one")
-    total, done = sum(p.stat().st_size for p in files), 0
-
-    def add(count: int) -> None:
-        nonlocal done
-        done += count
-        if progress is not None:
-            progress(done, total)
-
+    add = cumulative(progress, sum(p.stat().st_size for p in files))
     if max_rows is None:
         return [load_recording(p, machine, progress=add) for p in files]
     rows = max(max_rows // len(files), MIN_ROWS)
@@ -234,11 +226,8 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
     """
     header = ["time_s", *machine.input_channels, *machine.output_channels]
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
-    with atomic_file(path) as file:
-        # With an empty name and time in the header of gzip, equal simulations give identical files.
-        packed = gzip.GzipFile("", "wb", fileobj=file, mtime=0) if str(path).endswith(".gz") else None
-        with packed or nullcontext(file) as stream:
-            np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
+    with atomic_file(path) as file, compressed_by_name(Path(path), file) as stream:
+        np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
 
 
 def run_name(path: Path) -> str:

@@ -5,9 +5,11 @@ Rows are counted from 1, the first row below the header. An empty cell is NaN.
 
 from __future__ import annotations
 
+import gzip
 import shlex
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +70,26 @@ def recording_files(folder: Path) -> list[Path]:
     return sorted(
         p for p in folder.iterdir() if p.name.endswith(SUFFIXES) and not p.name.startswith(".") and p.is_file()
     )
+
+
+def compressed_by_name(
+    path: Path, file: IO[bytes], level: int = 9
+) -> AbstractContextManager[IO[bytes] | gzip.GzipFile]:
+    """Return a context in which a CSV file is written, compressed by gzip if its name ends in .gz.
+
+    Equal contents give identical files, because the header of gzip gets no name and no time.
+
+    Args:
+        path: Name of the file.
+        file: File to write to, open for binary data.
+        level: Compression level of gzip, 0 to 9; higher levels take longer and save space.
+
+    Returns:
+        Context whose value takes the text of the table as bytes.
+    """
+    if path.suffix != ".gz":
+        return nullcontext(file)
+    return gzip.GzipFile("", "wb", level, file, mtime=0)
 
 
 def import_command(path: Path) -> str:

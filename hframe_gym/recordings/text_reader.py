@@ -35,6 +35,27 @@ _GERMAN_DATE = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})")
 _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
+def cumulative(progress: Callable[[int, int], None] | None, total: int) -> Progress:
+    """Return a function that adds up the increments of some work and reports the sum.
+
+    Args:
+        progress: Called with the sum so far and the total, after each increment. None: nothing is reported.
+        total: Sum at the end of the work.
+
+    Returns:
+        Function to call with each increment.
+    """
+    done = 0
+
+    def add(increment: int) -> None:
+        nonlocal done
+        done += increment
+        if progress is not None:
+            progress(done, total)
+
+    return add
+
+
 def read_columns(
     path: Path,
     layout: TextFormat,

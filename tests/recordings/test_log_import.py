@@ -61,7 +61,7 @@ def convert(path: Path, machine: Machine, *, lines: list[str] | None = None, **o
     """Import a log into a new folder and load the only run."""
     out = path.parent / "runs"
     settings = ImportSettings(MappingOptions(**options))  # type: ignore[arg-type]
-    import_logs(path, out, machine, settings, say=(lines if lines is not None else []).append)
+    import_logs(path, out, machine, settings, log=(lines if lines is not None else []).append)
     (run,) = load_recordings(out, machine)
     return run
 
@@ -300,7 +300,7 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
     for name in ("notes.md", "README.txt"):
         (tmp_path / "logs" / name).write_text("Both logs were recorded in May.")
     lines: list[str] = []
-    import_logs(tmp_path / "logs", tmp_path / "runs", hframe, say=lines.append)
+    import_logs(tmp_path / "logs", tmp_path / "runs", hframe, log=lines.append)
     a, b = load_recordings(tmp_path / "runs", hframe)
     np.testing.assert_array_equal(b.time_s, np.round(a.time_s + 86400.0, 3))
     assert "skipped (by their names, no logs): README.txt, notes.md" in lines
@@ -370,7 +370,7 @@ def test_recordings_are_written_without_loss(run_format: str, table: Table, hfra
     exact = {c: v + np.where(c == "x_m", 1e-17 + v / 3, 0.0) for c, v in table.items()}
     path = in_text(text_of)(tmp_path, exact)
     settings = ImportSettings(run_format=run_format)  # type: ignore[arg-type]
-    (file,) = import_logs(path, tmp_path / "runs", hframe, settings, say=lambda line: None)
+    (file,) = import_logs(path, tmp_path / "runs", hframe, settings, log=lambda line: None)
     assert file.name == f"log.{run_format}"
     (run,) = load_recordings(tmp_path / "runs", hframe)
     assert_equal(run, exact)
@@ -688,7 +688,7 @@ def test_an_invalid_log_is_refused_and_nothing_is_written(
     (tmp_path / "logs" / "a.csv").write_text(text_of(table))
     (tmp_path / "logs" / "b.csv").write_text(edit(table))
     with pytest.raises(InputError, match=message):
-        import_logs(tmp_path / "logs", tmp_path / "runs", hframe, say=lambda line: None)
+        import_logs(tmp_path / "logs", tmp_path / "runs", hframe, log=lambda line: None)
     assert {path.name for path in tmp_path.iterdir()} == {"logs"}
 
 
@@ -697,11 +697,11 @@ def test_existing_runs_are_not_replaced(table: Table, hframe: Machine, tmp_path:
     convert(path, hframe)
     before = (tmp_path / "runs" / "log.csv.gz").read_bytes()
     with pytest.raises(InputError, match="the run 'log' exists; choose another --out or delete it"):
-        import_logs(path, tmp_path / "runs", hframe, ImportSettings(run_format="csv"), say=lambda line: None)
+        import_logs(path, tmp_path / "runs", hframe, ImportSettings(run_format="csv"), log=lambda line: None)
     assert [p.name for p in (tmp_path / "runs").iterdir()] == ["log.csv.gz"]
     assert (tmp_path / "runs" / "log.csv.gz").read_bytes() == before
     path.rename(tmp_path / "other.txt")
-    import_logs(tmp_path / "other.txt", tmp_path / "runs", hframe, say=lambda line: None)
+    import_logs(tmp_path / "other.txt", tmp_path / "runs", hframe, log=lambda line: None)
     assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == ["log.csv.gz", "other.csv.gz"]
 
 
