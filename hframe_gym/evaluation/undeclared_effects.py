@@ -175,7 +175,7 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
 
 
 def with_absent_effects(machine: Machine) -> Machine:
-    """Add 21 kinds of effects (of friction, drives, belts, ...) to a copy of the H-frame, all of them switched off.
+    """Add the effects of `EFFECT_FAMILIES` (friction, drives, belts, ...) to a copy of the H-frame, all switched off.
 
     An effect that is switched off has parameter values with which it has no influence, for example an amplitude of 0.
     Randomization rules (`effect_rules`) can change these values and thus switch it on. One effect is never off:
