@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import stiffness_matrix
-from ..machine import Machine
+from ..machine import Machine, pulley_names
 
 if TYPE_CHECKING:
     from .rest_measurement import InitialState
@@ -235,14 +235,11 @@ def _pulley_stiffness(machine: Machine) -> dict[str, float]:
         return {}
     matrix = stiffness_matrix(machine)
     measured = {s.coordinate for s in machine.sensors}
-    rotary = [
-        i
-        for i, c in enumerate(machine.coordinates)
-        if c.kind == "rotary" and matrix[i, i] > 0.0 and c.name not in machine.spring_loaded
-    ]
-    idlers = [i for i in rotary if machine.coordinates[i].name not in measured]
+    pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
+    stretching = [i for i in pulleys if matrix[i, i] > 0.0]
+    idlers = [i for i in stretching if machine.coordinates[i].name not in measured]
     stiffness = {}
-    for i in rotary:
+    for i in stretching:
         if i in idlers:
             continue
         turning = matrix[np.ix_([i, *idlers], [i, *idlers])]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import effect_forces, stiffness_matrix
-from ..machine import Machine, rest_state
+from ..machine import Machine, pulley_names, rest_state
 from ..recordings import Recording
 from .encoder_zeros import EncoderZeros, zero_tolerance
 from .rest_measurement import InitialState, estimate_initial_state, rigid_basis
@@ -122,19 +122,18 @@ def static_equilibrium(machine: Machine, position: Array) -> Array:
         Positions of all coordinates, m or rad, shape (coordinates,); for the carriages, the values in `position`.
     """
     names = machine.coordinate_names
-    linear = np.array([c.kind == "linear" for c in machine.coordinates])
+    linear, pulleys = _linear(machine), np.isin(names, pulley_names(machine))
     given = position[: len(names)]
     at_rest = rest_state(machine, given[linear[: len(given)]])[: len(names)]
     if not any(e.definition.force for e in machine.effects):
         return at_rest
     force = _force_at_rest(machine, at_rest)[linear]  # N, on each carriage
     friction = np.array([c.coulomb for c in machine.coordinates])[linear]
-    rotary = ~linear & ~np.isin(names, machine.spring_loaded)
-    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, rotary)]  # N/rad, (carriages, pulleys)
+    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, pulleys)]  # N/rad, (carriages, pulleys)
     # The belts carry twice the force in excess of friction, but at most the entire force.
     carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
     # The pulleys turn by the smallest angles at which the belts carry these forces.
-    at_rest[rotary] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
+    at_rest[pulleys] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
     return at_rest
 
 

@@ -70,6 +70,18 @@ def observed_coordinates(machine: Machine) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*machine.tool_axes, *(drive.coordinate for drive in machine.drives))))
 
 
+def pulley_names(machine: Machine) -> tuple[str, ...]:
+    """List the pulleys of a machine: its rotary coordinates, except those that a spring holds, such as bridge yaw.
+
+    Args:
+        machine: Machine with its coordinates and effects (deviations from the nominal model).
+
+    Returns:
+        Names of the pulleys, in the order of the coordinates.
+    """
+    return tuple(c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded)
+
+
 # This package does not depend on the integrator. Whoever provides one registers it under the name "default".
 SIMULATORS: Registry[Simulator] = Registry("simulator")
 
@@ -96,7 +108,7 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     linear = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
     if position is not None:
         q[linear] = np.asarray(position, float)
-    pulleys = [i for i in range(count) if i not in linear and machine.coordinate_names[i] not in machine.spring_loaded]
+    pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
     if pulleys and machine.belts:
         # Zero extension of every belt: G[:, pulleys] @ angles = -G[:, linear] @ positions.
         G = machine.belt_matrix
@@ -142,13 +154,13 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
     if not machine.belts:
         return {machine.coordinate_names[i]: np.eye(count)[i] for i in movable}
     G = machine.belt_matrix  # extension of each belt per unit of each coordinate, (belts, coordinates)
-    rotary = [i for i in movable if machine.coordinates[i].kind == "rotary"]
+    pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
     motions: dict[str, Array] = {}
     for index in movable:
         coordinate = machine.coordinates[index]
         if coordinate.kind == "linear":
             motion = np.eye(count)[index]  # 1 for the leading coordinate, 0 for carriages that do not follow
-            followers = rotary or [i for i in movable if i != index]
+            followers = pulleys or [i for i in movable if i != index]
             motion[followers] = np.linalg.lstsq(G[:, followers], -G[:, index], rcond=None)[0]
             led = any(abs(earlier[index]) > _RIGID_EXTENSION for earlier in motions.values())
             if np.max(np.abs(G @ motion)) < _RIGID_EXTENSION and not led:

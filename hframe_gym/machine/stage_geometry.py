@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .machine import Machine
-from .motion import rigid_motions
+from .motion import pulley_names, rigid_motions
 
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]  # x and y of one corner, then of the opposite one, m
@@ -341,9 +341,8 @@ def _belt_travel(machine: Machine) -> NDArray[np.float64] | None:
 
 
 def _connected(machine: Machine, coordinates: Sequence[str]) -> bool:
-    """Return whether belts connect two rotary coordinates, if need be by way of other pulleys."""
-    rotary = {c.name for c in machine.coordinates if c.kind == "rotary"} - set(machine.spring_loaded)
-    groups = [set(b.extension) & rotary for b in machine.belts]
+    """Return whether belts connect two pulleys, if need be by way of others."""
+    groups = [set(b.extension).intersection(pulley_names(machine)) for b in machine.belts]
     reached = {coordinates[0]}
     for _ in groups:
         reached |= {name for group in groups if group & reached for name in group}

@@ -23,6 +23,7 @@ from ..machine import (
     Machine,
     Sensor,
     Uncertainty,
+    pulley_names,
     rigid_motions,
 )
 from .machine_schema import (
@@ -331,10 +332,9 @@ def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
 def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
     """List factors of belts that are not plausible, carriages that cannot move, and negative lengths."""
     doubts, moving = [], np.any([*rigid_motions(machine).values(), np.zeros(len(machine.coordinates))], axis=0)
-    rotary = {c.name for c in machine.coordinates if c.kind == "rotary"} - set(machine.spring_loaded)
     for belt in machine.belts:
         for name, factor in belt.extension.items():
-            if name in rotary and not float(2 * factor).is_integer():
+            if name in pulley_names(machine) and not float(2 * factor).is_integer():
                 reason = "is not a small integer; it multiplies the belt travel, which is radius * angle already"
                 doubts.append((f"belts.{belt.name}.extension.{name}", f"{factor:g} {reason}: usually it is 1 or -1"))
         ranges = {c.name: c.range for c in machine.coordinates if c.range is not None and c.kind == "linear"}
