@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from ..atomic_files import write_text
 from ..controllers import Controller
 from ..envs import EnvConfig, as_task
-from ..evaluation import BANDS, Episodes, Scenario, rollout, settling_or_none, settling_times
+from ..evaluation import BANDS, Episodes, Scenario, installed_versions, rollout, settling_or_none, settling_times
 
 Array = NDArray[np.float64]
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
@@ -151,12 +150,10 @@ def versions(further: Sequence[str] = ()) -> dict[str, str]:
         further: Names of packages to list in addition to those that every run uses, such as torch and NumPy.
 
     Returns:
-        Version strings by package name; the version of Python has the name "python".
-
-    Raises:
-        PackageNotFoundError: If one of the packages is not installed.
+        Version strings by package name; the version of Python has the name "python". Packages that are not installed,
+        such as this one in a source tree, are omitted.
     """
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in (*PACKAGES, *further)}}
+    return {"python": platform.python_version(), **installed_versions((*PACKAGES, *further))}
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from hframe_gym.atomic_files import write_text
 from hframe_gym.dynamics.simulation import threads
-from hframe_gym.evaluation.protocol_results import installed_versions
+from hframe_gym.evaluation import installed_versions
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"

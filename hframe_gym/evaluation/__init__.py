@@ -18,6 +18,7 @@ from .plots import plot_episode, save_plot
 from .protocol_results import (
     ResultFile,
     fill_unsettled,
+    installed_versions,
     paired_ratio,
     protocol_bounds,
     read_result,
@@ -69,6 +70,7 @@ __all__ = [
     "export_dataset",
     "fill_unsettled",
     "get_protocol",
+    "installed_versions",
     "make_controller",
     "mean_with_interval",
     "paired_ratio",
