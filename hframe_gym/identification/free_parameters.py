@@ -60,6 +60,11 @@ class FreeParameter:
     switch: bool = False
 
     @property
+    def of_effect(self) -> bool:
+        """Whether it is a parameter of an effect (deviation from the nominal model), not of the machine itself."""
+        return "@" in self.name  # the label of an effect is name@site
+
+    @property
     def theta_limits(self) -> tuple[float, float]:
         """Smallest and largest theta (dimensionless variable of the optimizer) that a fit may reach.
 

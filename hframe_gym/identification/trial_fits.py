@@ -59,10 +59,15 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
 
 def _at_declared_parameters(current: Fit, data: Dataset) -> Fit:
     """Return the machine of a fit with the declared parameters (theta 0), except those of its effects."""
-    theta = np.where(["@" in f.name for f in current.free], current.theta, 0.0)
+    theta = _declared_theta(current)
     machine = current.machine.replace(values_at(current.free, theta))
     cost = prediction_cost(machine, data, current.bandwidth)
     return dataclasses.replace(current, machine=machine, theta=theta, cost=cost)
+
+
+def _declared_theta(fitted: Fit) -> Array:
+    """Return theta at which the parameters of effects are those of a fit, and all others are as declared, 0."""
+    return np.where([f.of_effect for f in fitted.free], fitted.theta, 0.0)
 
 
 def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
@@ -261,7 +266,7 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     """
     effect = machine.effects[-1]
     if (effect.definition.structure or effect.definition.tension) and current.bandwidth >= SEARCH_BANDWIDTH:
-        declared = {f.name: f.center for f in current.free if "@" not in f.name}
+        declared = {f.name: f.center for f in current.free if not f.of_effect}
         machine = current.machine.replace(declared).with_effects(effect)
     free = list(default_free_parameters(machine, effects=False))
     for e in machine.effects:
@@ -297,9 +302,7 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     Returns:
         Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
     """
-    # The second start keeps the parameters of effects (label name@site) and resets all others to theta = 0.
-    of_effects = np.array(["@" in f.name for f in trial.free])
-    reset = dataclasses.replace(trial, theta=np.where(of_effects, trial.theta, 0.0))
+    reset = dataclasses.replace(trial, theta=_declared_theta(trial))
     fits = [continue_fit(start, data, trial.bandwidth) for start in ([trial, reset] if thorough else [trial])]
     return min(fits, key=lambda candidate_fit: candidate_fit.cost)
 
