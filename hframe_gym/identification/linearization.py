@@ -60,28 +60,8 @@ def forward_differences(values: Array, step: float | Array = DIFFERENCE_STEP) ->
     return np.asarray(((values[1:] - values[0]).T / step).T)
 
 
-@dataclass(frozen=True)
-class RunLinearization:
-    """Linearized residual of one run in units of the noise, without the part that the initial state explains.
-
-    Attributes:
-        jacobian: Derivatives with respect to k parameters, shape (k, rows).
-        responses: Changes by m perturbations, shape (m, rows), or None.
-        residual: Residual at the expansion point, shape (rows,).
-        initial_state: Positions, velocities and states of the effects from which the run is predicted, in their units,
-            shape (2 * coordinates + effect states,).
-        projection: Projection that removed the part which the initial state explains; None if there is none.
-    """
-
-    jacobian: Array
-    responses: Array | None
-    residual: Array
-    initial_state: Array
-    projection: InitialStateProjection | None
-
-
 class Start(NamedTuple):
-    """Where the prediction of a run starts.
+    """State from which a run is predicted.
 
     Attributes:
         state: Positions (m, rad), velocities (m/s, rad/s), effect states, shape (2 * coordinates + effect states,).
@@ -90,6 +70,23 @@ class Start(NamedTuple):
 
     state: Array
     projection: InitialStateProjection | None
+
+
+@dataclass(frozen=True)
+class RunLinearization:
+    """Linearized residual of one run in units of the noise, without the part that an error of the start explains.
+
+    Attributes:
+        jacobian: Derivatives with respect to k parameters, shape (k, rows).
+        responses: Changes by m perturbations, shape (m, rows), or None.
+        residual: Residual at the expansion point, shape (rows,).
+        start: State from which the run is predicted, and the projection that removed what an error of it explains.
+    """
+
+    jacobian: Array
+    responses: Array | None
+    residual: Array
+    start: Start
 
 
 # Function from a run and its motion at the expansion point (batch of one) to the responses E^T, shape (m, rows).
@@ -181,7 +178,8 @@ class ResidualModel:
         if projection is not None:
             residual = projection(residual)
             extra = None if extra is None else projection(extra)
-        return RunLinearization(forward_differences(residual, steps), extra, residual[0], initial_state, projection)
+        start = Start(initial_state, projection)
+        return RunLinearization(forward_differences(residual, steps), extra, residual[0], start)
 
     def _difference_steps(self) -> Array:
         """Return the change of each theta over which its derivative is computed, shape (k,)."""
@@ -204,7 +202,7 @@ class ResidualModel:
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:
             rows = self.linearize_run(run, theta, responses)
             equations = NormalEquations.from_rows(rows.jacobian, rows.residual, rows.responses, count=run.count)
-            return equations, Start(rows.initial_state, rows.projection)
+            return equations, rows.start
 
         parts = list(map_runs(of_run, self.data))
         starts = {run.name: start for run, (_, start) in zip(self.data.runs, parts, strict=True)}
