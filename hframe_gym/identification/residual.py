@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ..machine import Machine
+from ..machine.motion import rigid_motions
 from .dataset import Dataset, PreparedRecording
 from .free_parameters import typical_force
 from .prediction import (
@@ -134,6 +135,9 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     sampling period is an acceleration; times the mass or inertia it is the missing force. The estimate is valid below
     the observer's bandwidth (60 rad/s). A missing measurement causes no correction.
 
+    A carriage that no sensor measures is not corrected itself. The force on it is then the one that has the same effect
+    on the pulleys as their corrections, as if the belts were rigid.
+
     Args:
         machine: Machine that predicts.
         run: Measured run, n samples.
@@ -147,7 +151,26 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     innovation = np.nan_to_num(measurements_from(start, machine, run) - predicted)  # (n, sensors)
     velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]  # (coordinates, sensors)
     mass = np.array([c.mass for c in machine.coordinates])
-    return innovation @ velocity_gains.T / data.period * mass
+    force = innovation @ velocity_gains.T / data.period * mass
+    for i, motion in _motions_of_unmeasured(machine).items():
+        force[:, i] = force @ motion  # virtual work along the motion of the carriage with its pulleys
+    return force
+
+
+def _motions_of_unmeasured(machine: Machine) -> dict[int, Array]:
+    """Return the rigid motion that each coordinate without a sensor leads, shape (coordinates,), by its index.
+
+    Coordinates whose motion moves no measured one are left out: nothing is known about the force on them.
+    """
+    measured = _measured(machine)
+    motions = {machine.coordinate_names.index(name): motion for name, motion in rigid_motions(machine).items()}
+    return {i: motion for i, motion in motions.items() if not measured[i] and np.any(motion[measured])}
+
+
+def _measured(machine: Machine) -> NDArray[np.bool_]:
+    """Mark the coordinates that the observer corrects by a sensor, shape (coordinates,)."""
+    corrected = {sensor.coordinate for sensor in machine.sensors}
+    return np.array([name in corrected for name in machine.coordinate_names])
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
@@ -169,7 +192,8 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     An observer corrects the predicted velocities by the measurements. The corrections times the mass are the missing
     force after a low-pass filter with two equal poles at the observer's bandwidth. This function inverts the filter for
-    frequencies up to 40 Hz, far above the observer's bandwidth (60 rad/s).
+    frequencies up to 40 Hz, far above the observer's bandwidth (60 rad/s). The poles of a carriage that no sensor
+    measures are slower: the corrections of its pulleys must move its mass too.
 
     Args:
         machine: Machine that predicts.
@@ -183,14 +207,20 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     time_constant = (
         2.0 * data.period / np.maximum(position_gains, 1e-12)
     )  # of each pole, about 1 / bandwidth, (coordinates,)
+    inertia_ratio = np.ones(len(machine.coordinates))  # of all that moves to what the observer corrects
+    measured, mass = _measured(machine), np.array([c.mass for c in machine.coordinates])
+    for i, motion in _motions_of_unmeasured(machine).items():
+        inertia = mass * motion**2
+        inertia_ratio[i] = inertia.sum() / inertia[measured].sum()
+        time_constant[i] = time_constant[measured & (motion != 0.0)].max()
 
     def of_run(run: PreparedRecording) -> Array:
         motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
-        # f + 2 T f' + T^2 f'' inverts the low-pass 1 / (1 + T s)^2.
+        # f + 2 T f' + r T^2 f'' inverts the low-pass 1 / (1 + 2 T s + r T^2 s^2); for r = 1, it has equal poles.
         force = _low_pass(force_residual(machine, run, data), MISSING_FORCE_CUTOFF, data.period)
         first_derivative = np.gradient(force, run.time_s, axis=0)
         second_derivative = np.gradient(first_derivative, run.time_s, axis=0)
-        unfiltered = force + 2 * time_constant * first_derivative + time_constant**2 * second_derivative
+        unfiltered = force + 2 * time_constant * first_derivative + inertia_ratio * time_constant**2 * second_derivative
         return np.stack([motion.positions[0], motion.velocities[0], unfiltered], axis=2)  # (n, coordinates, 3)
 
     by_coordinate = np.concatenate(list(map_runs(of_run, data)))
