@@ -60,13 +60,18 @@ def summary(rows: list[Row]) -> dict[str, Any]:
         "unseen": _errors(clean, residue),
         "stable": sum(r["stable"] for r in rows),
         "consistent": sum(r["consistency"] <= 0.05 for r in rows),
-        "seconds": {
-            clock: {
-                "median": _median(r["seconds"][clock] for r in rows),
-                "most": max(r["seconds"][clock] for r in rows),
-            }
-            for clock in ("wall", "cpu")
-        },
+        "seconds": _durations([r["seconds"] for r in rows]),
+        "repeated_seconds": _durations([r["repeated_seconds"] for r in rows if "repeated_seconds" in r]),
+        "repeatable": sum(r.get("repeatable", False) for r in rows),
+    }
+
+
+def _durations(seconds: list[dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Return the median and the longest of some durations, s, by clock; nothing if there are none."""
+    return {
+        clock: {"median": _median(s[clock] for s in seconds), "most": max(s[clock] for s in seconds)}
+        for clock in ("wall", "cpu")
+        if seconds
     }
 
 
@@ -282,3 +287,8 @@ def show(console: Console, content: dict[str, Any]) -> None:
         f"wall {wall['median']:.0f} s median, {wall['most']:.0f} s slowest; "
         f"cpu {cpu['median']:.0f} s, {cpu['most']:.0f} s"
     )
+    if again := content["repeated_seconds"]:
+        console.print(
+            f"again, with compiled code: cpu {again['cpu']['median']:.0f} s median, {again['cpu']['most']:.0f} s "
+            f"slowest; {content['repeatable']} reports equal"
+        )

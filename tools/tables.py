@@ -165,6 +165,11 @@ def random_rigs(results: dict[str, Any]) -> str:
         ["`hframe simulate` within 5 % of the report", f"{content['consistent']} of {content['rigs']}"],
         ["processor time of an identification: median; slowest", f"{seconds['median']:.0f} s; {seconds['most']:.0f} s"],
     ]
+    if again := content.get("repeated_seconds", {}).get("cpu"):
+        measures += [
+            ["the same with compiled code, in a new process", f"{again['median']:.0f} s; {again['most']:.0f} s"],
+            ["report of the second identification is equal", f"{content['repeatable']} of {content['rigs']}"],
+        ]
     return f"{table}\n\n{markdown(['measure', 'value'], measures)}"
 
 

@@ -22,7 +22,6 @@ from .dataset import Dataset
 from .force_sizes import TypicalScales
 from .free_parameters import FreeParameter
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_peaks, slow_rates
-from .screening import replaces_model_part
 from .sensor_properties import UNLIMITED
 
 Array = NDArray[np.float64]
@@ -130,7 +129,7 @@ def candidates(
     present = {e.label for e in machine.effects}
     proposed: list[Candidate] = []
     for effect in EFFECTS.values():
-        if replaces_model_part(effect) or effect.refitted:
+        if effect.replaces_model_part or effect.refitted:
             continue
         for site in effect_sites(effect, machine):
             if f"{effect.name}@{site}" in present or (effect.requires and f"{effect.requires}@{site}" not in present):

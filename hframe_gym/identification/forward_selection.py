@@ -112,17 +112,18 @@ class EffectSearch:
         self._structures_tried = (math.nan, math.inf)
 
     def with_data(self, data: Dataset) -> EffectSearch:
-        """Return a search in other data that keeps the record of effects that failed a test (`considered`).
+        """Return a search in other data that remembers which effects failed a test, and which need not be tried again.
 
         Args:
             data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros of
                 the encoders.
 
         Returns:
-            Search with the same machine, thresholds and log; its `considered` is a copy.
+            Search with the same machine, thresholds and log. Its `considered` is a copy, and it does not try structural
+            effects again until the error is clearly smaller than when they last failed.
         """
         search = EffectSearch(data, self._plain, self._criteria, self._log)
-        search.considered = dict(self.considered)
+        search.considered, search._structures_tried = dict(self.considered), self._structures_tried
         return search
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
@@ -143,7 +144,6 @@ class EffectSearch:
             selected: All selected effects with their fitted parameters.
         """
         data, criteria = self._data, self._criteria
-        self._structures_tried = (math.nan, math.inf)
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
             found = self._next_effect(current)
             if found is None:

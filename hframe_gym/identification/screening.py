@@ -30,7 +30,7 @@ from .dataset import Dataset, PreparedRecording
 from .estimation import Fit
 from .force_sizes import TypicalScales
 from .free_parameters import prior_precision, second_difference_penalty
-from .linearization import DIFFERENCE_STEP, ResidualModel, Responses
+from .linearization import DIFFERENCE_STEP, ResidualModel
 from .prediction import mechanical_rows_per_block, predict
 
 if TYPE_CHECKING:
@@ -239,29 +239,13 @@ def _score(candidate: Candidate, information: Array, gradient: Array, before: Ar
     return ScoredCandidate(candidate, gain, tuple(amounts.tolist()))
 
 
-def is_simulated(effect: Effect) -> bool:
-    """Check whether starting values of an effect are simulated to rank them.
+def _is_simulated(effect: Effect) -> bool:
+    """Return whether starting values of an effect are simulated to rank them.
 
-    Args:
-        effect: Definition of the effect (deviation from the nominal model).
-
-    Returns:
-        True for effects that replace a part of the model, and for those whose amplitude has starting values: a large
-        one acts in another way than a small one. Play that exceeds the extension of a belt leaves no tension at all.
+    Effects that replace a part of the model are, and those whose amplitude has starting values: a large one acts in
+    another way than a small one. Play that exceeds the extension of a belt leaves no tension at all.
     """
-    return replaces_model_part(effect) or any(p.amplitude and any(p.grid) for p in effect.parameters)
-
-
-def replaces_model_part(effect: Effect) -> bool:
-    """Check whether an effect replaces a part of the model, so that it cannot be linearized at a small amplitude.
-
-    Args:
-        effect: Definition of the effect (deviation from the nominal model).
-
-    Returns:
-        True for effects that add coordinates (structural effects) and for effects that replace dry friction.
-    """
-    return bool(effect.structure or effect.friction)
+    return effect.replaces_model_part or any(p.amplitude and any(p.grid) for p in effect.parameters)
 
 
 def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
@@ -281,22 +265,26 @@ def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum
         Copies of the fitted machine, each with one more effect (the last in its list, with starting values); most
         promising first.
     """
-    machine = current.machine
-    present = {e.label for e in machine.effects}
+    present = {e.label for e in current.machine.effects}
+    simulated = {
+        (effect, site): _variants(effect, site, current.machine, scale)
+        for effect in filter(_is_simulated, EFFECTS.values())
+        for site in effect_sites(effect, current.machine)
+        if f"{effect.name}@{site}" not in present
+    }
     promising: list[tuple[float, list[Machine]]] = []
-    for effect in filter(is_simulated, EFFECTS.values()):
-        for site in effect_sites(effect, machine):
-            if f"{effect.name}@{site}" in present:
-                continue
-            starting_values = _starting_values(effect, scale.of(machine.coordinate_of_site(site, effect.site) or ""))
-            variants = [machine.with_effects(effect.at(site, **values)) for values in starting_values]
-            # Linearized reduction of chi-squared by each variant, summed over all samples.
-            gains = _structure_gains(variants, current, data)
-            if gains.max() > minimum_gain * data.count:
-                best = np.argsort(-gains)[: 2 if effect.structure else 1]
-                promising.append((float(gains.max()), [variants[int(k)] for k in best]))
+    for (effect, site), gains in _structure_gains(simulated, current, data).items():
+        if gains.max() > minimum_gain * data.count:
+            best = np.argsort(-gains)[: 2 if effect.structure else 1]
+            promising.append((float(gains.max()), [simulated[effect, site][int(k)] for k in best]))
     promising.sort(key=lambda p: -p[0])
     return [variant for _, variants in promising[:_FITTED_STRUCTURES] for variant in variants]
+
+
+def _variants(effect: Effect, site: str, machine: Machine, scale: TypicalScales) -> list[Machine]:
+    """Return copies of a machine with an effect at a site, one for each combination of starting values."""
+    starting_values = _starting_values(effect, scale.of(machine.coordinate_of_site(site, effect.site) or ""))
+    return [machine.with_effects(effect.at(site, **values)) for values in starting_values]
 
 
 def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[str, float]]:
@@ -309,27 +297,54 @@ def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[
     return [dict(zip(names, values, strict=True)) for values in itertools.product(*grids)]
 
 
-def _structure_gains(variants: list[Machine], current: Fit, data: Dataset) -> Array:
-    """Return the linearized reduction of the cost from the present machine towards each variant, shape (variants,).
+def _structure_gains(
+    simulated: Mapping[tuple[Effect, str], Sequence[Machine]], current: Fit, data: Dataset
+) -> dict[tuple[Effect, str], Array]:
+    """Return the linearized reduction of the cost towards each variant, shape (variants,) for each effect and site.
 
     The difference of the two predictions, without the part that the free parameters can reproduce, is multiplied by its
     best positive weight.
+
+    Args:
+        simulated: Variants of the machine with an effect at a site, in which the starting values differ.
+        current: Fit of the machine without these effects.
+        data: Runs that were fitted.
     """
-    model = _screening_model(current, data)
-    table = np.concatenate([parameter_batch(variant) for variant in variants])
-    responses = _structure_responses(model, variants[0], table)
+    if not simulated:
+        return {}
+    model, batches = _screening_model(current, data), _batches(simulated, current.machine)
+
+    def responses(run: PreparedRecording, motion: Motion) -> Array:
+        predicted = [predict(m, run, model.bandwidth, period=data.period, parameters=table) for m, table in batches]
+        expected = model.residuals(run, motion.readings)
+        changes = np.vstack([model.residuals(run, moved.readings) for moved in predicted]) - expected
+        return np.where(np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0)  # a variant may diverge
+
     equations = model.linearize(current.theta, responses).normal_equations
     reduced = equations.eliminate_parameters(prior_precision(current.free))
     squares, gradient = np.diag(reduced.response_information), reduced.response_gradient
     gains = np.where(gradient < 0.0, gradient**2 / np.maximum(squares, 1e-300), 0.0)
-    return np.where(np.isfinite(gains), gains, 0.0)
+    ends = np.cumsum([len(variants) for variants in simulated.values()])
+    return dict(zip(simulated, np.split(np.where(np.isfinite(gains), gains, 0.0), ends[:-1]), strict=True))
 
 
-def _structure_responses(model: ResidualModel, variant: Machine, table: Array) -> Responses:
-    """Return the function that computes the change of a run's residual by each variant; parameters: (variants, P)."""
+def _batches(
+    simulated: Mapping[tuple[Effect, str], Sequence[Machine]], machine: Machine
+) -> list[tuple[Machine, Array]]:
+    """Return machines and parameters (variants, P) that simulate all variants, in their order.
 
-    def responses(run: PreparedRecording, motion: Motion) -> Array:
-        moved = predict(variant, run, model.bandwidth, period=model.data.period, parameters=table)
-        return model.residuals(run, moved.readings) - model.residuals(run, motion.readings)
-
-    return responses
+    Each machine needs newly compiled code. An effect that disappears at zero amplitude is therefore added at all its
+    sites to one machine; its amplitude is zero at all sites but one.
+    """
+    batches = []
+    for effect, members in itertools.groupby(simulated.items(), key=lambda item: item[0][0]):
+        groups = [variants for _, variants in members]
+        if effect.replaces_model_part:
+            batches += [(variants[0], np.vstack([parameter_batch(v) for v in variants])) for variants in groups]
+        else:
+            everywhere = machine.with_effects(*(variants[0].effects[-1] for variants in groups))
+            none = {f"{e.label}.{name}": 0.0 for e in everywhere.effects[-len(groups) :] for name in effect.amplitudes}
+            everywhere = everywhere.replace(none)
+            rows = [parameter_batch(everywhere.replace(v.parameters)) for v in itertools.chain(*groups)]
+            batches.append((everywhere, np.vstack(rows)))
+    return batches

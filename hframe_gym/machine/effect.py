@@ -203,6 +203,11 @@ class Effect:
         }[self.site]
 
     @property
+    def replaces_model_part(self) -> bool:
+        """Whether the effect adds coordinates or replaces dry friction, so that no small amplitude of it exists."""
+        return bool(self.structure or self.friction)
+
+    @property
     def amplitudes(self) -> tuple[str, ...]:
         """Names of the parameters whose value 0 means that the effect (deviation from the model) is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)

@@ -11,7 +11,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare, screen
 from hframe_gym.identification.candidates import Candidate
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
-from hframe_gym.identification.screening import candidate_perturbations, replaces_model_part
+from hframe_gym.identification.screening import candidate_perturbations
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -128,5 +128,5 @@ def test_no_candidates_give_no_scores(axis: Machine) -> None:
 
 
 def test_which_effects_replace_a_part_of_the_model() -> None:
-    replacing = {name for name, effect in EFFECTS.items() if replaces_model_part(effect)}
+    replacing = {name for name, effect in EFFECTS.items() if effect.replaces_model_part}
     assert replacing == {"bridge_yaw", "frame_resonance", "idler_inertia", "presliding"}
