@@ -95,7 +95,7 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
         "coordinate": tuple(c for c in machine.coordinate_names if f"{c}.mass" not in machine.ties),
         "motor": drives,
         "drive": ("drives", *drives) if effect.shared and len(drives) > 1 else drives,
-        "drives": ("drives",),
+        "drives": ("drives", *drives) if len(drives) > 1 else ("drives",),
         "belts": effect.possible_sites(machine)[: None if len(machine.belts) > 1 else 1],
         "sensor": tuple(s.channel for s in machine.sensors),
         "machine": ("machine",),

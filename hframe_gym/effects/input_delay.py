@@ -1,4 +1,4 @@
-"""Delayed voltage, V'(t) = V(t - d): dead time of the control computer and amplifiers, equal for all drives."""
+"""Delayed voltage, V'(t) = V(t - d): dead time of the control computer (all drives) or of an amplifier (one drive)."""
 
 from ..machine import Effect, EffectParameter
 

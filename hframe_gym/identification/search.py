@@ -94,9 +94,9 @@ def search_effects(
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
-    One run may contradict the others because of a mistake, or because it excites a missing effect more. If the others
-    need no effect, or if no known effects explain all runs, effects are first searched for without this run. The run is
-    then left out and named in the outcome (`contradiction`), unless one of these conditions holds:
+    One run may contradict the others because of a mistake, or because it excites a missing effect more. Effects are
+    first searched for without this run, unless all runs differ from each other in one parameter. The run is then left
+    out and named in the outcome (`contradiction`), unless one of these conditions holds:
 
     - The effects found without it explain the other runs, no other value of one parameter in this run explains it, and
       with at most one more effect they explain all runs.
@@ -127,7 +127,7 @@ def search_effects(
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
-    if not others.needs_no_effect and (all_runs.known_effects_explain or all_runs.runs_differ):
+    if not others.needs_no_effect and all_runs.runs_differ:
         return in_all_runs()
     log(f"searching for effects without {suspect}")
     outcome = others.run()
@@ -193,7 +193,7 @@ class _Search:
         Args:
             start: Fit with effects that are known already. Default: the refitted machine, without effects.
         """
-        after, effects, considered = self._known if start is None else self._known_effects(start)
+        after, effects, considered = self._known_effects(start or (self.before, ()))
         if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
             return self._outcome(verdict, after if effects else self.before, effects, considered)
@@ -213,11 +213,6 @@ class _Search:
         """Whether the refitted machine explains the runs without effects."""
         return self._explains(self.before)
 
-    @property
-    def known_effects_explain(self) -> bool:
-        """Whether effects of the library explain the runs."""
-        return self._explains(self._known[0])
-
     @cached_property
     def runs_differ(self) -> bool:
         """Whether a parameter with a value of its own in every run explains the runs, as no effect or table can.
@@ -229,11 +224,6 @@ class _Search:
         if difference is not None:
             self._log(f"{difference.quantity.name} differs between the runs")
         return difference is not None and not difference.drifts and difference.different_run is None
-
-    @cached_property
-    def _known(self) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
-        """Fit with effects of the library, the effects, and those that failed a test."""
-        return self._known_effects((self.before, ()))
 
     def _outcome(
         self,

@@ -42,6 +42,7 @@ _VARIABLES = {
 # twice the noise, too little is visible to tell.
 _CORRECTION_REMAINDER, _CLEAR_ERROR = 0.02, 5.0  # fraction of the error beyond the noise; chi-squared per sample
 _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
+_AT_LIMIT = 1e-6  # relative distance from the limit of a parameter's range
 _CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 
 
@@ -160,7 +161,9 @@ def doubt_beside_others(
 ) -> str:
     """Return a reason why an effect of a machine may not exist, given all other effects, or "" if it passes all tests.
 
-    The effect must reduce the error by enough, and pass all five tests that `doubt_about_candidate` lists.
+    The effect must reduce the error by enough, and pass all five tests that `doubt_about_candidate` lists. No parameter
+    of it may end at a limit of its range, unless that limit is a meaningful value (0 or a starting value): the
+    recordings then ask for a value that the effect cannot have, and another effect imitates it.
 
     Args:
         reduced: Fit of the machine with all other effects.
@@ -175,7 +178,18 @@ def doubt_beside_others(
     """
     if reduced.cost - complete.cost < minimum_gain(complete, criteria) * data.count:
         return "has no effect on the error"
-    return _doubt(reduced, complete, effect, data, criteria, nearly_explained=True)
+    at_limit = _at_limit(next(e for e in complete.machine.effects if e.label == effect.label))
+    return at_limit or _doubt(reduced, complete, effect, data, criteria, nearly_explained=True)
+
+
+def _at_limit(effect: AppliedEffect) -> str:
+    """Return that a parameter of an effect ends at a limit of its range, which is no meaningful value, else ""."""
+    for p in effect.definition.parameters:
+        value = effect.parameters[p.name]
+        for limit in {p.lower, p.upper} - {0.0, *p.grid}:
+            if math.isclose(value, limit, rel_tol=_AT_LIMIT):
+                return f"fits only with {p.name} at the limit of its range ({limit:g}): another effect may imitate it"
+    return ""
 
 
 def _doubt(

@@ -109,12 +109,14 @@ def test_idlers_need_the_belts_of_an_h_frame(belt: str, hframe: Machine) -> None
 def test_components_of_shared_sites(hframe: Machine) -> None:
     """A search tries all drives or all belts first, then each of them; other effects on drives have no shared site."""
     assert effect_sites(EFFECTS["electrical_lag"], hframe) == ("drives", "motor1", "motor2")
+    assert effect_sites(EFFECTS["input_delay"], hframe) == ("drives", "motor1", "motor2")
     assert effect_sites(EFFECTS["belt_play"], hframe) == ("belts", "left", "right", "bottom")
     assert effect_sites(EFFECTS["voltage_offset"], hframe) == ("motor1", "motor2")
     assert EFFECTS["electrical_lag"].at("drives", tau=1e-3).components(hframe) == ("motor1", "motor2")
     assert EFFECTS["belt_play"].at("left", d=1e-4).components(hframe) == ("left",)
     assert all(not effect.shared or effect.site == "drive" for effect in EFFECTS.values())
     axis = BUILTIN_MACHINES["axis"]()
+    assert effect_sites(EFFECTS["input_delay"], axis) == ("drives",)
     assert effect_sites(EFFECTS["electrical_lag"], axis) == tuple(d.name for d in axis.drives)
 
 

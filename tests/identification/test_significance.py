@@ -248,3 +248,17 @@ def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> No
         for n in (1, 1000)
     )
     assert one / many == pytest.approx(3.35, rel=0.01)
+
+
+@pytest.mark.parametrize(("share", "doubted"), [(-0.5, True), (-0.4, False), (0.5, False), (1.5, True)])
+def test_an_effect_with_a_parameter_at_the_limit_of_its_range_is_doubted(
+    share: float, *, doubted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The recordings ask for a value that the effect cannot have. 0 and starting values are meaningful."""
+    monkeypatch.setattr(significance, "_doubt", lambda *arguments, **options: "")
+    frame = EFFECTS["frame_resonance"].at("x", f0=9.0, zeta=0.0, r=0.03, s=share)
+    doubt = significance.doubt_beside_others(fit_with(chi2=6.0), fit_with(frame, chi2=2.0), frame, DATA, CRITERIA)
+    assert doubt.startswith("fits only with s at the limit of its range") == doubted
+    assert bool(doubt) == doubted
+    dead = EFFECTS["dead_band"].at("motor", Vd=0.2, drop=1.0)
+    assert not significance.doubt_beside_others(fit_with(chi2=6.0), fit_with(dead, chi2=2.0), dead, DATA, CRITERIA)

@@ -93,7 +93,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "dead_band": ("motor1",),
     "current_limit": ("motor1",),
     "electrical_lag": ("motor2",),
-    "input_delay": ("drives",),
+    "input_delay": ("drives", "motor2"),
     "asymmetric_viscous": ("x", "phi1"),
     "quadratic_drag": ("x", "y"),
     "cable_spring": ("x", "y"),

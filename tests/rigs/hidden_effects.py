@@ -238,7 +238,8 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             return _hidden(name, site, partial(motor, electrical_lag_s=tau), {"tau": tau})
         case "input_delay":
             delay = size * 2e-3
-            return _hidden(name, site, partial(change_fields, input_delay_s=(delay, delay)), {"d": delay})
+            delays = (delay, delay) if site == "drives" else tuple(delay * (site == m) for m in ("motor1", "motor2"))
+            return _hidden(name, site, partial(change_fields, input_delay_s=delays), {"d": delay})
         case "asymmetric_viscous":
             asymmetry = size * 0.3
             return _hidden(name, site, partial(coordinate, viscous_asymmetry=asymmetry), {"a": asymmetry})

@@ -64,7 +64,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "dead_band": (*MOTORS, _BOTH),
     "current_limit": (*MOTORS, _BOTH),
     "electrical_lag": (*MOTORS, _BOTH),
-    "input_delay": (_BOTH,),
+    "input_delay": (*MOTORS, _BOTH),
     "asymmetric_viscous": _ALL_COORDINATES,
     "quadratic_drag": _ALL_COORDINATES,
     "cable_spring": _AXES,
@@ -137,7 +137,7 @@ class DrawnEffect:
 
     def library_sites(self) -> tuple[str, ...]:
         """Return the sites at which the library's effect has to act to give this one."""
-        return MOTORS if self.site == _BOTH and self.name != "input_delay" else (self.site,)
+        return MOTORS if self.site == _BOTH else (self.site,)
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
