@@ -103,7 +103,7 @@ def compare_rivals(
         current: Fit of the machine with all effects (deviations from the model).
         label: Label (name@component) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
-            not tried; none is if another effect requires the effect to compare.
+            not tried. If another effect requires the effect to compare, no rival is tried.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
@@ -118,17 +118,17 @@ def compare_rivals(
     if not possible or is_required(current.machine, label):
         return ComparedRivals(None, tuple(rivals))
 
-    def by_chance(fitted: Fit, of: str) -> float:
-        """Return the difference of losses that chance may cause if this fit, with the effect `of`, is right."""
-        return criteria.min_chance_gain * long_run_variance(fitted, of, data) / data.count
+    def chance_margin(fitted: Fit, fitted_label: str) -> float:
+        """Return the difference of losses that chance may cause if the fit, with the effect so labeled, is right."""
+        return criteria.min_chance_gain * long_run_variance(fitted, fitted_label, data) / data.count
 
     present_fit = _polished(current, data)
-    loss, margin = likelihood_loss(present_fit, data), by_chance(present_fit, label)
+    loss, margin = likelihood_loss(present_fit, data), chance_margin(present_fit, label)
     better, least, excluded = None, loss, set()
     for rival in possible:
         trial = _polished(fit_in_place_of(current, label, rival, data), data)
         trial_loss = likelihood_loss(trial, data)
-        if trial_loss < least - by_chance(trial, rival.label):
+        if trial_loss < least - chance_margin(trial, rival.label):
             better, least = trial, trial_loss
         if trial_loss > loss + margin:
             excluded.add(rival.label)
