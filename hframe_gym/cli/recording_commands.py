@@ -177,9 +177,9 @@ def identify(
 
     The recordings are checked first; faults (errors in the data, such as a wrong sign, that `hframe check` lists) stop
     the command before anything is fitted. A held-out run is not used for fitting; the errors in the report are those on
-    held-out runs. Every fourth run is held out unless --hold-out names others. The folder --out receives report.json,
-    the declared, refitted and corrected machine, report.html and its plots; with several rigs, it receives a folder
-    with these files for each rig.
+    held-out runs. One of each four runs with similar voltages is held out unless --hold-out names others. The folder
+    --out receives report.json, the declared, refitted and corrected machine, report.html and its plots; with several
+    rigs, it receives a folder with these files for each rig.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """

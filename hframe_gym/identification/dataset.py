@@ -135,22 +135,31 @@ class Dataset:
         return values[np.isfinite(values)]
 
 
-def require_usable(recordings: Sequence[Recording], held_names: Sequence[str]) -> None:
-    """Check that runs are long enough for the filters, and that a fitted run moves a sensor.
+def require_rows(recordings: Sequence[Recording]) -> None:
+    """Check that runs are long enough for the filters.
 
     Args:
         recordings: All runs (times, voltages, measurements, SI).
-        held_names: Names of the held-out runs.
 
     Raises:
-        InputError: If a run has fewer than 20 rows, or no sensor moves in the fitted runs.
+        InputError: If a run has fewer than 20 rows.
     """
     for recording in recordings:
         if len(recording.time_s) < MIN_ROWS:
             raise InputError(
                 f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed"
             )
-    fitted = [recording for recording in recordings if recording.name not in held_names]
+
+
+def require_motion(fitted: Sequence[Recording]) -> None:
+    """Check that a fitted run moves a sensor.
+
+    Args:
+        fitted: Runs that are not held out (times, voltages, measurements, SI).
+
+    Raises:
+        InputError: If no sensor moves.
+    """
     if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
         raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
@@ -17,16 +19,28 @@ from .model_error import CONTRADICTION
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs
 from .start_uncertainty import prediction_residuals
 
-_HOLD_OUT_EVERY = 4  # Every fourth run is held out.
+Array = NDArray[np.float64]
+
+_GROUP_SIZE = 4  # One of four runs is held out.
+# Relative difference of spectra below which runs count as alike. Repetitions with other random numbers differ by 0.05
+# to 0.2; steps, slow sines, multisines and chirps of the same amplitude differ from each other by 0.2 to 0.6.
+_ALIKE = 0.2
 _MIN_EXCITATION = 0.05  # change of the predictions relative to their errors, root mean square
 
 
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
     """Choose the runs that are held out: excluded from the fit and used to evaluate it.
 
+    By default, the runs are divided into groups of four with similar voltages (see `spectral_differences`): the first
+    run and the three that are most similar to it, and so on; a remainder of up to three runs joins the last group. The
+    held-out run of a group is the one for which the held-out runs are most similar to runs that are fitted. A kind of
+    motion that occurs once is therefore fitted if possible. Of equally suitable runs, those unlike the other held-out
+    runs are preferred, then the one closest to the fourth, eighth, ... of all runs, so that the held-out runs are
+    spread over the session: if all runs are alike, every fourth one is held out.
+
     Args:
         recordings: All runs (times, s; voltages, V; measurements, m or rad).
-        chosen: Names of the runs to hold out. Default: every fourth, the last one if there are fewer than four.
+        chosen: Names of the runs to hold out. Default: one of each group of four; one if there are fewer than four.
 
     Returns:
         Names of the held-out runs.
@@ -38,13 +52,78 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     unknown = [c for c in chosen if c not in names]
     if unknown:
         raise InputError(f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}")
-    held_out = tuple(chosen) or tuple(names[_HOLD_OUT_EVERY - 1 :: _HOLD_OUT_EVERY]) or tuple(names[-1:])
+    held_out = tuple(chosen) or tuple(names[i] for i in _representative_runs(spectral_differences(recordings)))
     if len(set(held_out)) >= len(names):
         raise InputError(
             f"runs: {len(names)}, held out: {len(set(held_out))}; at least one must be left to fit, so split the "
             "recording into several runs or hold out fewer"
         )
     return held_out
+
+
+def _representative_runs(differences: Array) -> list[int]:
+    """Return the indices of the runs to hold out, sorted, given how much the runs differ, shape (runs, runs)."""
+    remaining = list(range(len(differences)))
+    held_out: list[int] = []
+
+    def unsuitability(run: int) -> tuple[float, bool, int]:
+        """Return three properties of a candidate, the most important one first; small values are better."""
+        candidates = [*held_out, run]
+        to_fitted = np.delete(differences[candidates], candidates, axis=1).min(axis=1, initial=np.inf).sum()
+        repeated = bool((differences[run, held_out] == 0.0).any())
+        fourth = _GROUP_SIZE * len(candidates) - 1  # index of the fourth, eighth, ... of all runs
+        return float(to_fitted), repeated, abs(run - fourth)
+
+    while remaining:
+        group = sorted(remaining, key=lambda run: differences[remaining[0], run])  # stable: equals in order of names
+        if len(group) >= 2 * _GROUP_SIZE:
+            group = group[:_GROUP_SIZE]
+        held_out.append(min(group, key=unsuitability))
+        remaining = [run for run in remaining if run not in group]
+    return sorted(held_out)
+
+
+def spectral_differences(recordings: Sequence[Recording]) -> Array:
+    """Compare the kinds of motion of runs by the spectra of their voltages.
+
+    A spectrum has the root mean square voltage of each octave of frequency, of each drive and of the sums and the
+    differences of two drives (divided by sqrt(2)), which tell the axes of a machine with belts apart. Adjacent octaves
+    overlap, so that a small change of a frequency changes the spectrum little.
+
+    Args:
+        recordings: Runs with their voltages, V, of any durations and sampling rates.
+
+    Returns:
+        Difference of each pair of runs, dimensionless, shape (runs, runs): the size of the difference of the spectra
+        divided by the sum of their sizes. 1 if no octave is in common, 1/3 if one has twice the voltages of the other;
+        0 if it is below 0.2, as it is for repetitions.
+    """
+    duration = max(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
+    spectra = [_octave_spectrum(r, duration) for r in recordings]
+    octaves = max(len(s) for s in spectra)
+    padded = np.array([np.pad(s, ((0, octaves - len(s)), (0, 0))).ravel() for s in spectra])
+    size = np.linalg.norm(padded, axis=1)
+    difference = np.array([np.linalg.norm(padded - other, axis=1) for other in padded])
+    difference /= np.maximum(size[:, None] + size, np.finfo(float).tiny)  # both are 0 without any voltage
+    return np.where(difference < _ALIKE, 0.0, difference)
+
+
+def _octave_spectrum(recording: Recording, duration: float) -> Array:
+    """Return rms voltages by octave of frequency, from 1 / duration (s) on, V, shape (octaves, signals)."""
+    rows = len(recording.time_s)
+    amplitudes = np.fft.rfft(recording.inputs, axis=0) / rows
+    pairs = itertools.combinations(amplitudes.T, 2)
+    signals = [*amplitudes.T, *(c / np.sqrt(2.0) for a, b in pairs for c in (a + b, a - b))]
+    period = float(np.median(np.diff(recording.time_s)))
+    octave = np.log2(np.maximum(np.fft.rfftfreq(rows, period) * duration, 1.0))
+    lower = octave.astype(int)
+    fraction = octave - lower  # of the power that belongs to the next octave
+    powers = [
+        np.bincount(lower, power * (1.0 - fraction), lower[-1] + 2)
+        + np.bincount(lower + 1, power * fraction, lower[-1] + 2)
+        for power in (np.abs(signal) ** 2 for signal in signals)
+    ]
+    return np.sqrt(np.column_stack(powers))
 
 
 def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:

@@ -20,7 +20,8 @@ from .dataset import (
     Dataset,
     clean_recording,
     prepare,
-    require_usable,
+    require_motion,
+    require_rows,
     with_all_measurements,
     with_known_positions,
 )
@@ -83,7 +84,7 @@ def identify(
     Args:
         recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least two.
         machine: Machine as declared.
-        held_out: Names of the runs to evaluate on. Default: every fourth, of fewer than four the last one.
+        held_out: Names of the runs to evaluate on. Default: one of each four similar runs, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text after each part of the work. Default: nothing is reported.
 
@@ -102,11 +103,11 @@ def identify(
     criteria = criteria or SelectionCriteria()
     log = log or (lambda line: None)
     recordings = sorted(recordings, key=lambda recording: recording.name)  # the result depends on no other order
+    require_rows(recordings)
     held_names = hold_out(recordings, held_out)
-    require_usable(recordings, held_names)
-    as_measured = recordings
-    recordings = [clean_recording(recording, machine, log) for recording in recordings]
-    all_runs, ranges = _prepare(recordings, machine, criteria, log)
+    require_motion([recording for recording in recordings if recording.name not in held_names])
+    cleaned = [clean_recording(recording, machine, log) for recording in recordings]
+    all_runs, ranges = _prepare(cleaned, machine, criteria, log)
     search = partial(_search, machine, all_runs, criteria=criteria, log=log)
     checked = search(held_names)
     hint = () if checked.outcome.selected or held_out else _effects_of_differing_runs(checked, search, log)
@@ -117,8 +118,8 @@ def identify(
     if messages or outcome.verdict == "unexplained":
         difference = find_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
         messages += (str(difference),) if difference else ()
-    validation = with_all_measurements(checked.held_out, recordings)
-    result = _result(outcome, machine, ranges, validation, as_measured, criteria)
+    validation = with_all_measurements(checked.held_out, cleaned)
+    result = _result(outcome, machine, ranges, validation, recordings, criteria)
     messages += _unexcited(result, outcome.after.bandwidth)
     for warning in (*messages, *result.limit_warnings, *result.divergence_warnings):
         log(f"warning: {warning}")
@@ -152,7 +153,8 @@ def _search(
     fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
     held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
     data, unused = with_known_positions(all_runs.with_runs(fitted_names))
-    log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out")
+    names = ", ".join(run.name for run in held_out.runs)
+    log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
     data, held_out = with_lost_voltages(machine, data, held_out, log)
 
     def confirmed(outcome: SearchOutcome) -> bool:

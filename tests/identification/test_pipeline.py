@@ -84,7 +84,7 @@ def test_a_run_that_contradicts_the_others_is_left_out_and_named(wrong: str, war
         dataclasses.replace(run, inputs=1.25 * run.inputs) if run.name == wrong else run
         for run in load_recordings(EXAMPLES / "rig_b", machine)
     ]
-    result = identify(recordings, machine)
+    result = identify(recordings, machine, held_out=["run_04", "run_08"])
     assert result.verdict == "no_effect"
     assert [line for line in result.excluded if line.startswith(f"{wrong} {warning}")]
     assert wrong not in {run.name for run in result.fitted.runs}
@@ -144,15 +144,13 @@ def test_the_folder_is_complete_and_its_machine_is_the_corrected_one(
 
 
 @pytest.mark.unit
-def test_every_fourth_run_is_held_out_and_impossible_choices_are_refused() -> None:
-    runs = [Recording(f"run_{i}", *[None] * 3) for i in range(1, 9)]  # type: ignore[arg-type]
-    assert hold_out(runs) == ("run_4", "run_8")
-    assert hold_out(runs[:2]) == ("run_2",)
-    assert hold_out(runs, ["run_3"]) == ("run_3",)
-    with pytest.raises(InputError, match="no such run"):
-        hold_out(runs, ["run_9"])
-    with pytest.raises(InputError, match="at least one must be left"):
-        hold_out(runs[:1])
+def test_one_of_four_runs_is_held_out_and_a_path_is_refused() -> None:
+    runs = limited_runs([3.0] * 8)
+    assert len(hold_out(runs)) == 2
+    assert hold_out(runs, ["run_2"]) == ("run_2",)
+    short = [dataclasses.replace(r, time_s=r.time_s[:1], inputs=r.inputs[:1], outputs=r.outputs[:1]) for r in runs[:2]]
+    with pytest.raises(InputError, match="run run_0: number of rows is 1, at least 20 are needed"):
+        identify(short, AXIS)
     with pytest.raises(InputError, match=r"call load_recordings\('runs', machine\)"):
         identify("runs", BUILTIN_MACHINES["axis"]())  # type: ignore[arg-type]
 
@@ -166,8 +164,11 @@ def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
     assert result.as_json()["criteria"]["max_effects"] == 0
 
 
-def limited_runs(volts: Sequence[float]) -> list[Recording]:
-    """Return runs of an axis with a current limit of 5 A and random voltage steps of the given sizes."""
+def limited_runs(volts: Sequence[float], peak: int | None = None) -> list[Recording]:
+    """Return runs of an axis with a current limit of 5 A and random voltage steps of the given sizes.
+
+    The run of index `peak` has 9 V for 40 ms.
+    """
     truth = AXIS.with_effects(EFFECTS["current_limit"].at("motor", I=5.0))
     rng = np.random.default_rng(4)
     recordings = []
@@ -175,19 +176,29 @@ def limited_runs(volts: Sequence[float]) -> list[Recording]:
         time_s = np.arange(1500) * 1e-3
         inputs = np.repeat(rng.uniform(-size, size, (15, 1)), 100, axis=0)
         inputs[:100] = 0.0
+        if k == peak:
+            inputs[700:740] = 9.0
         outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, 2e-5, (1500, 1))
         recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
     return recordings
 
 
 def test_an_effect_that_only_the_held_out_run_excites_is_a_hint() -> None:
-    """No other run confirms the effect, and held-out runs select nothing."""
-    result = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS)
+    """No other run confirms the effect, and held-out runs select nothing. The peak is too short to tell the run."""
+    result = identify(limited_runs([3.0] * 5, peak=3), AXIS)
     assert result.effects == ()
     assert [run.name for run in result.held_out.runs] == ["run_3"]
     warnings = " ".join(result.run_warnings)
     assert "run_3 was held out and contradicts the fitted runs" in warnings
     assert "current_limit@motor would explain all runs" in warnings
     assert "Record another run such as run_3" in warnings
-    chosen = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS, held_out=["run_3"])
+    chosen = identify(limited_runs([3.0] * 5, peak=3), AXIS, held_out=["run_3"])
     assert "would explain" not in " ".join(chosen.run_warnings)  # the user chose this division
+
+
+def test_the_only_run_with_large_voltages_is_fitted_so_that_its_effect_is_found() -> None:
+    """Every fourth run would hold it out."""
+    result = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS)
+    assert [selected.effect.label for selected in result.effects] == ["current_limit@motor"]
+    assert "run_3" in {run.name for run in result.fitted.runs}
+    assert "The held-out runs do not excite current_limit@motor" in " ".join(result.run_warnings)
