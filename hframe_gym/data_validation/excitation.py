@@ -56,23 +56,26 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report inputs that have one constant value throughout a run: drives that were not used, or not logged.
 
+    A drive without voltage is not reported where it has one in another run: runs with a single motor are useful.
+
     Args:
         recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
         machine: Declared machine, which names the input channels.
 
     Returns:
-        One finding of severity "advice" for each run and constant channel.
+        One finding of severity "advice" for each such run and channel.
     """
+    used = np.any([np.ptp(recording.inputs, axis=0) > 0.0 for recording in recordings], axis=0)
     return [
         Finding(
             "advice",
             recording.name,
             channel,
-            f"never changes, it is {values[0]:.4g} {channel_unit(channel, machine)} throughout",
+            f"never changes, it is {values[0] + 0.0:.4g} {channel_unit(channel, machine)} throughout",  # never -0
         )
         for recording in recordings
-        for channel, values in zip(machine.input_channels, recording.inputs.T, strict=True)
-        if np.ptp(values) == 0.0
+        for column, (channel, values) in enumerate(zip(machine.input_channels, recording.inputs.T, strict=True))
+        if np.ptp(values) == 0.0 and (values[0] != 0.0 or not used[column])
     ]
 
 

@@ -20,6 +20,7 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
+_COMPATIBLE_STDS = 2.0  # standard deviations within which a value may equal the declared one
 # Parameters that users know to within a factor of two; friction and back-EMF may be a fraction of the declared value.
 _KNOWN_PARAMETERS = ("mass", "EA", "Kt")
 # A combination of parameters is not determined if its variance is beyond this fraction of the prior's.
@@ -234,10 +235,11 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 
     The limit is 4 prior standard deviations of the value's logarithm from the declared value. A value so far away means
     that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or that the machine lacks an
-    effect. The other parameters are then unreliable as well.
+    effect. The other parameters are then unreliable as well. If the declared value is within two standard deviations,
+    the recordings do not determine the parameter, and its value means nothing.
 
     Args:
-        machine: Refitted machine.
+        machine: Refitted machine, with its uncertainty if that is known.
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
@@ -248,9 +250,18 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
         value = machine.parameters.get(parameter.name)
         if value is None or parameter.scale is not None or parameter.name.rpartition(".")[2] not in _KNOWN_PARAMETERS:
             continue
-        if parameter.at_limit(parameter.theta(value)):
+        if not parameter.at_limit(parameter.theta(value)):
+            continue
+        std = (machine.uncertainty.std(parameter.name) if machine.uncertainty else None) or 0.0
+        ratio = f"{value / parameter.center:.2g}"
+        if abs(value - parameter.center) < _COMPATIBLE_STDS * std:
             described[parameter.name] = (
-                f"{parameter.name} ends at the limit of the fit, {value / parameter.center:.2g} times its declared "
+                f"the recordings do not determine {parameter.name}: the fit ends at {ratio} +- "
+                f"{std / parameter.center:.2g} times its declared value, which may be the better one"
+            )
+        else:
+            described[parameter.name] = (
+                f"{parameter.name} ends at the limit of the fit, {ratio} times its declared "
                 "value: check the machine file (mass, Kt, resistance, gear ratio) and the units of the recordings"
             )
     return described

@@ -187,8 +187,7 @@ class IdentificationResult:
     @property
     def limit_warnings(self) -> tuple[str, ...]:
         """Warnings about masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
-        machine = self.after.machine if self.effects else self.before.machine
-        return tuple(parameters_at_limit(machine, self.declared.machine).values())
+        return tuple(parameters_at_limit(self.after.machine, self.declared.machine).values())
 
     @property
     def divergence_warnings(self) -> tuple[str, ...]:

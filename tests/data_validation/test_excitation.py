@@ -17,6 +17,17 @@ def test_an_input_that_never_changes_is_advice(runs: list[Recording], hframe: Ma
     assert [f.channel for f in check_before_fit(idle, hframe)] == ["v2_V"]
 
 
+def test_runs_with_a_single_motor_need_no_advice(runs: list[Recording], hframe: Machine) -> None:
+    """A drive without voltage is reported if no run uses it, or if its voltage is another constant."""
+    single = with_change(runs, lambda u, y: (u * [1.0, -0.0], y))
+    assert not [f for f in check_before_fit([*runs, single[0]], hframe) if "never changes" in f.message]
+    texts = {f.message for f in check_before_fit(single, hframe) if "never changes" in f.message}
+    assert texts == {"never changes, it is 0 V throughout"}
+    held = with_change(runs[:1], lambda u, y: (u * [1.0, 0.0] + [0.0, 3.0], y))
+    texts = {f.message for f in check_before_fit([*runs, *held], hframe) if "never changes" in f.message}
+    assert texts == {"never changes, it is 3 V throughout"}
+
+
 def test_inputs_below_coulomb_friction_never_break_away(runs: list[Recording], hframe: Machine) -> None:
     findings = check_recordings(with_change(runs, lambda u, y: (0.01 * u, y)), hframe)
     assert {f.channel for f in findings if "never breaks away" in f.message} == {"x", "y"}

@@ -164,6 +164,9 @@ def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
     assert text.startswith("x.mass ends at the limit of the fit, 3.3 times its declared value: check the machine file")
     doubts = parameter_doubts(with_standard_deviations(heavy, {"x.mass": 0.01, "x.coulomb": 0.01}), axis)
     assert doubts == {"x.mass": ["at the limit of the fit"], "x.coulomb": []}
+    uncertain = with_standard_deviations(heavy, {"x.mass": 0.5, "x.coulomb": 0.01})
+    (text,) = parameters_at_limit(uncertain, axis).values()
+    assert text.startswith("the recordings do not determine x.mass: the fit ends at 3.3 +- 1.7 times its declared")
     assert parameters_at_limit(axis.replace({"x.mass": 3.2 * axis.parameters["x.mass"]}), axis) == {}
 
 
