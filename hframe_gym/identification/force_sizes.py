@@ -138,10 +138,10 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 def force_error(machine: Machine, data: Dataset) -> float | None:
     """Return the relative error of the drives' force: rms(F_drive - F_model) / rms(F_drive).
 
-    F_drive follows from the voltages. F_model is the force that the machine needs for the measured motion (inverse
-    dynamics). Positions are low-pass filtered at 100 Hz without phase lag and differentiated centrally; forces are
-    decimated by ten. Where the motion is too slow for the sensor to resolve, dry friction may have any value within its
-    limits, and the one that makes the error smallest is used.
+    F_drive follows from the voltages. F_model is the force that the machine needs for the motion that the least noisy
+    sensor of each coordinate measured (inverse dynamics). Positions are low-pass filtered at 100 Hz without phase lag
+    and differentiated centrally; forces are decimated by ten. Where the motion is too slow for the sensor to resolve,
+    dry friction may have any value within its limits, and the one that makes the error smallest is used.
 
     Args:
         machine: Machine to evaluate.
@@ -151,19 +151,22 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     Returns:
         Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
-        or a sensor that measures only this coordinate, or if no row is used or has a voltage.
+        or a sensor that measures only this coordinate, if an effect other than a delay changes what this sensor
+        measures, or if no row is used or has a voltage.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
     """
-    direct = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
-    driven = {d.coordinate for d in machine.drives}
-    if machine.belts or driven != set(machine.coordinate_names) or not driven <= set(direct):
+    sensors = _least_noisy_sensors(machine, data)
+    if machine.belts or {d.coordinate for d in machine.drives} != set(machine.coordinate_names) or not sensors:
         return None
-    noise = data.noise[[direct[name] for name in machine.coordinate_names]]
+    scales = np.array([next(iter(machine.sensors[j].row.values())) for j in sensors])  # measurement / position
+    noise = data.noise[sensors] / np.abs(scales)
+    delays = Equations(machine).measurement_delays()
+    sensor_delays = {name: delays[j] for name, j in zip(machine.coordinate_names, sensors, strict=True)}
     squared_error, squared_force = 0.0, 0.0  # sums over runs, drives and samples
     for run in data.runs:
-        measured = run.outputs[:, [direct[name] for name in machine.coordinate_names]]
+        measured = run.outputs[:, sensors] / scales
         complete = np.flatnonzero(np.isfinite(measured).all(axis=1))
         if not len(complete) or complete[-1] + 1 - complete[0] < MIN_ROWS:
             continue
@@ -184,22 +187,42 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         known = ndimage.minimum_filter1d(known, 2 * trim + 1)[trim : len(known) - trim : _FORCE_DECIMATION]
         drive, model = (
             signal.decimate(force[trim : len(force) - trim], _FORCE_DECIMATION, ftype="fir", axis=0)
-            for force in _inverse_dynamics(machine, run, position, velocity)
+            for force in _inverse_dynamics(machine, run, position, velocity, sensor_delays)
         )
         squared_error += float(np.sum((drive - model)[known] ** 2))
         squared_force += float(np.sum(drive[known] ** 2))
     return float(np.sqrt(squared_error / squared_force)) if squared_force else None
 
 
+def _least_noisy_sensors(machine: Machine, data: Dataset) -> list[int]:
+    """Return the index of the least noisy sensor of each coordinate, empty if one lacks a sensor without effects.
+
+    Only sensors count that measure at least half as often as the most frequent one. Delays are permitted.
+    """
+    counts = sum((np.isfinite(run.outputs).sum(axis=0) for run in data.runs), np.zeros(len(machine.sensors)))
+    changed = {e.site for e in machine.effects if e.definition.measurement}
+    sensors = []
+    for name in machine.coordinate_names:
+        direct = [j for j, s in enumerate(machine.sensors) if list(s.row) == [name]]
+        frequent = [j for j in direct if 2 * counts[j] >= max(counts[direct])]
+        best = min(frequent, key=lambda j: data.noise[j] / abs(machine.sensors[j].row[name]), default=None)
+        if best is None or machine.sensors[best].channel in changed:
+            return []
+        sensors.append(best)
+    return sensors
+
+
 def _inverse_dynamics(
-    machine: Machine, run: PreparedRecording, position: Array, velocity: Array
+    machine: Machine, run: PreparedRecording, position: Array, velocity: Array, sensor_delays: Mapping[str, float]
 ) -> tuple[Array, Array]:
     """Return the forces of the drives and of the model along a measured motion, N or Nm, (n, coordinates) each.
 
-    The force of the drives is that of the machine without effects. All effects, even those on a drive, belong to the
-    force of the model. At zero velocity, dry friction has the value within its limits that makes the error smallest.
+    The measured motion is late by the delay of each coordinate's sensor, s; the voltages are delayed as much. The force
+    of the drives is that of the machine without effects. All effects, even those on a drive, belong to the force of the
+    model. At zero velocity, dry friction has the value within its limits that makes the error smallest.
     """
-    delays = Equations(machine).voltage_delays()
+    drives = zip(Equations(machine).voltage_delays(), machine.drives, strict=True)
+    delays = [delay + sensor_delays[drive.coordinate] for delay, drive in drives]
     mean_voltages = [_centered_mean(run.time_s, run.inputs[:, j], delay) for j, delay in enumerate(delays)]
     voltages = np.column_stack(mean_voltages)
     # The voltages are delayed already.

@@ -156,7 +156,8 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
 
     The error is the prediction error in units of the sensors' noise. With the widest observer (60 rad/s), for machines
     without belts and with a drive and a sensor for each coordinate, it is the error of the drives' force instead:
-    force by the voltages minus force that the measured motion requires (`force_sizes.force_error`).
+    force by the voltages minus force that the measured motion requires (`force_sizes.force_error`). That says nothing
+    about effects on sensors: if the machines differ in these, their prediction errors are compared.
 
     Args:
         without: Machine to compare with, for example without an effect (deviation from the nominal model).
@@ -167,7 +168,12 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
     Returns:
         Fraction, dimensionless, at most 1; negative if the error is larger, not finite if a machine diverges.
     """
-    forces = [force_error(m, validation) if bandwidth == SEARCH_BANDWIDTH else None for m in (without, machine)]
+    on_sensors = [
+        {e.label for e in m.effects if e.definition.measurement or e.definition.measurement_delay}
+        for m in (without, machine)
+    ]
+    comparable = bandwidth == SEARCH_BANDWIDTH and on_sensors[0] == on_sensors[1]
+    forces = [force_error(m, validation) if comparable else None for m in (without, machine)]
     if forces[0] is not None and forces[1] is not None:
         return 1.0 - (forces[1] / forces[0]) ** 2
     costs = [prediction_cost(m, validation, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]

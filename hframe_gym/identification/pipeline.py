@@ -124,10 +124,10 @@ def identify(
     for warning in (*messages, *result.limit_warnings, *result.divergence_warnings):
         log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
-    for s in result.effects:
-        if s.rivals:
-            log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
-    return dataclasses.replace(result, seconds=time.perf_counter() - began, excluded=(*messages, *checked.messages))
+    for s in (s for s in result.effects if s.rivals):
+        log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
+    result = dataclasses.replace(result, contradicting=checked.differing, excluded=(*messages, *checked.messages))
+    return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
 
 class _CheckedOutcome(NamedTuple):

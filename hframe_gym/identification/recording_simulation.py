@@ -7,8 +7,9 @@ function with the machine that identification wrote, so both have the same error
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +32,59 @@ from .rest_measurement import (
     max_zero_means,
     sensor_zero_error,
 )
-from .result import ModelEvaluation, PredictionErrors
 from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
 from .start_uncertainty import most_probable_start, refine_dataset
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PredictionErrors:
+    """Errors of a machine on runs: of the simulated measurements, and of the drives' force.
+
+    Attributes:
+        channels: Simulation error by output channel.
+        force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
+    """
+
+    channels: dict[str, ChannelError]
+    force: float | None
+
+    @property
+    def noise_ratio(self) -> float:
+        """Ratio of simulation error to sensor noise, rms over the measured channels; NaN if there is none."""
+        ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
+        return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
+
+    def as_json(self) -> dict[str, Any]:
+        """Convert the errors to the format of report.json.
+
+        Returns:
+            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit) and "noise_ratio" (rmse
+            / standard deviation of the sensor's noise). In addition "force_error", the relative error of the drives'
+            force, dimensionless, if there is one.
+        """
+        content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
+        return content if self.force is None else content | {"force_error": self.force}
+
+
+@dataclass(frozen=True)
+class ModelEvaluation:
+    """A machine and its errors.
+
+    Attributes:
+        machine: The machine.
+        held_out: Errors on the held-out runs.
+        errors: Simulation errors by name of the held-out run, m or rad, NaN if not measured, shape (n, sensors).
+        warnings: Name of a run and sentence about what could not be determined about its initial state, each.
+        diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
+    """
+
+    machine: Machine
+    held_out: PredictionErrors
+    errors: Mapping[str, Array] = field(default_factory=dict)
+    warnings: tuple[tuple[str, str], ...] = ()
+    diverged: tuple[str, ...] = ()
 
 
 class SimulatedRecording(NamedTuple):

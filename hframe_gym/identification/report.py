@@ -125,8 +125,8 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
 
 def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float | None:
     """Return the error in multiples of the noise, rms over the channels as of `left`; None if the machine diverges."""
-    ratios = [report[stage]["held_out"][c]["noise_ratio"] for c in channels]
-    measured = [ratio for ratio in ratios if ratio is not None]
+    errors = report[stage]["held_out"]
+    measured = [errors[c]["noise_ratio"] for c in channels if errors[c]["noise_ratio"] is not None]
     return float(np.sqrt(np.mean(np.square(measured)))) if measured else None
 
 
@@ -141,7 +141,12 @@ def _remainder(report: Mapping[str, Any]) -> str:
     if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
         return ""
     error = f"{number(left)} times the sensors' noise ({_largest_position_error(report['after']['held_out'])})"
-    return f" An error of {error} is left, whose cause was not found."
+    if not (runs := report.get("contradicting", [])):
+        return f" An error of {error} is left, whose cause was not found."
+    subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
+    others = report.get("left_in_others")
+    elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."
+    return f" An error of {error} is left, because {subject} the fitted runs (see the warnings).{elsewhere}"
 
 
 def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:
@@ -198,9 +203,7 @@ def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:
     return {s: f"{100 * report[s]['held_out']['force_error']:.2f} %" for s in STAGES}
 
 
-def _run_row(
-    report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str], run: str
-) -> dict[str, str | list[str]]:
+def _run_row(report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str], run: str) -> dict[str, Any]:
     """Return the errors of one held-out run before and after, by channel in units of the noise."""
 
     def ratio(stage: str, j: int) -> str:
@@ -222,6 +225,7 @@ def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, 
     for e in sorted(report["effects"], key=lambda e: -e["held_out_gain"]):
         definition = definitions[f"{e['name']}@{e['site']}"]
         table = definition.family == TABLE_FAMILY
+        size = "" if e["size"] is None else f"Its force is {number(100 * e['size'])} % of the drives' force (rms)."
         parameters = [
             {
                 "name": key,
@@ -238,9 +242,7 @@ def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, 
                 "formula": definition.formula,
                 "table": table,
                 "parameters": [] if table else parameters,
-                "size": ""
-                if e["size"] is None
-                else f"Its force is {number(100 * e['size'])} % of the drives' force (rms).",
+                "size": size,
                 "gain": _gain_sentence(e["held_out_gain"]),
                 "rivals": [r for r in e["rivals"] if r not in definition.equivalent],
                 "equivalent": [r for r in e["rivals"] if r in definition.equivalent],
@@ -266,14 +268,12 @@ def _remaining_error(report: Mapping[str, Any]) -> list[str]:
     machine = "corrected" if report["effects"] else "refitted"
     left = report.get("left")
     ratio = "" if left is None else f" ({number(left)} times the noise, root mean square over the channels)"
+    text = f"The remaining error of the {machine} machine is {{}} the sensors' noise{ratio}{{}}."
     if report["residual"]["white"]:
-        return [f"The remaining error of the {machine} machine is consistent with the sensors' noise{ratio}."]
-    sentences = [f"The remaining error of the {machine} machine is larger than the sensors' noise{ratio}."]
-    if left is not None and left < _NOTICEABLE_ERROR:
-        sentences = [
-            f"The remaining error of the {machine} machine is about as large as the sensors' noise{ratio}, but it is "
-            "correlated in time: a small systematic part is left."
-        ]
+        return [text.format("consistent with", "")]
+    correlated = ", but it is correlated in time: a small systematic part is left"
+    small = left is not None and left < _NOTICEABLE_ERROR
+    sentences = [text.format("about as large as", correlated) if small else text.format("larger than", "")]
     # An unexplained verdict has said already on what the residual depends.
     return sentences + (_dependence_sentences(report) if report["verdict"] == "no_effect" else [])
 

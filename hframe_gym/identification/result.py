@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, output_batch, remove_file, write_text
 from ..errors import merge_run_warnings
-from ..machine import AppliedEffect, Machine
+from ..machine import AppliedEffect
 from ..recordings import save_machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
 from .forward_selection import SelectedEffect
 from .parameter_diagnostics import inseparable_parameters, parameters_at_limit
-from .residual import ChannelError, Dependence, dependence_variables, simulation_error, smooth_force_residual
+from .recording_simulation import ModelEvaluation, PredictionErrors
+from .residual import Dependence, dependence_variables, errors_by_channel, simulation_error, smooth_force_residual
 
 if TYPE_CHECKING:
     from .formulas import TableComparison
@@ -31,55 +32,6 @@ Verdict = Literal["effect_found", "no_effect", "unexplained"]
 SCHEMA = 1
 STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
 _MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
-
-
-@dataclass(frozen=True)
-class PredictionErrors:
-    """Errors of a machine on runs: of the simulated measurements, and of the drives' force.
-
-    Attributes:
-        channels: Simulation error by output channel.
-        force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
-    """
-
-    channels: dict[str, ChannelError]
-    force: float | None
-
-    @property
-    def noise_ratio(self) -> float:
-        """Ratio of simulation error to sensor noise, rms over the measured channels; NaN if there is none."""
-        ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
-        return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
-
-    def as_json(self) -> dict[str, Any]:
-        """Convert the errors to the format of report.json.
-
-        Returns:
-            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit) and "noise_ratio" (rmse
-            / standard deviation of the sensor's noise). In addition "force_error", the relative error of the drives'
-            force, dimensionless, if there is one.
-        """
-        content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
-        return content if self.force is None else content | {"force_error": self.force}
-
-
-@dataclass(frozen=True)
-class ModelEvaluation:
-    """A machine and its errors.
-
-    Attributes:
-        machine: The machine.
-        held_out: Errors on the held-out runs.
-        errors: Simulation errors by name of the held-out run, m or rad, NaN if not measured, shape (n, sensors).
-        warnings: Name of a run and sentence about what could not be determined about its initial state, each.
-        diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
-    """
-
-    machine: Machine
-    held_out: PredictionErrors
-    errors: Mapping[str, Array] = field(default_factory=dict)
-    warnings: tuple[tuple[str, str], ...] = ()
-    diverged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -146,6 +98,7 @@ class IdentificationResult:
         experiment: Run that would distinguish the leading effect from its rival, where there is one.
         criteria: Decision thresholds that were used.
         excluded: One sentence for each run that was not used, or that was held out and contradicts the fitted ones.
+        contradicting: Names of the held-out runs that contradict the fitted ones.
     """
 
     verdict: Verdict
@@ -164,6 +117,7 @@ class IdentificationResult:
     experiment: ExperimentDesign | None = None
     criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
     excluded: tuple[str, ...] = ()
+    contradicting: tuple[str, ...] = ()
 
     @property
     def explained(self) -> float:
@@ -173,11 +127,15 @@ class IdentificationResult:
 
     @property
     def left(self) -> float:
-        """Ratio of the simulation error to the sensor noise on the held-out runs, rms over the measured channels.
-
-        It is that of the machine with the selected effects, and about 1 if only the sensors' noise remains.
-        """
+        """Ratio of simulation error to noise on the held-out runs, rms over the channels; 1 if only noise is left."""
         return self.after.held_out.noise_ratio
+
+    @property
+    def left_in_others(self) -> float:
+        """The ratio `left` for the held-out runs that do not contradict the fitted ones; NaN if there are none."""
+        errors = [error for name, error in self.after.errors.items() if name not in self.contradicting]
+        channels = errors_by_channel(errors, self.after.machine, self.held_out.noise) if errors else {}
+        return PredictionErrors(channels, None).noise_ratio
 
     @property
     def evaluations(self) -> dict[str, ModelEvaluation]:
@@ -210,6 +168,8 @@ class IdentificationResult:
             By key: "verdict", "runs" (names), "declared", "before", "after" (errors of the three machines), "effects",
             "residual", "considered" (rejected effects) and others, as dictionaries, lists, text and numbers.
         """
+        machine = self.after.machine
+        groups = inseparable_parameters(machine, self.declared.machine)
         errors = {stage: evaluation.held_out.as_json() for stage, evaluation in self.evaluations.items()}
         for error in errors.values() if any(e.held_out.force is None for e in self.evaluations.values()) else ():
             error.pop("force_error", None)  # one machine has none: an effect added a coordinate without a drive
@@ -217,6 +177,7 @@ class IdentificationResult:
             "schema": SCHEMA,
             "verdict": self.verdict,
             "runs": {"fitted": [r.name for r in self.fitted.runs], "held_out": [r.name for r in self.held_out.runs]},
+            "contradicting": list(self.contradicting),
             **{stage: {"held_out": error} for stage, error in errors.items()},
             "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
@@ -228,11 +189,9 @@ class IdentificationResult:
             },
             "explained": _finite_or_none(self.explained),
             "left": _finite_or_none(self.left),
+            "left_in_others": _finite_or_none(self.left_in_others),
             "considered": [entry.as_json() for entry in self.considered],
-            "not_separable": [
-                group.as_json(self.after.machine)
-                for group in inseparable_parameters(self.after.machine, self.declared.machine)
-            ],
+            "not_separable": [group.as_json(machine) for group in groups],
             "next_experiment": self.experiment.as_json() if self.experiment else None,
             "seconds": round(self.seconds, 2),
             "criteria": self.criteria.as_json(),

@@ -151,7 +151,9 @@ class _Report(_Entry):
     effects: list[_EffectEntry]
     residual: _Residual
     explained: FiniteFloat | None = None
+    contradicting: list[str] = []
     left: FiniteFloat | None = None
+    left_in_others: FiniteFloat | None = None
     considered: list[_ConsideredEntry] = []
     not_separable: list[_NotSeparable] = []
     next_experiment: _Experiment | None

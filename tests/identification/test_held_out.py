@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import held_out, hold_out
 from hframe_gym.identification.held_out import spectral_differences
@@ -147,6 +148,17 @@ def test_the_held_out_gain_compares_forces_or_costs(monkeypatch: pytest.MonkeyPa
     assert held_out.error_reduction(with_both, with_drag, DATA, 0.0) == pytest.approx(-1.0 / 3.0)
     monkeypatch.setattr(held_out, "force_error", by_effects(dict(zip(names, (0.1, None, 0.4), strict=True))))
     assert held_out.error_reduction(with_drag, with_both, DATA, 60.0) == pytest.approx(0.25)
+
+
+def test_the_gain_of_an_effect_on_a_sensor_compares_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inverse dynamics uses one sensor of each coordinate, and says nothing about the others."""
+    delay = EFFECTS["sensor_delay"].at("x_m", d=0.002)
+    with_both = dataclasses.replace(AXIS, effects=(PUSH, delay))
+    monkeypatch.setattr(held_out, "force_error", lambda machine, data: 0.2 if PUSH in machine.effects else 0.4)
+    monkeypatch.setattr(held_out, "prediction_cost", lambda m, *_, **__: 10.0 if delay in m.effects else 40.0)
+    assert held_out.held_out_gain(selected(delay), with_both, DATA, 60.0) == pytest.approx(0.75)
+    assert held_out.held_out_gain(selected(PUSH), with_both, DATA, 60.0) == pytest.approx(0.75)
+    assert held_out.error_reduction(AXIS, with_both, DATA, 60.0) == pytest.approx(0.75)
 
 
 def test_the_gain_of_a_structure_compares_with_the_machine_before_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,9 +17,10 @@ from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.experiment_design import FILE, ExperimentDesign
 from hframe_gym.identification.plots import report_panels
+from hframe_gym.identification.recording_simulation import PredictionErrors
 from hframe_gym.identification.report import build_report, verdict_sentence
 from hframe_gym.identification.residual import ChannelError, Dependence
-from hframe_gym.identification.result import PredictionErrors, Verdict, plot_data
+from hframe_gym.identification.result import Verdict, plot_data
 from hframe_gym.identification.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
@@ -247,6 +248,33 @@ def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: s
     assert ("lacks on y depends most on velocity of y, which explains 26 %" in sentence) == (verdict == "unexplained")
     left = "An error of 900 times the sensors' noise (1 m rms at x_m) is left"
     assert (left in sentence) == (verdict != "unexplained")
+
+
+@pytest.mark.parametrize(("others", "last"), [(None, ""), (1.02, " On the other held-out runs, it is 1.02 times.")])
+@pytest.mark.parametrize("runs", [["run_4"], ["run_4", "run_8"]])
+def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
+    runs: list[str], others: float | None, last: str
+) -> None:
+    errors = {"held_out": {"x_m": {"rmse": 0.02, "noise_ratio": 900.0}}}
+    report = {"verdict": "no_effect", "effects": [], "left": 900.0, "contradicting": runs, "left_in_others": others}
+    sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
+    subject = "run_4 contradicts" if len(runs) == 1 else "run_4 and run_8 contradict"
+    assert sentence.startswith("No effect was found")
+    assert sentence.endswith(
+        f" An error of 900 times the sensors' noise (20 mm rms at x_m) is left, because {subject} the fitted runs "
+        f"(see the warnings).{last}"
+    )
+
+
+def test_what_is_left_without_the_runs_that_contradict_is_in_the_report(data: Dataset) -> None:
+    result = result_of(data, "effect_found", STRIBECK)
+    noise = data.noise[0]
+    errors = {"run_1": np.full((5, 1), 3.0 * noise), "run_2": np.full((5, 1), 40.0 * noise)}
+    result = dataclasses.replace(result, after=dataclasses.replace(result.after, errors=errors))
+    one, all_runs = (dataclasses.replace(result, contradicting=names) for names in (("run_2",), ("run_1", "run_2")))
+    assert one.as_json()["contradicting"] == ["run_2"]
+    assert one.as_json()["left_in_others"] == pytest.approx(3.0)
+    assert all_runs.as_json()["left_in_others"] is None
 
 
 def test_after_an_unexplained_error_comes_the_report_and_not_the_check_that_has_passed() -> None:
