@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import NotFiniteError, simulate, simulate_batch
 from ..machine import Machine, Trajectory
+from ..machine.motion import rigid_motions
 from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, prepare
@@ -36,6 +37,9 @@ from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor
 from .start_uncertainty import most_probable_start, refine_dataset
 
 Array = NDArray[np.float64]
+
+# A sensor deviates alone if its error is clear, and the others have less than a fifth of what the motion would cause.
+_CLEAR_ERROR, _AGREEING = 3.0, 0.2  # multiple of the noise; fraction
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,32 @@ class ModelEvaluation:
     errors: Mapping[str, Array] = field(default_factory=dict)
     warnings: tuple[tuple[str, str], ...] = ()
     diverged: tuple[str, ...] = ()
+
+    @property
+    def deviating_sensors(self) -> tuple[str, ...]:
+        """Channels with a clear error that no error of the motion can cause, since other sensors would show it as well.
+
+        If a carriage moved in another way than simulated, its pulleys would as well: the belts stretch little. So where
+        a sensor of the carriage deviates and the encoders of the pulleys do not, its error arises between them and it.
+        """
+        errors = self.held_out.channels
+        names = self.machine.coordinate_names
+        rows = {s.channel: np.array([s.row.get(name, 0.0) for name in names]) for s in self.machine.sensors}
+        rmse = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
+
+        def is_refuted(channel: str, motion: Array) -> bool:
+            """Return whether other sensors exclude that the error of a sensor is one of this motion."""
+            amount = rmse[channel] / abs(float(rows[channel] @ motion))
+            expected = {other: amount * abs(float(rows[other] @ motion)) for other in rmse if other != channel}
+            seen = [rmse[other] < _AGREEING * change for other, change in expected.items() if change > 0.0]
+            return bool(seen) and all(seen)
+
+        def deviates(channel: str) -> bool:
+            motions = [motion for motion in rigid_motions(self.machine).values() if rows[channel] @ motion]
+            clear = (errors[channel].noise_ratio or 0.0) > _CLEAR_ERROR
+            return clear and bool(motions) and all(is_refuted(channel, motion) for motion in motions)
+
+        return tuple(filter(deviates, rmse))
 
 
 class SimulatedRecording(NamedTuple):

@@ -31,6 +31,10 @@ _NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
     "rivals": "No experiment is proposed: no tested run within rated voltages and travel reliably distinguishes",
     "equivalent": "No recording can distinguish",
 }
+_DEVIATING = (
+    "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
+    "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
+)
 _CLEARLY_BETTER = 0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
 _MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 
@@ -265,8 +269,7 @@ def _percent(fraction: float) -> str:
 
 def _remaining_error(report: Mapping[str, Any]) -> list[str]:
     """Return sentences about the error that the machine of the verdict leaves on the held-out runs."""
-    machine = "corrected" if report["effects"] else "refitted"
-    left = report.get("left")
+    machine, left = "corrected" if report["effects"] else "refitted", report.get("left")
     ratio = "" if left is None else f" ({number(left)} times the noise, root mean square over the channels)"
     text = f"The remaining error of the {machine} machine is {{}} the sensors' noise{ratio}{{}}."
     if report["residual"]["white"]:
@@ -274,15 +277,15 @@ def _remaining_error(report: Mapping[str, Any]) -> list[str]:
     correlated = ", but it is correlated in time: a small systematic part is left"
     small = left is not None and left < _NOTICEABLE_ERROR
     sentences = [text.format("about as large as", correlated) if small else text.format("larger than", "")]
-    # An unexplained verdict has said already on what the residual depends.
-    return sentences + (_dependence_sentences(report) if report["verdict"] == "no_effect" else [])
+    return sentences + (_dependence_sentences(report) if report["verdict"] == "no_effect" else [])  # or said already
 
 
 def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
-    """Return a sentence about the variable that explains most of the residual force, if there is one."""
+    """Return a sentence about sensors that deviate alone, or about the variable that explains most of the force."""
+    if sensors := report["residual"].get("sensors"):
+        return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
     text = "The force that the model lacks on {} depends most on {}, which explains {:.0f} % of its variance."
-    strongest = report["residual"]["depends_on"][:1]  # `rank_dependences` has sorted them
-    return [text.format(d["coordinate"], d["variable"], 100 * d["share"]) for d in strongest]
+    return [text.format(d["coordinate"], d["variable"], 100 * d["share"]) for d in report["residual"]["depends_on"][:1]]
 
 
 def _next_steps(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
@@ -308,7 +311,7 @@ def _next_steps(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str,
             "slow and fast, of one axis at a time and over the full travel, and identify again with them."
         )
         return [*steps, {"text": text, "command": f"hframe identify RUNS --out {folder}"}]
-    which = "corrected" if report["effects"] else "refitted"
+    which = "corrected" if effects else "refitted"
     text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
     return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]
 
@@ -320,14 +323,11 @@ def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]
     doubts = parameter_doubts(machine, declared)
     tables = tuple(f"{e.label}." for e in machine.effects if e.definition.family == TABLE_FAMILY)
     rows = []
-    for name in machine.uncertainty.names:
-        if name.startswith(tables):
-            continue
-        declared_value = declared.parameters.get(name)
+    for name in (n for n in machine.uncertainty.names if not n.startswith(tables)):
         rows.append(
             {
                 "name": name,
-                "declared": "" if declared_value is None else f"{declared_value:.4g}",
+                "declared": f"{declared.parameters[name]:.4g}" if name in declared.parameters else "",
                 "value": f"{machine.parameters[name]:.5g}",
                 "std": f"{machine.uncertainty.std(name):.2g}",
                 "unit": machine.unit(name),

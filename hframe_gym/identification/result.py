@@ -186,6 +186,7 @@ class IdentificationResult:
                     for d in self.dependence
                 ],
                 "white": self.white,
+                "sensors": list(self.after.deviating_sensors),
             },
             "explained": _finite_or_none(self.explained),
             "left": _finite_or_none(self.left),

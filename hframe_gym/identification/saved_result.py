@@ -82,6 +82,7 @@ class _Residual(_Entry):
 
     depends_on: list[_DependenceEntry]
     white: bool
+    sensors: list[str] = []
 
 
 class _Experiment(_Entry):

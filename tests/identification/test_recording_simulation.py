@@ -19,7 +19,14 @@ from hframe_gym.identification import (
     simulate_recording,
 )
 from hframe_gym.identification.dataset import with_known_positions
-from hframe_gym.identification.recording_simulation import _rest_and_noise, evaluate_held_out, with_encoder_zeros
+from hframe_gym.identification.recording_simulation import (
+    ModelEvaluation,
+    PredictionErrors,
+    _rest_and_noise,
+    evaluate_held_out,
+    with_encoder_zeros,
+)
+from hframe_gym.identification.residual import ChannelError
 from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import Recording, fill_gaps, load_machine, save_machine
 
@@ -229,3 +236,25 @@ def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
     assert np.isnan(evaluation.errors["run_4"]).all()
     assert np.isfinite(evaluation.errors["run_3"]).all()
     assert {(e.rmse, e.noise_ratio) for e in evaluation.held_out.channels.values()} == {(None, None)}
+
+
+def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine) -> None:
+    """The carriage is 0.3 mm off by the laser; the encoders would see that as 0.02 rad if it had moved so."""
+
+    def deviating(**errors: tuple[float, float]) -> tuple[str, ...]:
+        quiet = {"phi1_rad": (2e-4, 1.1), "phi2_rad": (2e-4, 1.1), "x_m": (2e-5, 1.0), "y_m": (2e-5, 1.0)}
+        channels = {channel: ChannelError(*values) for channel, values in (quiet | errors).items()}
+        return ModelEvaluation(hframe, PredictionErrors(channels, None)).deviating_sensors
+
+    assert deviating() == ()
+    assert deviating(x_m=(3e-4, 15.0)) == ("x_m",)
+    assert deviating(x_m=(3e-4, 15.0), y_m=(3e-4, 15.0)) == ("x_m", "y_m")
+    assert deviating(x_m=(3e-4, 15.0), phi1_rad=(0.01, 50.0)) == ()  # a force
+    assert deviating(phi1_rad=(0.05, 250.0)) == ("phi1_rad",)  # an encoder that slips
+    assert deviating(x_m=(3e-4, 2.0)) == ()  # noise
+    assert (
+        ModelEvaluation(
+            hframe, PredictionErrors({"x_m": ChannelError(3e-4, 15.0), "y_m": ChannelError(None, None)}, None)
+        ).deviating_sensors
+        == ()
+    )  # nothing else measures this motion
