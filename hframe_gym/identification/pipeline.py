@@ -63,6 +63,8 @@ _UNEXCITED = (
     "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
     "other runs with --hold-out for an independent test."
 )
+_NO_GAIN = "does not reduce the error of the held-out runs"
+_WORSENS = "reduces the error of the held-out runs, but they are simulated worse with {} than without effects"
 _CAUSED_ERROR = -1.0  # gain on a held-out run below which effects cause its error: half of the squared error or more
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
@@ -259,8 +261,10 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
         excited = [s for s in selected if is_excited(s, after.machine, runs, after.bandwidth)]
         refuted = [s for s in excited if gains[s.effect.label] <= 0.0]
+        reason = _NO_GAIN
         if not refuted and worsens_simulation(before.machine, after.machine, runs):
             refuted = excited
+            reason = _WORSENS.format("it" if len(selected) == 1 else "all effects together")
         refined = refine_dataset(data, after.machine)
         ordered = sorted(refuted, key=lambda s: gains[s.effect.label])
         fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)
@@ -268,7 +272,6 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         weakest, reduced = next(((s, fitted) for s, fitted in fits if fitted is not None), (None, None))
         if weakest is None or reduced is None:
             break
-        reason = "does not reduce the error of the held-out runs"
         log(f"  {weakest.effect.label} is removed: it {reason}")
         entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
         selected = tuple(s for s in selected if s is not weakest)

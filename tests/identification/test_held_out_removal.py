@@ -14,6 +14,7 @@ from hframe_gym.identification import (
     SelectedEffect,
     default_free_parameters,
     fit,
+    pipeline,
     prepare,
 )
 from hframe_gym.identification.held_out import contradicting_held_out_runs, held_out_gain, worsens_simulation
@@ -63,6 +64,7 @@ def test_an_effect_that_held_out_runs_deny_is_removed(axis: Machine, before_expl
     assert removed.selected == ()
     assert removed.after is before
     assert [entry.effect.label for entry in removed.considered] == ["constant_force@x"]
+    assert removed.considered[0].reason == "does not reduce the error of the held-out runs"
 
 
 def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
@@ -107,6 +109,31 @@ def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: M
     assert not worsens_simulation(after, before, validation)
     removed = _without_unconfirmed(outcome, validation, lambda line: None)
     assert (removed.verdict, removed.selected) == ("unexplained", ())
+    reason = "reduces the error of the held-out runs, but they are simulated worse with it than without effects"
+    assert removed.considered[0].reason == reason
+
+
+def test_the_reason_says_whether_one_effect_or_all_together_worsen_the_simulation(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two effects, each of which reduces the error alone: the first to be removed is one of several."""
+    force, drag = EFFECTS["constant_force"].at("x", size=0.3), EFFECTS["quadratic_drag"].at("x", c=4.0)
+    both = axis.with_effects(force, drag)
+    data, validation = prepare([recorded(both, 0)], axis), prepare([recorded(both, 1)], axis)
+    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
+    after = dataclasses.replace(before, machine=both)
+    selected = tuple(SelectedEffect(e, 1.0, axis) for e in both.effects)
+
+    def without(fitted: Fit, label: str, *_: object) -> Fit:
+        effects = tuple(e for e in fitted.machine.effects if e.label != label)
+        return dataclasses.replace(fitted, machine=fitted.machine.replace(effects=effects))
+
+    monkeypatch.setattr(pipeline, "worsens_simulation", lambda *_: True)
+    monkeypatch.setattr(pipeline, "without_effect", without)
+    outcome = SearchOutcome(before, False, True, "effect_found", after, selected, (), data)
+    first, last = _without_unconfirmed(outcome, validation, lambda line: None).considered
+    assert "simulated worse with all effects together than without" in first.reason
+    assert "simulated worse with it than without" in last.reason
 
 
 def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine) -> None:
