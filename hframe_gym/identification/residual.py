@@ -135,8 +135,8 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     sampling period is an acceleration; times the mass or inertia it is the missing force. The estimate is valid below
     the observer's bandwidth (60 rad/s). A missing measurement causes no correction.
 
-    A carriage that no sensor measures is not corrected itself. The force on it is then the one that has the same effect
-    on the pulleys as their corrections, as if the belts were rigid.
+    The observer does not correct a carriage without a sensor. The force on such a carriage follows from the corrections
+    of its pulleys, as if the belts were rigid.
 
     Args:
         machine: Machine that predicts.
@@ -204,10 +204,9 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
         for a linear and rad, rad/s, Nm for a rotary coordinate.
     """
     position_gains = observer_gains(machine, data.period)[: len(machine.coordinates)].sum(axis=1)
-    time_constant = (
-        2.0 * data.period / np.maximum(position_gains, 1e-12)
-    )  # of each pole, about 1 / bandwidth, (coordinates,)
-    inertia_ratio = np.ones(len(machine.coordinates))  # of all that moves to what the observer corrects
+    # Time constant of each pole, s, about 1 / bandwidth, shape (coordinates,).
+    time_constant = 2.0 * data.period / np.maximum(position_gains, 1e-12)
+    inertia_ratio = np.ones(len(machine.coordinates))  # inertia of the rigid motion / inertia of its measured part
     measured, mass = _measured(machine), np.array([c.mass for c in machine.coordinates])
     for i, motion in _motions_of_unmeasured(machine).items():
         inertia = mass * motion**2
@@ -265,8 +264,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     Returns:
         Pairs of coordinate and variable whose bin means explain more than 5 % of the variance of the force, with this
-        fraction, sorted by the explained variance of the force at the belt, largest first. A coordinate on which the
-        machine lacks no force, because it never moves or the machine is exact, has none.
+        fraction, sorted by the explained variance of the force (torque / pulley radius), largest first. A coordinate on
+        which the machine lacks no force, because it never moves or the machine is exact, has none.
     """
     force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
@@ -277,18 +276,21 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         for i, coordinate in enumerate(machine.coordinate_names)
         for name, values in variables.items()
     ]
-    power = dict(zip(machine.coordinate_names, np.var(force / machine.travel_per_unit, axis=0), strict=True))  # N^2
+    variance = dict(zip(machine.coordinate_names, np.var(force / machine.travel_per_unit, axis=0), strict=True))  # N^2
     least = (_ROUNDING_FORCE * typical_force(machine)) ** 2
-    noticeable = (d for d in dependences if d.explained > _MINIMUM_DEPENDENCE and power[d.coordinate] > least)
-    return sorted(noticeable, key=lambda d: -d.explained * power[d.coordinate])
+    noticeable = (d for d in dependences if d.explained > _MINIMUM_DEPENDENCE and variance[d.coordinate] > least)
+    return sorted(noticeable, key=lambda d: -d.explained * variance[d.coordinate])
 
 
 def _correlation_ratio(values: Array, variable: Array) -> float:
-    """Return the fraction of the variance of values (n,) that bins of a variable explain (Fisher 1925)."""
+    """Return the fraction of the variance of values (n,) that bins of a variable explain (Fisher 1925).
+
+    The bins have about the same number of samples; equal values of the variable are in one bin.
+    """
     total = float(np.var(values))
     if total == 0.0 or np.ptp(variable) == 0.0:
         return 0.0
-    ranks = np.argsort(np.argsort(variable, kind="stable"), kind="stable")
+    ranks = np.searchsorted(np.sort(variable), variable)
     bins = ranks * _DEPENDENCE_BINS // len(variable)
     counts = np.maximum(np.bincount(bins, minlength=_DEPENDENCE_BINS), 1)
     means = np.bincount(bins, values, _DEPENDENCE_BINS) / counts
