@@ -135,13 +135,14 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     Returns:
         Step, s: `longest_step`, or 0.75 / highest natural frequency (rad/s) if that is shorter.
     """
+    if not machine.belts:
+        return longest_step
+    # Called before every simulation, hence without the complex step. Squared natural frequencies are the eigenvalues
+    # of R' R, the squared singular values of R = diag(k)^(1/2) G M^(-1/2).
     mass = np.array([c.mass for c in machine.coordinates])
     stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
-    # The sum of all squared natural frequencies, which is quickly computed, is usually a sufficient bound.
-    squared_sum = float(np.sum(stiffness[:, None] * machine.belt_matrix**2 / mass)) if machine.belts else 0.0
-    if longest_step**2 * squared_sum <= _MAX_PHASE**2:
-        return longest_step
-    return min(longest_step, _MAX_PHASE / (2 * np.pi * float(mode_frequencies(machine).max())))
+    highest = float(np.linalg.norm(np.sqrt(stiffness)[:, None] * machine.belt_matrix / np.sqrt(mass), 2))  # rad/s
+    return longest_step if longest_step * highest <= _MAX_PHASE else _MAX_PHASE / highest
 
 
 def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equations, Array]:

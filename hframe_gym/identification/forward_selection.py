@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
-from .estimation import Fit
+from .estimation import Fit, describe_gain
 from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SIMULATION, noise_floor
 from .rivals import close_rivals, compare_rivals, simplest_first
@@ -73,6 +73,8 @@ class SelectedEffect:
 
 # Fit of a machine with all selected effects, and these effects.
 Selection = tuple[Fit, tuple[SelectedEffect, ...]]
+# Fit without the next effect, and trial fits with one effect each, at the same observer bandwidth, the best one first.
+Step = tuple[Fit, list[Fit]]
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,10 @@ class EffectSearch:
     def __init__(self, data: Dataset, plain: Machine, criteria: SelectionCriteria, log: Log) -> None:
         self._data, self._plain, self._criteria, self._log = data, plain, criteria, log
         self.considered: dict[str, ConsideredEffect] = {}
-        # Observer bandwidth and excess of chi-squared at which structural effects were last tried.
-        self._structures_tried = (math.nan, math.inf)
+        # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect passed.
+        self._structures_failed = (math.nan, math.inf)
+        # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
+        self._doubted: tuple[float, Step] | None = None
 
     def with_data(self, data: Dataset) -> EffectSearch:
         """Return a search in other data that remembers which effects failed a test, and which need not be tried again.
@@ -123,7 +127,7 @@ class EffectSearch:
             effects again until the error is clearly smaller than when they last failed.
         """
         search = EffectSearch(data, self._plain, self._criteria, self._log)
-        search.considered, search._structures_tried = dict(self.considered), self._structures_tried
+        search.considered, search._structures_failed = dict(self.considered), self._structures_failed
         return search
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
@@ -133,7 +137,8 @@ class EffectSearch:
         stays stable, and the force of the effect exceeds the force that remains unexplained. Effects that fail a test
         are added to `considered`. After each selected effect, the bandwidth of the observer that corrects predictions
         by the measurements is chosen anew (maximum likelihood), and earlier effects may be replaced by others that now
-        explain more. The search also ends at `max_effects` effects or when only noise is left (`noise_level`).
+        explain more. If no effect passes, two may pass together, each of which the other hides. The search also ends at
+        `max_effects` effects or when only noise is left (`noise_level`).
 
         Args:
             current: Fit of the machine with the effects selected so far.
@@ -146,25 +151,53 @@ class EffectSearch:
         data, criteria = self._data, self._criteria
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
             found = self._next_effect(current)
-            if found is None:
+            extended = self._next_pair(current, selected) if found is None else self._extended(selected, *found)
+            if extended is None:
                 break
-            without, trials = found
-            best = trials[0]
-            effect, gain = best.machine.effects[-1], (without.cost - best.cost) / data.count  # the new effect is last
-            rivals = close_rivals(trials, without, data, criteria)
-            selected = (*selected, SelectedEffect(effect, gain, without.machine, rivals))
+            best, selected = extended
             current, selected = self._exchange(fit_with_model_error(best, data), selected)
         for s in selected:
             self.considered.pop(s.effect.label, None)
         return current, tuple(s.with_values(current.machine) for s in selected)
 
-    def _next_effect(self, current: Fit) -> tuple[Fit, list[Fit]] | None:
+    def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
+        """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
+        effect, gain = trials[0].machine.effects[-1], (without.cost - trials[0].cost) / self._data.count
+        rivals = close_rivals(trials, without, self._data, self._criteria)
+        return trials[0], (*selected, SelectedEffect(effect, gain, without.machine, rivals))
+
+    def _next_pair(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection | None:
+        """Return the machine with two more effects, the first of which passes all tests only beside the second.
+
+        Of two effects with similar forces, the smaller one fails the comparison with the force that remains
+        unexplained, and the parameters of the machine may compensate for the larger one until the smaller one is there.
+        None if there is no such pair, or if the error is so small that it may be that of a residue without a name.
+        """
+        data, criteria, doubted = self._data, self._criteria, self._doubted
+        if doubted is None or current.chi2 < criteria.explained_chi2 or len(selected) + 2 > criteria.max_effects:
+            return None
+        trial, extended = self._extended(selected, *doubted[1])
+        label = extended[-1].effect.label
+        self._log(f"  searching for an effect that hides {label}")
+        found = self._next_effect(fit_with_model_error(trial, data))
+        if found is None:
+            return None
+        best, extended = self._extended(extended, *found)
+        reduced = without_effect(best, label, data, self._plain)
+        doubt = doubt_beside_others(reduced, best, extended[-2].effect, data, criteria) if reduced else ""
+        if doubt:
+            self._log(f"  {label} is not selected: it {doubt}")
+            return None
+        return best, extended
+
+    def _next_effect(self, current: Fit) -> Step | None:
         """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
 
         If no effect passes with the present observer, the next narrower one is tried, because an observer hides slow
         errors, and with them the benefit of an effect. The effect must then also compensate for the lower likelihood of
         the narrower observer. None if no effect passes.
         """
+        self._doubted = None
         enough = minimum_gain(current, self._criteria)  # reduction of chi-squared per sample
         found = self._passing(current, enough, structures=True)
         if found is None and current.bandwidth != SIMULATION:
@@ -172,35 +205,34 @@ class EffectSearch:
             found = self._passing(narrower, enough + likelihood_deficit(narrower, current, self._data))
         return found
 
-    def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> tuple[Fit, list[Fit]] | None:
+    def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
         """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
         data, criteria = self._data, self._criteria
         trials = trial_fits(current, data, enough, criteria)
-        if structures and self._worth_structures(current, trials):
+        structures = structures and self._worth_structures(current, trials)
+        if structures:
             trials += structural_trial_fits(current, trials, data, enough, criteria)
         trials = simplest_first(trials, current, data, criteria)
         best = self._best(current, trials, enough)
         if best is None:
+            if structures:
+                self._structures_failed = (current.bandwidth, current.chi2 - 1.0)
             return None
-        label = best.machine.effects[-1].label
-        return current, [best, *(t for t in trials if t.machine.effects[-1].label != label)]
+        return current, _with_first(best, trials)
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
         """Return whether the trials leave enough of the error to try effects that replace a part of the model as well.
 
-        If these did not pass before, they are tried again only after the error has become clearly smaller.
+        If no effect passed when they were last tried, they are tried again only after the error has become clearly
+        smaller.
         """
         criteria = self._criteria
         floor = noise_floor(current.bandwidth, criteria)
         left = unexplained_fraction(current, trials, criteria)
-        bandwidth, tried_excess = self._structures_tried
-        excess = current.chi2 - 1.0
-        if current.bandwidth == bandwidth and excess > criteria.structural_retry * tried_excess:
+        bandwidth, failed_excess = self._structures_failed
+        if current.bandwidth == bandwidth and current.chi2 - 1.0 > criteria.structural_retry * failed_excess:
             return False
-        worth = left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
-        if worth:
-            self._structures_tried = (current.bandwidth, excess)
-        return worth
+        return left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
 
     def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace earlier effects by others that explain the data better beside the later ones (recursively).
@@ -242,6 +274,8 @@ class EffectSearch:
                 return fitted
             self._log(f"  {effect.label} is not selected: it {doubt}")
             self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
+            if self._doubted is None or gain > self._doubted[0]:
+                self._doubted = gain, (current, _with_first(fitted, trials))
         return None
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
@@ -308,14 +342,7 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in selected)
 
 
-def describe_gain(before: Fit, after: Fit) -> str:
-    """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
-
-    Args:
-        before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that is 0.
-        after: Fit with the effect, at the same bandwidth.
-
-    Returns:
-        Text that continues a sentence whose subject is the effect.
-    """
-    return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({before.mode})"
+def _with_first(best: Fit, trials: list[Fit]) -> list[Fit]:
+    """Return trial fits with the converged one of an effect in the first place, instead of its trial."""
+    label = best.machine.effects[-1].label
+    return [best, *(t for t in trials if t.machine.effects[-1].label != label)]

@@ -17,9 +17,9 @@ from ..machine import Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
-from .estimation import Fit
+from .estimation import Fit, describe_gain
 from .force_sizes import TypicalScales, typical_scales
-from .forward_selection import Log, SelectedEffect, Selection, describe_gain
+from .forward_selection import Log, SelectedEffect, Selection
 from .model_error import continue_fit, left_out_cost
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force

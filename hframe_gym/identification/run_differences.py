@@ -145,7 +145,7 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
     the friction of all coordinates and the stiffness of all belts.
 
     Args:
-        fitted: Refitted machine without effects.
+        fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
         data: All runs (times, voltages, measurements, SI).
         criteria: Decision thresholds for what explains the data.
 
@@ -159,11 +159,12 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
     explained = criteria.explained_chi2 * innovation_variance(common, data)[0]
     if common.chi2 < explained:
         return None
-    model = _ModelByRun(common, data)
+    # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
+    model = _ModelByRun(fitted, data)
     start = model.linearize(model.start, Quantity("nothing"))
     if not math.isfinite(start.cost):
         return None
-    promising = sorted(_quantities(common.machine, model.free), key=lambda quantity: model.promise(start, quantity))
+    promising = sorted(_quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity))
     found: list[RunDifferences] = []
     for quantity in promising[:_CANDIDATES]:
         cost, amounts = model.fit(quantity)
@@ -187,16 +188,28 @@ def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantit
             found.append(Quantity(f"the {text}", dict.fromkeys(members, 1.0)))
     for some in [[drive] for drive in drives] + [drives] * (len(drives) > 1):
         of = "all drives" if len(some) > 1 else some[0]
-        # Less voltage acts like a smaller torque constant with the same product of torque and back-EMF constant; a
-        # larger resistance like a smaller torque constant.
+        # Less voltage acts like a smaller torque constant with the same product of torque and back-EMF constant, and
+        # larger voltages of effects, such as a dead band; a larger resistance like a smaller torque constant.
         torque, emf = ({name: 1.0 for d in some if (name := f"{d}.{key}") in names} for key in ("Kt", "Ke"))
         if torque:
-            found.append(Quantity(f"the voltage of {of}", torque | dict.fromkeys(emf, -1.0)))
+            inverse = [*emf, *_voltages_of_effects(machine, some, names)]
+            found.append(Quantity(f"the voltage of {of}", torque | dict.fromkeys(inverse, -1.0)))
             found.append(Quantity(f"the conductance (1 / winding resistance) of {of}", torque))
     axes = [f"{c.name}.mass" for c in machine.coordinates if c.kind == "linear" and f"{c.name}.mass" in names]
     if len(axes) > 1:
         found.append(Quantity("the payload", additions=dict.fromkeys(axes, 1.0)))
     return found
+
+
+def _voltages_of_effects(machine: Machine, drives: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return those of some parameters that are voltages of effects on some drives and on no other."""
+    return [
+        name
+        for effect in machine.effects
+        for p in effect.definition.parameters
+        if p.unit == "V" and (name := f"{effect.label}.{p.name}") in names
+        if effect.site in drives or (effect.site == "drives" and len(drives) == len(machine.drives))
+    ]
 
 
 class _Expansion(NamedTuple):
@@ -220,26 +233,26 @@ class _ModelByRun:
     K parameters: torque constants that fits leave as declared, such as that of the first drive, may differ as well.
 
     Args:
-        common: Fit of one machine to all runs.
+        fitted: Machine from which the fits start, with its free parameters.
         data: The runs.
 
     Attributes:
         free: The K parameters.
-        start: z of the common machine.
+        start: z of the machine from which the fits start.
     """
 
-    def __init__(self, common: Fit, data: Dataset) -> None:
-        machine, n = common.machine, len(data.runs)
-        not_fixed = {*(f.name for f in common.free), *machine.ties}
+    def __init__(self, fitted: Fit, data: Dataset) -> None:
+        machine, n = fitted.machine, len(data.runs)
+        not_fixed = {*(f.name for f in fitted.free), *machine.ties}
         gains = {f"{d.name}.Kt": d.Kt for d in machine.drives}
         self._fixed = tuple(FreeParameter(name, Kt, 1.0) for name, Kt in gains.items() if name not in not_fixed)
-        self.free = (*common.free, *self._fixed)
-        self.start = np.concatenate([common.theta, np.zeros(n)])
-        self._k, self._count = len(common.free), data.count
+        self.free = (*fitted.free, *self._fixed)
+        self.start = np.concatenate([fitted.theta, np.zeros(n)])
+        self._k, self._count = len(fitted.free), data.count
         self._models = [ResidualModel(machine, self.free, run, SEARCH_BANDWIDTH) for run in data.single_runs()]
         self._precision = np.diag(np.full(self._k + n, _AMOUNT_PRIOR**-2))
-        self._precision[: self._k, : self._k] = prior_precision(common.free)
-        low, high = np.array([f.theta_limits for f in common.free]).T
+        self._precision[: self._k, : self._k] = prior_precision(fitted.free)
+        low, high = np.array([f.theta_limits for f in fitted.free]).T
         self._low = np.concatenate([low, np.full(n, -_LARGEST_AMOUNT)])
         self._high = np.concatenate([high, np.full(n, _LARGEST_AMOUNT)])
 
@@ -251,8 +264,10 @@ class _ModelByRun:
 
     def _derivatives(self, z: Array, run: int, quantity: Quantity) -> Array:
         """Return the derivatives of `_theta_of_run` with respect to z, shape (K, k + n)."""
-        derivatives, steps = np.zeros((len(self.free), len(z))), np.eye(len(z)) * _STEP
-        for j in (*range(self._k), self._k + run):  # other amounts do not affect this run
+        derivatives, steps = np.eye(len(self.free), len(z)), np.eye(len(z)) * _STEP
+        derivatives[:, self._k :] = 0.0  # amounts of other runs do not affect this one
+        differing = {*quantity.exponents, *quantity.additions}
+        for j in (*(j for j in range(self._k) if self.free[j].name in differing), self._k + run):
             ends = [self._theta_of_run(z + sign * steps[j], run, quantity) for sign in (1.0, -1.0)]
             derivatives[:, j] = (ends[0] - ends[1]) / (2.0 * _STEP)
         return derivatives

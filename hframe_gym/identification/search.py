@@ -21,6 +21,7 @@ from .model_error import (
     contradicting_run,
     explains,
     fit_with_model_error,
+    minimum_gain,
     polish,
     refined_in_simulation,
 )
@@ -98,22 +99,21 @@ def search_effects(
     first searched for without this run, unless all runs differ from each other in one parameter. The run is then left
     out and named in the outcome (`contradiction`), unless one of these conditions holds:
 
-    - The effects found without it explain the other runs, no other value of one parameter in this run explains it, and
-      with at most one more effect they explain all runs.
-    - The effects found without it do not explain the other runs, and a search in all runs explains all runs, or leaves
-      less than ten times the chi-squared per sample of the search without this run.
+    - The effects found without it explain all runs. Or they explain the other runs, no other value of one parameter in
+      this run explains it, and with one more effect they explain all runs.
+    - These effects do not explain the other runs, and a search in all runs explains all runs, or leaves less than ten
+      times the chi-squared per sample of the search without this run.
 
     Args:
         machine: Machine as declared.
         data: Runs to fit.
         criteria: Decision thresholds.
         log: Called with a line of text at each stage.
-        confirmed: Function that tells whether held-out runs confirm the outcome without a run that contradicts the
-            others. If they do not, the outcome of a search in all runs is returned. Default: they do.
+        confirmed: Whether held-out runs confirm an outcome without a run that contradicts the others. If not, the
+            outcome of a search in all runs is returned. Default: they do.
 
     Returns:
-        Verdict ("effect_found", "no_effect" or "unexplained"), fits of the machine without and with the effects, and
-        the selected and the rejected effects.
+        Verdict, fits of the machine without and with the effects, and the selected and the rejected effects.
     """
     all_runs = _Search(machine, data, criteria, log)
     suspect, in_all_runs = contradicting_run(all_runs.base, data), cache(all_runs.run)
@@ -130,6 +130,10 @@ def search_effects(
     if not others.needs_no_effect and all_runs.runs_differ:
         return in_all_runs()
     log(f"searching for effects without {suspect}")
+    extended = _fitted_to_all(others.selection, data)
+    if extended[1] and explains(extended[0], others.base.chi2, criteria):
+        log(f"{suspect} is used")
+        return all_runs.run(extended)
     outcome = others.run()
     if not outcome.explained:
         log(f"no effects explain the others without {suspect}; searching in all runs")
@@ -140,15 +144,20 @@ def search_effects(
     if _differs_in_a_parameter(suspect, outcome, data, criteria):
         return without_suspect(outcome)
     log(f"searching for an effect that explains {suspect}")
-    after, effects = outcome.after, outcome.selected
-    wide = converge(continue_fit(after, data, SEARCH_BANDWIDTH), data, thorough=True)
-    start = polish(fit_with_model_error(wide, data), data)
-    one_more = dataclasses.replace(criteria, max_effects=len(effects) + 1)
-    extended = EffectSearch(data, all_runs.before.machine, one_more, log).run(start, effects)
+    one_more = dataclasses.replace(criteria, max_effects=len(outcome.selected) + 1)
+    search = EffectSearch(data, all_runs.before.machine, one_more, log)
+    extended = search.run(*_fitted_to_all((outcome.after, outcome.selected), data))
     if explains(extended[0], others.base.chi2, criteria):
         log(f"{suspect} is used")
         return all_runs.run(extended)
     return without_suspect(outcome)
+
+
+def _fitted_to_all(selection: Selection, data: Dataset) -> Selection:
+    """Return the machine with selected effects, fitted to all runs; effects that need another value may change it."""
+    fitted, effects = selection
+    wide = converge(continue_fit(fitted, data, SEARCH_BANDWIDTH), data, thorough=True)
+    return polish(fit_with_model_error(wide, data), data), effects
 
 
 def _differs_in_a_parameter(suspect: str, outcome: SearchOutcome, data: Dataset, criteria: SelectionCriteria) -> bool:
@@ -180,12 +189,24 @@ class _Search:
 
     def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
         self._data, self._criteria, self._log = data, criteria, log
+        self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
-        log(f"refitted machine: {_describe(self.base)}")
+        log(f"refitted machine: {self.base.summary}")
         self.before = polish(fit_with_model_error(self.base, data), data)
         if self.before.bandwidth != self.base.bandwidth:
-            log(f"refitted machine: {_describe(self.before)}")
+            log(f"refitted machine: {self.before.summary}")
+
+    @cached_property
+    def _first_search(self) -> EffectSearch:
+        """Search that starts from the refitted machine, without effects."""
+        return EffectSearch(self._data, self.before.machine, self._criteria, self._log)
+
+    @cached_property
+    def selection(self) -> Selection:
+        """Machine with the effects that are selected one after the other; they are not yet tested beside each other."""
+        self._log("searching for effects")
+        return self._first_search.run(self.before)
 
     def run(self, start: Selection | None = None) -> SearchOutcome:
         """Search for effects, then for tables if no known effects explain the residual.
@@ -193,7 +214,7 @@ class _Search:
         Args:
             start: Fit with effects that are known already. Default: the refitted machine, without effects.
         """
-        after, effects, considered = self._known_effects(start or (self.before, ()))
+        after, effects, considered = self._known_effects(start)
         if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
             return self._outcome(verdict, after if effects else self.before, effects, considered)
@@ -234,30 +255,42 @@ class _Search:
     ) -> SearchOutcome:
         """Return the outcome of this search, with its machines fitted in simulation where that is better."""
         before_explains, explained = self._explains(self.before), self._explains(after)
-        before = refined_in_simulation(self.before, self._data)
-        if after is self.before:
-            after = before
-        else:
-            after = refined_in_simulation(after, refine_dataset(self._data, after.machine))
-            selected = tuple(s.with_values(after.machine) for s in selected)
+        before, after = self._refined(self.before), self._refined(after)
+        selected = tuple(s.with_values(after.machine) for s in selected)
         return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data)
 
-    def _known_effects(self, start: Selection) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
+    def _refined(self, fitted: Fit) -> Fit:
+        """Return a fit refined in simulation, with the encoders' zeros that follow from its effects."""
+        for done, refined in self._refinements:
+            if done is fitted:
+                return refined
+        data = self._data if fitted is self.before else refine_dataset(self._data, fitted.machine)
+        self._refinements.append((fitted, refined_in_simulation(fitted, data)))
+        return self._refinements[-1][1]
+
+    def _known_effects(
+        self, start: Selection | None
+    ) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
         """Search from a fit; return the fit with effects of the library, the effects, and those that failed a test."""
-        criteria, data, log = self._criteria, self._data, self._log
-        log("searching for effects")
-        search = EffectSearch(data, self.before.machine, criteria, log)
-        current, effects = search.run(*start)
+        criteria, data = self._criteria, self._data
+        if start is None:
+            search, (current, effects) = self._first_search, self.selection
+        else:
+            self._log("searching for further effects")
+            search = EffectSearch(data, self.before.machine, criteria, self._log)
+            current, effects = search.run(*start)
         refined = refine_dataset(data, current.machine)
         if refined is not data:
             # With the effects, the encoders' zeros are more accurate, which may reveal further effects.
-            data, search = refined, search.with_data(refined)
-            current = polish(current, data)
-            current, effects = search.run(fit_with_model_error(current, data), effects)
+            found_at, data, search = current, refined, search.with_data(refined)
+            current = fit_with_model_error(polish(current, data), data)
+            lower = current.chi2 < found_at.chi2 - minimum_gain(found_at, criteria)
+            if lower or current.bandwidth != found_at.bandwidth:
+                current, effects = search.run(current, effects)
         if effects:
             current, effects = search.settle_rivals(current, effects)
             current, effects = search.prune(polish(current, data), effects)
-            simulated = refined_in_simulation(current, data)
+            simulated = self._refined(current)
             # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
             accurate = self._explains(simulated) or not self._explains(current)
             if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
@@ -301,7 +334,7 @@ class _Search:
         )
         error, error_before = (
             math.sqrt(max(prediction_cost(fitted.machine, data, SIMULATION) / data.count - 1.0, 0.0))
-            for fitted in (refined_in_simulation(after, data), refined_in_simulation(self.before, data))
+            for fitted in (self._refined(after), self._refined(self.before))
         )
         return wide < limit * wide_before or error < limit * error_before
 
@@ -314,8 +347,3 @@ class _Search:
         if corrected and after.machine.effects == self.before.machine.effects:
             return False
         return explains(after, self.base.chi2, self._criteria)
-
-
-def _describe(fitted: Fit) -> str:
-    """Return chi-squared and observer bandwidth of a fit, for the log."""
-    return f"chi-squared per sample {fitted.chi2:.4g} ({fitted.mode})"

@@ -114,15 +114,18 @@ def structural_trial_fits(
         criteria: Decision thresholds.
 
     Returns:
-        One fit per candidate, after few iterations, best linearized gain first: machine, k parameters (theta,
-        dimensionless, shape (k,)) and cost (chi-squared: sum of squared residuals / noise variances).
+        One fit per effect and component, after few iterations, the best one of its starting values: machine, k
+        parameters (theta, dimensionless, shape (k,)) and cost (chi-squared: sum of squared residuals / noise
+        variances).
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
     # Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
     least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
-    machines = screen_structures(current, data, scales, least)
-    return [_replace(current, machine, scales, data) for machine in machines]
+    fits: list[Fit] = []
+    for machine in screen_structures(current, data, scales, least):
+        fits = _with_better_shape(fits, _replace(current, machine, scales, data))
+    return fits
 
 
 def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:

@@ -137,12 +137,36 @@ def test_when_structural_effects_are_worth_a_trial(
 def test_structural_effects_are_tried_again_once_the_error_is_clearly_smaller(
     scripted: Scripted, chi2: float, retried: bool
 ) -> None:
-    """From an excess of 9, two thirds are 6.03."""
-    scripted.trials = [[fit_with(PUSH, chi2=chi2)]]
-    scripted.structures = [[], [fit_with(PUSH, FRAME, chi2=1.0)]]
+    """From an excess of 9, where no effect passed, two thirds are 6.03."""
+    search = scripted.search()
+    assert search.run(fit_with(chi2=10.0))[1] == ()
+    scripted.structures = [[fit_with(FRAME, chi2=1.0)]]
     scripted.residue = {chi2: 1.0}
+    _, effects = search.with_data(DATA).run(fit_with(chi2=chi2))
+    assert [s.effect for s in effects] == ([FRAME] if retried else [])
+
+
+def test_structural_effects_are_tried_again_beside_each_further_effect(scripted: Scripted) -> None:
+    """Where another effect passed, a structural one was no more than less promising."""
+    scripted.trials = [[fit_with(PUSH, chi2=9.0)]]
+    scripted.structures = [[], [fit_with(PUSH, FRAME, chi2=1.0)]]
+    scripted.residue = {9.0: 1.0}
     _, effects = scripted.search().run(fit_with(chi2=10.0))
-    assert [s.effect for s in effects] == ([PUSH, FRAME] if retried else [PUSH])
+    assert [s.effect for s in effects] == [PUSH, FRAME]
+
+
+@pytest.mark.parametrize(("chi2", "residue", "found"), [(10.0, 0.1, True), (10.0, 2.0, False), (1.49, 0.1, False)])
+def test_two_effects_that_hide_each_other_are_selected_together(
+    scripted: Scripted, chi2: float, residue: float, found: bool
+) -> None:
+    """The first one has less force than what remains without the second, and passes if it has more beside it."""
+    first = 0.7 * chi2
+    scripted.residue = {first: 2.0, 1.005: residue}
+    scripted.without = {PUSH.label: fit_with(DRAG, chi2=3.0)}
+    scripted.force = {DRAG.label: 5.0}
+    scripted.trials = [[fit_with(PUSH, chi2=first)], [fit_with(PUSH, DRAG, chi2=1.005)]]
+    _, effects = scripted.search().run(fit_with(chi2=chi2))
+    assert [s.effect for s in effects] == ([PUSH, DRAG] if found else [])
 
 
 @pytest.mark.parametrize(
