@@ -108,7 +108,7 @@ def search_effects(
         machine: Machine as declared.
         data: Runs to fit.
         criteria: Decision thresholds.
-        log: Called with a line of text at each stage.
+        log: Called with a line at each stage.
         confirmed: Whether held-out runs confirm an outcome without a run that contradicts the others. If not, the
             outcome of a search in all runs is returned. Default: they do.
 
@@ -132,7 +132,6 @@ def search_effects(
     log(f"searching for effects without {suspect}")
     extended = _fitted_to_all(others.selection, data)
     if extended[1] and explains(extended[0], others.base.chi2, criteria):
-        log(f"{suspect} is used")
         return all_runs.run(extended)
     outcome = others.run()
     if not outcome.explained:
