@@ -78,8 +78,8 @@ def train(
     with the same number of steps gives the agent of an uninterrupted one, bit for bit; only times and logs differ.
 
     Args:
-        algorithm: A recipe, or the name of one in the package without the task, for example "ppo", "sac", "residual" or
-            "apg"; `recipe_names` lists them.
+        algorithm: A recipe, or the first part of the name of a recipe in the package: "ppo" is the recipe ppo_reach for
+            the task "reach". `recipe_names` lists them.
         machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
         task: Name of the task: "reach", "track", another registered one, or `module:name` (see `load_recipe`).
         steps: Environment steps in total, including those before a resume. Default: the recipe's.

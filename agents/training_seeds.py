@@ -40,7 +40,7 @@ def train_seeds(
     is complete; if the calling process ends before, incomplete runs are lost. A run whose worker dies starts again.
 
     Args:
-        algorithm: A recipe (settings of a training run), or the name of one in the package without the task.
+        algorithm: A recipe (settings of a training run), or its name without the task: "ppo" for the recipe ppo_reach.
         machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
         task: Name of the task, as for `train`.
         steps: Environment steps of each run. Default: the recipe's.
@@ -48,7 +48,7 @@ def train_seeds(
         out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
         log: Function that receives one line of text when a run is complete.
         progress: Function that receives the number of complete runs and of all runs, after each run.
-        randomize: Randomization of the machine's parameters in place of the recipe's.
+        randomize: Randomization of the machine's parameters, as for `train`. Default: the recipe's.
         jobs: Number of local worker processes.
         ray: Ray runs the workers instead: "local" starts it on this machine, "auto" is the running cluster that this
             machine belongs to, "HOST:PORT" the head node of a cluster. Default: local processes.

@@ -236,7 +236,8 @@ def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
 
     Args:
         machine: Machine model.
-        sensors: Environment option: "state", "rig", "machine", or a `SensorSuite`.
+        sensors: Environment option: "state" (true state), "rig" (encoders and lasers), "machine" (declared sensors), or
+            a `SensorSuite`.
 
     Returns:
         Copy with these sensors in the order of the observation, without the other sensors and the effects on those

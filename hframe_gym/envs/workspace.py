@@ -244,12 +244,14 @@ def tool_product(machine: Machine, name: str) -> tuple[int, int]:
 def tool_terms(machine: Machine) -> NDArray[np.intp]:
     """Find the coordinates from which the tool position along each axis is computed.
 
+    The position along an axis is q[i], or q[i] + q[j] q[k] where the axis depends on a product of two coordinates: with
+    a bridge that can yaw, the tool is at x + yaw * y.
+
     Args:
         machine: Machine with one or two tool axes.
 
     Returns:
-        For each axis the index of its coordinate, and of two coordinates whose product is added to it (-1: none), shape
-        (axes, 3).
+        Indices i, j and k of each axis in `machine.coordinate_names`, shape (axes, 3); j and k are -1 without product.
     """
     return np.array(
         [(machine.coordinate_names.index(name), *tool_product(machine, name)) for name in machine.tool_axes]

@@ -152,20 +152,23 @@ def require_rows(recordings: Sequence[Recording]) -> None:
 
 
 def require_motion(fitted: Sequence[Recording]) -> None:
-    """Check that a fitted run moves a sensor.
+    """Check that at least one sensor measures motion in at least one of the fitted runs.
 
     Args:
         fitted: Runs that are not held out (times, voltages, measurements, SI).
 
     Raises:
-        InputError: If no sensor moves.
+        InputError: If the measurements of every sensor are constant in every fitted run.
     """
     if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
         raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
 
 
 def clean_recording(recording: Recording, machine: Machine, log: Callable[[str], object]) -> Recording:
-    """Remove repetitions, outliers and motion before the rest from a recording, and log how many there were.
+    """Remove unusable measurements from a recording, and log how many there were.
+
+    These are repetitions of the last measurement by a sensor that is slower than the log, outliers, and the
+    measurements before the machine comes to rest, if it still moves when the run begins.
 
     Args:
         recording: Run (times, voltages, measurements, SI).
@@ -173,7 +176,7 @@ def clean_recording(recording: Recording, machine: Machine, log: Callable[[str],
         log: Called with a line of text for each kind of measurements that is removed.
 
     Returns:
-        Copy whose measurements, shape (n, sensors), are NaN where they were removed.
+        Copy whose measurements, m or rad, shape (n, sensors), are NaN where they were removed.
     """
     measured = without_repetitions(recording)
     inside = without_outliers(measured, machine)

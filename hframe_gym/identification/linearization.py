@@ -130,9 +130,11 @@ class ResidualModel:
     def residuals(self, run: PreparedRecording, predicted: Array) -> Array:
         """Compare a batch of predictions of a run with its measurements.
 
-        The residual of a sample is (measured - predicted) / standard deviation of the measurement's noise. The
-        constant error by a wrong zero of the sensor (measurement at position 0) is subtracted first. A block is
-        `rows_per_block` successive samples. Their residuals become one: their sum / sqrt(rows_per_block).
+        The residual of a sample is (measured - predicted) / standard deviation of the measurement's noise, after
+        subtraction of the constant error that a wrong zero of the sensor (measurement at position 0) causes. At rest,
+        a quantized sensor repeats one rounding error: N such samples have the weight of one (factor 1 / sqrt(N) each).
+        The residuals of `rows_per_block` successive samples form a block with one value per sensor: their sum /
+        sqrt(rows_per_block).
 
         Args:
             run: Measured run of n samples.
@@ -140,7 +142,7 @@ class ResidualModel:
 
         Returns:
             Residuals, dimensionless, shape (batch, rows): one row per block and sensor, all sensors of a block before
-            the next block. 0 where not measured. N equal rounded values at rest count as one (factor 1 / sqrt(N)).
+            the next block; 0 where not measured.
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
 

@@ -92,10 +92,11 @@ class ModelEvaluation:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Channels with a clear error that no error of the motion can cause, since other sensors would show it as well.
+        """Channels whose error is clear and cannot come from a wrongly simulated motion: other sensors do not show it.
 
-        If a carriage moved in another way than simulated, its pulleys would as well: the belts stretch little. So where
-        a sensor of the carriage deviates and the encoders of the pulleys do not, its error arises between them and it.
+        Belts stretch little, so if a carriage moved otherwise than simulated, the encoders of the pulleys would deviate
+        as well. If only the sensor of the carriage deviates, the cause is that sensor, its mounting, or the part of the
+        machine between it and the pulleys.
         """
         errors = self.held_out.channels
         names = self.machine.coordinate_names

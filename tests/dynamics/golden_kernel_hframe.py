@@ -517,16 +517,16 @@ def rollout(
 ) -> None:
     """Simulate blocks first..last-1 over a recording; a block is LANES of the B machines, simulated side by side.
 
-    COORDINATES, INPUTS, PARAMETERS and SENSORS are the numbers of coordinates, drives and so on per machine.
+    COORDINATES, INPUTS (drives), PARAMETERS, SENSORS and STATES (rows of the state) are numbers per machine.
 
     Args:
         time: Sample times, s, shape (n,).
         inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
         parameters: Machine parameters, SI, shape (B, PARAMETERS).
-        start: Belt travel (radius * angle), m, its rate, m/s, effect states at the first sample, shape (B, STATES - 1).
+        start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects, shape (B, STATES - 1).
         measured: Measurements to correct the state, m or rad, shape (1 or B, n, SENSORS), NaN where missing; or empty.
         gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * COORDINATES, SENSORS).
-        extra: External forces, N, held, shape (1 or B, n, COORDINATES); ignored by a kernel that is generated without.
+        extra: External forces, N, held until the next sample, shape (1 or B, n, COORDINATES). Only used if FORCED.
         longest_step: Largest step of the integrator, s.
         first: Index of the first block.
         last: Index after the last block.

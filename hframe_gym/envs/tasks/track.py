@@ -171,7 +171,8 @@ class Track(Task):
     ) -> tuple[Array, Array]:
         """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
 
-        Attributes that are not None fix them. A path from a file is followed as it is, from its first point.
+        Each of these that is not None as an attribute of the task is fixed; the others are random. A path from a file
+        is followed as it is, from its first point.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
