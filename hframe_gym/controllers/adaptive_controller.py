@@ -58,8 +58,8 @@ MEAN_REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes,
 class AdaptiveController(FullStateController):
     """Model-based controller that adapts to the belt stiffness, masses and friction it estimates during the episode.
 
-    It commands a batch of B simulated machines with n coordinates each. The registered name `adaptive-pid`
-    follows that of `ModelBasedController` (`pid`).
+    It commands B simulated machines with n coordinates each. Its registered name is `adaptive-pid`, because the
+    controllers that it adapts are `ModelBasedController`s (`pid`).
 
     Args:
         machine: Machine model from which the bank of controllers is designed.
@@ -67,12 +67,11 @@ class AdaptiveController(FullStateController):
 
     Attributes:
         model: Model of the machine.
-        expected_friction: Voltages of the drives, divided by the rated voltages, that compensate the difference between
-            estimated and modeled friction along the path: one column per drive for each of PERIODS_AHEAD periods, the
-            present one first, then one per drive with the recent mean; shape (B, drives * (PERIODS_AHEAD + 1)). Zero
-            for a goal that does not move.
-        feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy on top of
-            this controller may observe both.
+        expected_friction: Voltages that compensate the difference between estimated and modeled friction along the
+            path, divided by the rated voltages, shape (B, 4 * drives): one column per drive for the present period,
+            then for each of the next two periods, then for the mean of recent periods. 0 if the goal does not move.
+        feature_sizes: Numbers of columns of `expected_friction` and `estimates`, by name; a learned policy that
+            corrects this controller may observe both.
 
     Raises:
         InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
@@ -127,7 +126,7 @@ class AdaptiveController(FullStateController):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
-            InputError: If the goal moves and the preview has fewer than PERIODS_AHEAD + 1 = 4 periods beyond the dead
+            InputError: If the goal moves and the preview ends less than 4 periods (PERIODS_AHEAD + 1) after the dead
                 time of the drives.
         """
         model = self.model
@@ -243,7 +242,8 @@ class MomentumFilter:
     def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
         """Update the estimates of friction, masses and belt stiffness with the momentum balances of the last period.
 
-        A balance compares the measured change of momentum with the modeled forces; the module states the equations.
+        A balance compares the measured change of momentum with the modeled forces. There is one for the motion with
+        unstretched belts and one for the tool, along each axis; the description of the module states the equations.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
@@ -298,14 +298,14 @@ class MomentumFilter:
     def friction_voltage_ahead(self, goals: Array) -> Array:
         """Compute voltages that compensate the difference between estimated and modeled Coulomb friction along a path.
 
-        The direction of friction follows from the velocity of the goals, which k goals determine for k - 2 periods.
+        Friction opposes the velocity of the goals, which follows from the differences of k goals for k - 2 periods.
 
         Args:
-            goals: Tool goals of B machines now and at the ends of the next periods, m, shape (B, k, axes), k > 2.
+            goals: Tool goals of B machines now and at the ends of the next k - 1 periods, m, shape (B, k, axes), k > 2.
 
         Returns:
-            Voltages for each of the next k - 2 periods, the present one first, V, shape (B, k - 2, drives); 0 where the
-            estimated friction equals the model's.
+            Voltages for k - 2 periods, the first being the period that starts now, V, shape (B, k - 2, drives); 0 where
+            the estimated friction equals the model's.
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period

@@ -125,7 +125,7 @@ CONTROLLERS: Registry[type[Controller]] = Registry("controller")
 
 
 class EpisodeStarts:
-    """Mask of those of B simulated machines that start a new episode with their next observation.
+    """Record which of B simulated machines start a new episode with their next observation.
 
     Attributes:
         mask: True for these machines, shape (B,). Empty before the first call of `resize`.
@@ -138,7 +138,8 @@ class EpisodeStarts:
         """Mark machines as starting a new episode with their next observation; machines marked earlier stay marked.
 
         Args:
-            mask: True for the machines to mark, shape (B,) for B machines. None: all; their number may then change.
+            mask: True for the machines to mark, shape (B,) for B machines. None: all; the next `resize` may then change
+                their number.
         """
         if mask is None:
             self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
@@ -146,7 +147,7 @@ class EpisodeStarts:
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Set the number of machines. If it changes, mark all of them as starting an episode.
+        """Set the number of machines; if it changes, mark all machines as starting a new episode.
 
         Args:
             count: Number of machines.

@@ -93,8 +93,8 @@ class SymbolicModel:
     def static_excess(self, state: Any, time: Any) -> list[Any]:
         """Return constraints (expressions that must be <= 0) under which the machine can stay at rest in a position.
 
-        Static friction must hold each linear coordinate that no drive acts on, such as a carriage between stretched
-        belts.
+        A linear coordinate on which no drive acts, such as a carriage between stretched belts, is at rest only if its
+        static friction is not less than the other forces on it.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, shape (2 n,). The rate is taken
@@ -102,8 +102,8 @@ class SymbolicModel:
             time: Time since the start, s.
 
         Returns:
-            For each linear coordinate without a drive, with the force f on it and its Coulomb friction F, the two
-            expressions f - F and -f - F, N; an empty list if every linear coordinate has a drive.
+            Two expressions, N, for each linear coordinate without a drive: f - F and -f - F, with the force f on it and
+            its Coulomb friction F. The list is empty if every linear coordinate has a drive.
         """
         equations = self._equations
         at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))

@@ -105,7 +105,9 @@ class AugmentedParameters(ParameterRatios):
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     def parameters(self, logarithms: Array) -> Array:
-        """Compute parameter values from the logarithms of their ratios to the declared ones, limited by `clip`.
+        """Compute parameter values from the logarithms of their ratios to the declared values.
+
+        The ratios are limited to [1/4, 4] (`LARGEST_RATIO`).
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated

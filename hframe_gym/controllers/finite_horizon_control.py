@@ -100,9 +100,9 @@ class MinimumEnergyTransfers:
         grid: Operating points of the gains.
         shortest: Number of periods of the shortest transfer.
         longest: Number of periods of the longest transfer.
-        gains: Gains on the state error at the start of the transfer (belt travel, that is, position or radius * angle,
-            of n coordinates and its velocity) for the voltages of its first and its last CHECKED_FINAL_PERIODS periods,
-            V/m and Vs/m, shape (points, longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n).
+        gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape (points,
+            longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n). Third axis: first period of the transfer,
+            then its last CHECKED_FINAL_PERIODS periods. State: belt travel (position or radius * angle), its velocity.
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
@@ -148,7 +148,7 @@ class MinimumEnergyTransfers:
             error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
                 its velocity, m and m/s, shape (B, 2 n).
             goal: Tool position at the goal, m, shape (B, axes).
-            limits: Lowest and highest voltages, V, each of shape (B, drives).
+            limits: Lowest voltages and highest voltages, V, shape (B, drives) each.
             at_least: Minimum number of control periods until rest, between the attributes `shortest` and `longest`,
                 shape (B,).
 
@@ -174,8 +174,8 @@ class MinimumEnergyTransfers:
     def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
         """Compute the minimum-energy motion from rest to rest, in the fewest periods that the voltage limits admit.
 
-        The machine is linearized at the goal, without Coulomb friction. If no number of periods satisfies the limits,
-        the motion takes `longest` periods and exceeds them.
+        The machine is linearized at the goal, without Coulomb friction. If no motion of up to `longest` periods (an
+        attribute) satisfies the limits, the result is the motion of `longest` periods, which exceeds the limits.
 
         Args:
             start: Tool position at the start, m, shape (axes,).
@@ -286,10 +286,11 @@ class PreviewTracker:
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
     def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
-        """Update the estimated disturbance: the forces beyond the modeled ones that explain the state after a period.
+        """Update the estimated disturbance with the states before and after the last period.
 
-        The forces are low-pass filtered with a time constant of 28 ms. `command` compensates them by feedforward, in
-        place of an integrator.
+        The disturbance is the force on each coordinate, in addition to the modeled forces, that explains the measured
+        state `after`. It is low-pass filtered (time constant 28 ms). `command` compensates it, which replaces an
+        integrator.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
@@ -314,7 +315,7 @@ class PreviewTracker:
                 machines and its velocity, m and m/s, shape (B, 2 n).
             goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes) for H =
                 `horizon`; further goals are ignored.
-            last: Motor voltages of the previous period, V, shape (B, drives); the plan avoids jumps from them.
+            last: Motor voltages of the previous period, V, shape (B, drives). The plan penalizes changes from them.
             elapsed_s: Time since the start of the episode, s, shape (B,).
 
         Returns:

@@ -50,8 +50,8 @@ class DeadTime:
         """Set all voltages in the delay lines of the machines that start an episode to 0 V.
 
         Args:
-            mask: True for the machines that start an episode, shape (B,) for B machines. If B changes, all delay lines
-                are filled with 0 V.
+            mask: True for the machines that start an episode, shape (B,) for B machines. If B differs from that of the
+                previous call, the delay lines of all machines are set to 0 V.
         """
         if len(self._sent) != len(mask):
             self._sent = np.zeros((len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives)))
@@ -91,8 +91,8 @@ class DeadTime:
         """Return the piecewise constant voltages that reached the drives, after the dead time, during the last period.
 
         Returns:
-            times: k times from the start of the period, s, shape (k,): 0, the time at which the voltages changed if
-                there is one, and the period.
+            times: k times since the start of the period, s, shape (k,): [0, `remainder_s`, `period`] if the voltages
+                changed within the period, [0, `period`] if the dead time is a multiple of the period.
             volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
                 the last entry repeats the one before it.
         """
@@ -107,15 +107,15 @@ class DeadTime:
         """Shift the preview of goals by the dead time, because new voltages act only after it.
 
         Args:
-            goals: Tool goals of B simulated machines at P sample times, the first now, the others one period apart, m,
-                shape (B, P, axes).
+            goals: Tool goals of B simulated machines now and at the ends of the next P - 1 periods, m, shape
+                (B, P, axes).
 
         Returns:
-            Goals at the sample times plus the dead time, interpolated, as far as the preview reaches, m, shape
-            (B, Q, axes), Q <= P.
+            Goals at the dead time T from now and at the ends of the next Q - 1 periods after it, m, shape (B, Q, axes),
+            interpolated between `goals`. Q <= P is the number of these times within the preview.
 
         Raises:
-            InputError: If fewer than two goals remain: the preview is too short for the dead time.
+            InputError: If fewer than two of these times are within the preview.
         """
         if self.delay_s == 0.0:
             return goals

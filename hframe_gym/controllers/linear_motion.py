@@ -102,8 +102,8 @@ class LinearMotion:
     def opposing_friction(self, state: Array, error: Array, parameters: Array) -> Array:
         """Predict the Coulomb friction during the motion to the goal, as one constant force per coordinate.
 
-        Constant forces allow a plan with a linear model. Friction opposes the present motion or, at speeds far below 20
-        mm/s, the motion towards the goal; there it decreases to zero within about 1 mm of the goal.
+        Constant forces allow a plan with a linear model. At speeds far above 20 mm/s, the force opposes the present
+        motion. At speeds far below, it opposes the motion towards the goal, and is smaller within about 1 mm of it.
 
         Args:
             state: Belt travel (radius * angle) of the n coordinates of B machines and its velocity, m and m/s, shape
@@ -138,7 +138,7 @@ def _exponential(matrices: Array) -> Array:
 def state_scale(states: int) -> Array:
     """Return the units of positions and velocities in which the reachability Gramian is well conditioned.
 
-    A state divided by these units is scaled: an error of 1 mm is then as large as one of 0.1 m/s.
+    Scaled state = state / units. In a scaled state an error of 1 mm is as large as one of 0.1 m/s.
 
     Args:
         states: Number of states, 2 n: belt travel of n coordinates and its velocity.
@@ -166,8 +166,8 @@ def scaled_matrices(A: Array, *inputs: Array) -> tuple[Array, ...]:
 def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Array, Array]]:
     """Yield the responses of linear systems over N = 1, 2, ... periods to voltages and to their initial state.
 
-    From them follow the voltages with the least sum of squares that bring the state z to rest in N periods: in period j
-    B' A'^(N-1-j) c with the costate c = -W_N^-1 A^N z.
+    They give the voltages with the least sum of squares that bring a state error z to zero in N periods:
+    u_j = -B' A'^(N-1-j) W_N^-1 A^N z in period j = 0, ..., N - 1.
 
     Args:
         A: System matrices of any number of machines or operating points, shape (points, 2 n, 2 n).
@@ -175,9 +175,10 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
         longest: Largest number of periods N.
 
     Yields:
-        For each N, with scaled states (belt travel / 1 m, velocity / 100 m/s): the response A^(N-1) B to the voltages
-        of the first period, shape (points, 2 n, drives); the reachability Gramian W_N, sum of A^j B B' A'^j for j < N,
-        shape (points, 2 n, 2 n); and the response A^N to the initial state, shape (points, 2 n, 2 n).
+        pulse: Response A^(N-1) B of the state after N periods to the voltages of the first one, with scaled states
+            (belt travel / 1 m, velocity / 100 m/s), shape (points, 2 n, drives).
+        gramian: Reachability Gramian W_N, the sum of A^j B B' A'^j for j < N, shape (points, 2 n, 2 n).
+        power: Response A^N of the state after N periods to the initial state, shape (points, 2 n, 2 n).
     """
     A, B = scaled_matrices(A, B)
     gramian, power = np.zeros_like(A), np.broadcast_to(np.eye(A.shape[1]), A.shape)
@@ -188,12 +189,12 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
 
 
 class PlannedTransfers(NamedTuple):
-    """First voltages of K transfers of each of B machines with n coordinates.
+    """First voltages of K transfers (motions to rest at the goal) of each of B machines with n coordinates.
 
     Attributes:
         volts: Voltages of the first period, V, not limited, shape (B, K, drives).
-        gains: Their derivatives with respect to the state (belt travel of n coordinates and its velocity), V/m and
-            Vs/m, shape (B, K, drives, 2 n).
+        gains: Derivatives of `volts` with respect to the state (belt travel of n coordinates and its velocity), V/m
+            and Vs/m, shape (B, K, drives, 2 n).
     """
 
     volts: Array
@@ -236,12 +237,12 @@ class SimulatedTransfers:
                 velocity, m and m/s, shape (B, 2 n).
             goal: Tool positions of the goals, m, shape (B, axes).
             parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
-            last_volts: Voltages of the period before, V, shape (B, drives); they matter only if the drives have a dead
-                time, in which they still act.
+            last_volts: Voltages of the previous period, V, shape (B, drives). They still act during the dead time of
+                the drives; without a dead time they are not used.
 
         Returns:
-            Voltages of the first period of each motion, V, not limited, shape (B, K, drives), and their derivatives
-            with respect to the state, V/m and Vs/m, shape (B, K, drives, 2 n).
+            volts: Voltages of the first period of each motion, V, not limited, shape (B, K, drives).
+            gains: Derivatives of `volts` with respect to the state, V/m and Vs/m, shape (B, K, drives, 2 n).
         """
         scale = self._scale
         error = state - self._model.goal_state(goal)

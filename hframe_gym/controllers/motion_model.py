@@ -214,7 +214,7 @@ class MotionModel:
     def effect_force(self, state: Array, elapsed_s: Array) -> Array:
         """Compute the forces of the machine's effects (deviations from the nominal model) other than friction.
 
-        Effects with a memory or a lookup table are left out, and those on belts, drives and sensors.
+        Not included: effects with a memory or a lookup table, and effects on belts, drives and sensors.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -228,10 +228,10 @@ class MotionModel:
         return _stack(self._balance(state, elapsed_s).forces, state)
 
     def friction_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute Coulomb friction F tanh(v / (20 mm/s)) and what the machine's effects add to friction.
+        """Compute the friction force -F tanh(v / (20 mm/s)) and the friction that the machine's effects add to it.
 
-        Viscous friction of the machine without effects is not included. Effects (deviations from the nominal model)
-        with a memory or a lookup table are left out, and friction that grows with the drive force.
+        Effects are deviations from the nominal model. Not included: viscous friction of the nominal model, effects with
+        a memory or a lookup table, and effects by which friction grows with the drive force.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
@@ -278,11 +278,11 @@ class MotionModel:
         """Compute how far the motors must turn to stretch the belts until they balance a force on the resting tool.
 
         Args:
-            force: Force on each of the n coordinates of B machines, N, shape (B, n); only forces on the tool are used.
+            force: Force on each of the n coordinates of B machines, N, shape (B, n). Only those on the tool are used.
             goal: Tool positions, m, shape (B, axes).
 
         Returns:
-            Belt travel (radius * angle) of the turn from unstretched belts, m, shape (B, n); 0 for the tool axes.
+            Belt travel (radius * angle) of the motors beyond unstretched belts, m, shape (B, n); 0 for the tool axes.
         """
         tool = self.tool
         motors = [i for i in range(len(self.mass)) if i not in tool]
@@ -311,7 +311,7 @@ class MotionModel:
     def disturbance_force(self, before: Array, after: Array, volts: Array, period: float) -> Array:
         """Compute the mean disturbance force over a period from the momentum balance of the rigid motion.
 
-        It is the rate of momentum plus viscous friction minus drive force; belt forces are internal and cancel.
+        Force = change of momentum / period + viscous friction - drive force. Belt forces are internal and cancel.
 
         Args:
             before: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, at the start, shape (B, 2 n).

@@ -47,7 +47,8 @@ LARGEST_DIFFERENCE = 1e6  # in multiples of the smallest noise; a simulation wit
 class ParameterEstimator(ABC):
     """Estimator of parameters of B machines from their states, voltages, and simulations of single control periods.
 
-    A subclass states what it estimates and how exactly (class attributes), and implements the correction.
+    A subclass defines in class attributes which parameters are estimated and how large the assumed errors are, and
+    implements the correction of the estimates.
 
     Args:
         model: Model of the machine with its declared parameters, n coordinates and b belts, without a dead time of the
@@ -57,10 +58,10 @@ class ParameterEstimator(ABC):
             0 if they change at the start.
 
     Attributes:
-        prior_std: Prior standard deviations of the logarithms by kind of parameter ("coulomb" and "mass" of every
-            coordinate, "EA" and "rest_length" of every belt) (class attribute).
-        prior_offset_std: Prior standard deviation of a missing voltage at every drive, as a fraction of the rated
-            voltage; None: no such voltages are estimated (class attribute).
+        prior_std: Prior standard deviations of ln(actual / declared value) by kind of parameter: "coulomb" and "mass"
+            of every coordinate, "EA" and "rest_length" of every belt (class attribute).
+        prior_offset_std: Prior standard deviation of the missing voltage (voltage at a drive that the simulation lacks)
+            as a fraction of the rated voltage; None: no missing voltages are estimated (class attribute).
         state_std: Standard deviations of measured minus simulated belt travel, m, and its rate, m/s (class attribute).
         difference: Change of an estimate for the finite differences, dimensionless (class attribute).
         integration_step: Largest step of the simulations, s (class attribute).
@@ -96,9 +97,9 @@ class ParameterEstimator(ABC):
     def update(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
         """Update the attribute `estimates` with the measured states of the control period that has ended.
 
-        Estimated are Coulomb friction and masses of coordinates, stiffnesses EA and lengths of belts, as far as
-        `prior_std` names them, each as ln(actual / declared value). With `prior_offset_std`, missing voltages follow:
-        voltages at the drives that the simulation lacks, as fractions of the rated voltages.
+        `estimates` holds ln(actual / declared value) of each kind of parameter in `prior_std`: Coulomb friction and
+        masses of coordinates, stiffnesses EA and lengths of belts. If `prior_offset_std` is not None, one missing
+        voltage per drive follows: the voltage that the simulation lacks, as a fraction of the rated voltage.
 
         Args:
             before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
@@ -106,8 +107,8 @@ class ParameterEstimator(ABC):
             after: States at the end of the period, m and m/s, shape (B, 2 n).
             actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives). With a dead
                 time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period, shape (B, 2, drives).
-            starts: True for machines whose episode starts with `after`, shape (B,). Their estimates become zero. All
-                parameters then have their declared values, because ln(1) = 0, and no voltage is missing.
+            starts: True for machines whose episode starts with `after`, shape (B,). Their estimates become zero: all
+                parameters have their declared values, because ln(1) = 0, and no voltage is missing.
         """
         if len(self.estimates) != len(starts):
             self._resize(len(starts))
@@ -337,5 +338,5 @@ class ParameterWindow(ParameterEstimator):
 
     @property
     def offset(self) -> Array:
-        """Estimated voltages, V, shape (B, drives), that the simulation needs in addition to explain the states."""
+        """Estimated missing voltages: those at the drives that the simulation lacks, V, shape (B, drives)."""
         return self.estimates[:, self._offsets] * self._model.rated

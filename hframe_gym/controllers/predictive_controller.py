@@ -144,10 +144,10 @@ class PredictiveController(FullStateController):
         return self.estimator.estimates
 
     def gain(self) -> Array:
-        """Compute the derivative of the voltages of the last call of `act` with respect to the state.
+        """Compute the derivative, with respect to the state, of the voltages that the last call of `act` returned.
 
-        The derivative of the linear plan is returned; corrections of the plan by simulations are ignored. Training by
-        the analytic policy gradient uses it if a policy corrects this controller. Call `act` before.
+        It is the derivative of the plan with the linear model; corrections of the plan by simulations are ignored. The
+        analytic policy gradient needs it to train a policy that corrects this controller. Call `act` before.
 
         Returns:
             Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).

@@ -69,7 +69,7 @@ class ArrivalPlanner:
     def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
         """Predict the motion at 0 V and the response to voltages, and store both for `plan` and `gain`.
 
-        Call it in every control period before these methods; the prediction reaches to the end of the longest plan.
+        Call it in every control period before `plan` and `gain`. The prediction covers the longest plan.
 
         Args:
             matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N, of the
@@ -100,9 +100,8 @@ class ArrivalPlanner:
             arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
 
         Returns:
-            volts: Motor voltages within the rated ones, V, shape (B, periods, drives). The second axis has H periods
-                more than the largest K for which the planner was made (`longest`); after the K + H periods of a
-                machine's plan, its voltages are zero.
+            volts: Motor voltages within the rated ones, V, shape (B, longest + H, drives), where `longest` is the
+                argument of the planner's constructor. They are zero after the K + H periods of a machine's plan.
             error: Largest predicted distance of the tool from its goal at the ends of periods K to K + H - 1, m, shape
                 (B,). A large distance means that the tool cannot arrive so early.
         """
@@ -118,10 +117,10 @@ class ArrivalPlanner:
         return ArrivalPlan(volts, distance)
 
     def gain(self, arrival: Indices) -> Array:
-        """Compute the derivative of the first period's voltages of `plan(arrival)` with respect to the state.
+        """Compute the derivative, with respect to the state, of the voltages of the first period of `plan(arrival)`.
 
         Args:
-            arrival: Number K of periods until the arrival, shape (B,).
+            arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
 
         Returns:
             Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n);
@@ -242,15 +241,16 @@ class PlanSimulation:
     ) -> Array:
         """Choose the best of several plans by simulation, and improve it.
 
-        The cost of a plan is the sum of the tool's distances from its goal from the end of period K on; large distances
-        weigh less. Gauss-Newton iterations with finite differences reduce it.
+        The cost of a plan is a sum over the simulated times from the end of period K on. Each term grows with the
+        distance of the tool from its goal, more slowly for large distances. Gauss-Newton iterations, with derivatives
+        by finite differences, reduce the cost.
 
         Args:
             state: Belt travel (radius * angle) of n coordinates of B machines and its velocity, m and m/s, shape
                 (B, 2 n).
             parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
             goal: Tool goals, m, shape (B, axes).
-            plans: Commanded voltages of each period, V, each of shape (B, periods, drives).
+            plans: One array per plan, at least one: commanded voltages of each period, V, shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
             count: Number of periods since the start of the episode. It selects the finite-difference steps, whose size
                 and sign change from period to period so that some of them overcome static friction.

@@ -247,9 +247,10 @@ class TimeOptimalReach:
 class HeldVoltageReach:
     """Solver of the time-optimal control problem with voltages that are held over control periods.
 
-    It gives the shortest settling time of a controller that changes its voltages once per period, the first time at the
-    start. The problem with the last entry into the band in period K is that of `TimeOptimalReach` with T between
-    (K - 1) and K periods; K grows from that of the free voltages until there is a solution.
+    It gives the shortest settling time of a controller that changes its voltages at the start of each control period.
+    The problem of `TimeOptimalReach` is solved with the last entry into the band in control period K, that is, with T
+    between K - 1 and K periods. K starts where the motion ends whose voltages may change at any time, and grows until
+    there is a solution.
 
     Args:
         machine: Machine whose motion is optimized, with its effects, which must have no memory.
@@ -275,12 +276,12 @@ class HeldVoltageReach:
             goal: Positions of the linear coordinates at the goal, m, shape (axes,).
             parameters: All P parameters in the order and units of `Machine.parameters`, shape (P,), or None for the
                 machine's.
-            free_s: Duration of the time-optimal motion whose voltages may change at any time, s, from
-                `TimeOptimalReach`; the search starts at the period in which it ends.
+            free_s: Duration of the time-optimal motion whose voltages may change at any time, s, as computed by
+                `TimeOptimalReach`. The search starts in the control period in which this motion ends.
 
         Returns:
             Duration, s, and commanded voltages, V, shape (intervals, drives), for the intervals between `edges_s`. The
-            attribute `solved` is False if no motion arrives in the period of the time `free_s` or in the next three.
+            attribute `solved` is False if no motion is found that ends in the period of `free_s` or in the next three.
         """
         first = max(1, int(np.ceil(free_s / self.period)))
         for last in range(first, first + LATEST_PERIODS):

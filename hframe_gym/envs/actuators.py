@@ -69,8 +69,8 @@ class Actuators:
 
         Returns:
             Copy in which `bits` and `range_V` replace the converter of every drive (`bits` None: not quantized). If
-            `current_limit` is given, every drive has the effect `current_limit` with this value, or with the smaller
-            one that it had already. If `delay` is not 0, the machine has the effect `input_delay`.
+            `current_limit` is given, every drive has the effect `current_limit` with this value; a drive whose limit is
+            already smaller keeps it. If `delay` is not 0, the machine has the effect `input_delay`.
 
         Raises:
             InputError: If the machine has an input delay already and `delay` is not 0.
@@ -121,8 +121,8 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
             the machine declares), or `Actuators(...)`.
 
     Returns:
-        Copy of the machine with converters, current limit and dead time of `drives`. A dead time of the machine, and a
-        current limit of the machine that is smaller, remain. For "machine": the machine itself.
+        Copy of the machine with converters, current limit and dead time of `drives`. The machine keeps a dead time that
+        it already has, and a current limit that is smaller than that of `drives`. For "machine": the machine itself.
 
     Raises:
         InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.
@@ -192,7 +192,8 @@ class ActuatorModel:
     Args:
         machine: Machine with its drives and their converters.
         count: Number of environments.
-        column: Function that returns the column of a parameter in the `values` of `begin`, given its full name.
+        column: Function that takes the full name of a parameter ("motor1.converter_bits") and returns its column in the
+            argument `values` of `begin`.
         period: Control period, s.
         steps: Integration steps per control period.
         delayed: Whether any drive has a dead time.
@@ -223,10 +224,10 @@ class ActuatorModel:
         self._commanded = np.zeros((blocks, drives, LANES)) if delayed else None
 
     def begin(self, index: Index, values: Array) -> None:
-        """Prepare new episodes of k environments: read their D/A converters from `values`, clear delayed voltages.
+        """Begin new episodes of k environments: set their D/A converters, and all earlier voltages to 0 V.
 
-        The converters have the parameters `converter_bits` and `voltage_range` of each drive. Until its dead time has
-        passed, a drive applies 0 V.
+        The converter of a drive is given by its parameters `converter_bits` and `voltage_range` in `values`. A drive
+        with a dead time therefore applies 0 V until this time has passed.
 
         Args:
             index: Indices of the environments, shape (k,).
@@ -238,9 +239,9 @@ class ActuatorModel:
             self._history[block, :, :, lane] = 0.0
 
     def begin_period(self) -> None:
-        """Shift the stored voltages of the last control periods by one period; dead times are simulated from them.
+        """Make room for the voltages of a new control period in the history from which dead times are simulated.
 
-        Call it once per control period, before `command`. Without dead times nothing is stored.
+        Call it once per control period, before `command`. Without dead times there is no history: nothing happens.
         """
         if self._commanded is not None:  # without dead time nothing reads the history
             self._history[:, 1:] = self._history[:, :-1]

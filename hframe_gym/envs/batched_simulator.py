@@ -43,7 +43,7 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
     """Compute the factors from belt travel (m) to the units of the coordinates (m or rad).
 
     The simulator stores positions as belt travel: the coordinate itself if it is linear, radius * angle if it is the
-    angle of a pulley. Times these factors, they are positions as sensors and observations have them.
+    angle of a pulley. Position in the unit of the coordinate = belt travel * factor.
 
     Args:
         machine: Machine with its coordinates.
@@ -64,6 +64,7 @@ def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
     """Find the blocks that contain given machines, as ranges of consecutive blocks.
 
     Compiled simulation functions process ranges of blocks. A block is LANES machines; machine b is in block b // LANES.
+    Example: with LANES = 8, machines 0, 9 and 30 are in blocks 0, 1 and 3, which gives the ranges (0, 2) and (3, 4).
 
     Args:
         index: Indices of the machines, ascending, not empty, shape (k,).
@@ -197,7 +198,10 @@ class BatchedSimulator:
             delay_line.fill(index, self._undelayed)
 
     def begin_period(self) -> None:
-        """Begin a control period; call it once for all machines, before `advance`."""
+        """Begin a control period of all machines: advance the history of voltages (dead times) and the step counter.
+
+        Call it once per period, before `advance`.
+        """
         self.actuators.begin_period()
         self._steps_done += self.steps
 

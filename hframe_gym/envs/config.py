@@ -71,7 +71,8 @@ class EnvConfig:
         drives: What applies the voltages: "ideal" (voltages are not quantized), "rig" (12-bit D/A converters, current
             limit 12 A), "machine" (the converters that the machine declares), or `Actuators(...)`. Dead times and
             current limits that the machine has as effects act in any case.
-        privileged: Whether the observation also has the true state and the randomized parameters, for a critic.
+        privileged: Whether the observation also has the array `privileged` (true state and randomized parameters) for
+            the critic of an actor-critic method.
         normalize: Whether observations and goals are (value - center) / scale, with center and scale of
             `env.unwrapped.entries`, so that every entry is about -1 to 1, as learning libraries with default
             hyperparameters need it.
@@ -176,8 +177,8 @@ def check_reset_options(
     """Check the argument `options` of an environment's `reset`.
 
     Args:
-        options: Dict of the keys `start` and `target`, positions of the tool and of the goal, m, shape (axes,) or
-            (count, axes), both optional; None for no options.
+        options: Dict with the optional keys `start` and `target`: positions of the tool and of the goal, m, shape
+            (axes,) for all environments or (count, axes). None: no options.
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
         count: Number of environments that are reset.
         others: Further keys that are accepted and not checked.
@@ -186,8 +187,8 @@ def check_reset_options(
         Positions by key, m, shape (count, axes); without the keys that are not given.
 
     Raises:
-        InputError: If the options are not a dict, a name is unknown, or a position is not of numbers, has another shape
-            or is outside the workspace.
+        InputError: If the options are not a dict or a key is unknown. Also if a position is not numeric, has another
+            shape or is outside the workspace.
     """
     if options is None:
         return {}
@@ -215,7 +216,7 @@ def check_reset_options(
 def check_task(task: Task, workspace: NDArray[np.float64]) -> None:
     """Check that a task fits into a workspace and that its methods return arrays of the right shapes.
 
-    The methods are called for a few episodes, with random numbers of their own.
+    The methods are called for a few trial episodes with fixed random numbers.
 
     Args:
         task: Task with the methods `check`, `begin`, `goal` and, for metrics "track", `contour`.
@@ -259,16 +260,17 @@ def _check_array(label: str, values: NDArray[Any], shape: tuple[int, ...]) -> No
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Convert the environment option `machine` (object, built-in name or file) to a `Machine`.
+    """Convert the environment option `machine` (object, preset name or file) to a `Machine`.
 
     Args:
-        machine: A `Machine`, which is returned unchanged, a built-in name ("hframe", ...), or path of a machine.json.
+        machine: A `Machine`, which is returned unchanged; the name of a preset ("hframe", ...); or the path of a
+            machine.json.
 
     Returns:
         Machine model.
 
     Raises:
-        InputError: If no built-in machine or file has this name, or the file is invalid.
+        InputError: If no preset or file has this name, or the file is invalid.
     """
     if isinstance(machine, Machine):
         return machine

@@ -47,16 +47,16 @@ class Distribution(Protocol):
         """
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles: the values below which a sample lies with the probabilities u.
+        """Compute the quantiles of the probabilities u: a sample is below quantile i with the probability u[i].
 
-        Uniform random numbers u therefore give random samples of the distribution.
+        If u are uniform random numbers, the quantiles are random samples of the distribution.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Quantiles, in the unit of the distribution's arguments, shape (k,). Entry i must depend on u[i] alone, to
-            the bit, so that an environment gets the same sample in a batch of any size.
+            Quantiles, in the unit of the distribution's arguments, shape (k,). Entry i must depend on u[i] only, not on
+            k or other entries, so that an environment gets exactly the same sample in a batch of any size.
         """
 
 
@@ -211,13 +211,16 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles of the rule's distribution; for uniform random numbers u they are random samples.
+        """Compute quantiles of the rule's distribution: samples are below quantile i with the probability u[i].
+
+        If u are uniform random numbers, the quantiles are random samples.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Samples for `apply`, shape (k,). Dimensionless if `how` is "scale", else in the parameter's SI unit.
+            Quantiles, which `apply` takes as samples, shape (k,). They are dimensionless if `how` is "scale", else in
+            the parameter's SI unit.
         """
         return self._distribution.quantile(u)
 
@@ -252,8 +255,8 @@ class RandomizeParameter:
 class RandomizeIdentified:
     """Sample the identified parameters from their joint normal distribution around the machine's values.
 
-    The distribution is truncated at the limits of each parameter, because the normal approximation of a poorly
-    identified parameter has a tail that no machine has.
+    The distribution is truncated at the limits of each parameter: if a parameter is poorly identified, the normal
+    distribution also contains values that no machine has, such as a negative mass.
 
     Args:
         widen: Factor on the identified standard deviations.

@@ -128,7 +128,8 @@ class EnvironmentBatch:
         Args:
             index: Indices of the environments, ascending, shape (k,).
             start: Tool positions at the start, m, shape (k, axes). Default: the task chooses them.
-            plan: Plans (goals at all times) in the task's format, shape (k, plan_size). Default: the task chooses them.
+            plan: Plans, shape (k, plan_size): numbers from which the task computes the goal at every time; `Task.begin`
+                and `Task.aim` return them. Default: the task chooses them.
 
         Raises:
             InputError: If a sampled parameter is outside its limits.
@@ -163,7 +164,7 @@ class EnvironmentBatch:
     # -- step ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Check actions as `actuators.check_actions` does, which describes argument and errors.
+        """Check that `reset` was called and that actions have the right shape and are finite; convert them to floats.
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (count, drives) for `count` environments.
@@ -180,10 +181,11 @@ class EnvironmentBatch:
         return check_actions(actions, self._expected_shape, self.machine)
 
     def result(self) -> StepResult:
-        """Allocate the arrays into which `step` writes; rewards, distances and contour errors without initial values.
+        """Allocate the arrays into which `step` writes rewards, terminations and distances.
 
         Returns:
-            New arrays, shape (count,) each; without contour errors for a task without a path.
+            New arrays, shape (count,) each: `terminated` is False, the others are not initialized. `contour` is None
+            for a task without a path.
         """
         count = self.count
         contour = np.empty(count) if self._has_path else None
@@ -198,7 +200,8 @@ class EnvironmentBatch:
             result: Output: rewards, terminations, and distances to goal and path; its arrays are overwritten.
 
         Returns:
-            New arrays by key, float32, SI, shape (count, entries of the key) for `count` environments.
+            Observations after the step: new arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...),
+            float32, SI, shape (count, entries of the key) for `count` environments.
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
@@ -272,8 +275,8 @@ class EnvironmentBatch:
         Args:
             index: Indices of the environments, ascending, shape (k,).
             observation: Observation after the last `step`; rows `index` are overwritten.
-            result: Result of the last `step`. Rows `index` of its distances to goal and path are overwritten with those
-                of the new episodes; rewards and terminations remain those of the step.
+            result: Result of the last `step`. In rows `index`, the distances to goal and path are overwritten with
+                those at the start of the new episodes. Rewards and terminations remain those of the step.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.
@@ -290,8 +293,8 @@ class EnvironmentBatch:
         They contain the true states or, with the option `sensors`, the measurements of the last step or reset.
 
         Returns:
-            New float32 arrays by key of the observation, SI (the options `normalize` and `flat` are not applied), shape
-            (count, entries of the key) for `count` environments.
+            New arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), float32, SI, shape (count, entries
+            of the key) for `count` environments. The options `normalize` and `flat` are not applied.
         """
         observation = self._blank()
         self._write_rows(np.arange(self.count), observation)

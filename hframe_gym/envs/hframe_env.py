@@ -52,9 +52,10 @@ class BatchProperties:
     def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
         """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
 
-        Goals are taken as observed (m, or normalized), shape (axes,) or (n, axes). Rewards are a float or an array of
-        shape (n,), dimensionless; for the goals that `step` returned they equal its rewards bit by bit. Only the reward
-        "progress" uses `info`, from which it takes the goals before the step (`previous_achieved_goal`).
+        The function takes goals as observed (m; with `normalize` dimensionless), shape (axes,) or (n, axes). It returns
+        a float or an array of shape (n,), dimensionless. For the goals that `step` returned, it returns exactly the
+        rewards of `step`. Only the reward "progress" uses `info`: it reads the goals before the step
+        (`previous_achieved_goal`).
 
         Raises:
             AttributeError: With `flat=True`, because the observation then has no goals.

@@ -101,11 +101,11 @@ class RuleSampler:
         rules: Randomization rules.
         machine: Machine whose identified covariance `RandomizeIdentified` uses.
         when: Rules to apply, "reset" (every episode) or "startup" (once per seed); the others are ignored.
-        before: Smallest and largest values to which the rules are applied, SI, shape (N,) each. Default: nominal ones.
+        before: Smallest and largest values before the rules, SI, shape (N,) each. Default: the nominal values twice.
 
     Attributes:
-        names: Full names of the parameters that the rules change; not those that are 0 and only scaled.
-        draws: Number of uniform random numbers that a sample of all parameters needs.
+        names: Full names of the parameters that the rules change; a parameter that is 0 and only scaled does not.
+        draws: Number of uniform random numbers per environment that `sample` needs.
         low: Smallest possible value of every parameter after sampling, SI, shape (N,).
         high: Largest possible value of every parameter after sampling, SI, shape (N,).
 
@@ -192,17 +192,17 @@ class RuleSampler:
         """Sample the parameters of k environments by the rules.
 
         Args:
-            base: All N parameters of the parameter space before sampling, SI, shape (k, N), or (1, N) if they are the
-                same in all environments.
+            base: All N parameters before sampling, in the order of `ParameterSpace.names`, SI, shape (k, N), or (1, N)
+                if they are the same in all environments.
             uniforms: Uniform random numbers in (0, 1), `draws` (attribute) of them per environment, shape (k, draws).
 
         Returns:
-            All parameters after sampling, SI, shape (k, N). Parameters that `RandomizeIdentified` samples, and the belt
-            lengths in `ParameterSpace.clipped`, are clipped to their limits. Where an unbounded distribution yields a
-            negative value for a parameter with the lower limit 0, such as friction or noise, the parameter is 0.
+            All parameters after sampling, SI, shape (k, N). Some are clipped to their limits: those that
+            `RandomizeIdentified` samples, the belt lengths in `ParameterSpace.clipped`, and, at 0, those with the lower
+            limit 0 (such as friction or noise) for which an unbounded distribution yields a negative value.
 
         Raises:
-            InputError: If an unbounded distribution yields a value outside the limits that is not clipped.
+            InputError: If an unbounded distribution yields a value outside the limits of another parameter.
         """
         values = np.empty((len(uniforms), base.shape[1]))
         values[:] = base
@@ -230,9 +230,9 @@ class RuleSampler:
 class MachineSampler:
     """Sample the parameters of `count` environments, and the keys (seeds) of their episodes.
 
-    Each environment takes one number from its generator when it is seeded. The key of every episode is derived from
-    that number and the number of episodes before. Rules for "startup" change the nominal values once per seed, those
-    for "reset" change the result in every episode.
+    Each environment takes one random number from its generator when it is seeded. The key of an episode is derived from
+    this number and the count of episodes since then. Rules with `when="startup"` change the nominal values once per
+    seed. Rules with `when="reset"` change the resulting values in every episode.
 
     Args:
         machine: Machine without randomization.
@@ -311,8 +311,8 @@ class MachineSampler:
         """Compute the smallest and the largest values that `normalized` can return.
 
         Returns:
-            By full name of the parameter: smallest and largest value, both divided by the nominal value, dimensionless
-            (SI if this is 0); finite for unbounded distributions too: uniform numbers are at most 1 - 2^-53.
+            By full name of the parameter: smallest and largest value, divided by the nominal value, dimensionless (SI
+            if that is 0). They are always finite, because the uniform numbers exclude 0 and 1.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}

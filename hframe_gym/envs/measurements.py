@@ -28,7 +28,7 @@ _FIRST_CUSTOM_CHANNEL = 1 << 20
 
 
 class SensorArray:
-    """Turn ideal readings into measurements with noise, quantization and range; keep the last two for differences.
+    """Turn ideal readings into measurements with noise, quantization and range; store the last two of each sensor.
 
     An ideal reading is the output of a sensor without noise and quantization, as the simulation computes it. Readings
     are stored in blocks of LANES environments: environment b is lane b % LANES (8 or 16) of block b // LANES.
@@ -37,10 +37,11 @@ class SensorArray:
         machine: Machine that declares the sensors.
         sensors: The n sensors to measure.
         count: Number of environments.
-        column: Function that returns the column of a parameter in the `values` of `begin`, given its full name.
+        column: Function that takes the full name of a parameter ("x_m.noise") and returns its column in the argument
+            `values` of `begin`.
 
     Attributes:
-        measurements: Last measurement (0) and the one before (1), in the channels' units, shape (2, blocks, n, LANES).
+        measurements: Last measurements (row 0) and those before (row 1), m or rad, shape (2, blocks, n, LANES).
         low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (blocks, n, LANES).
         high: Upper end of each sensor's range, in the channels' units, inf without a range, shape (blocks, n, LANES).
     """
@@ -63,7 +64,7 @@ class SensorArray:
         self.measurements = np.zeros((2, *size))
 
     def begin(self, index: Index, keys: NDArray[np.uint64], values: Array) -> None:
-        """Read noise, resolution and range of the sensors from the parameters of k environments' new episodes.
+        """Begin new episodes of k environments: set noise, resolution and range of their sensors, and the random keys.
 
         Args:
             index: Indices of the environments, shape (k,).
@@ -96,13 +97,17 @@ class SensorArray:
     def measure_first(
         self, readings: Array, elapsed: NDArray[np.int64], index: Index, block_ranges: Iterable[tuple[int, int]]
     ) -> None:
-        """Take the first measurements of k environments' new episodes; they are stored in both rows.
+        """Take the first measurements in new episodes of k environments, from which rates of change are zero.
+
+        The attribute `measurements` holds the last measurement in row 0 and the one before in row 1. Both are set to
+        the first measurement.
 
         Args:
             readings: Ideal (noise-free) readings, as for `measure`, m or rad, shape (blocks, sensors, LANES).
             elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
             index: Indices of the environments, shape (k,).
-            block_ranges: First block and index after the last block of the ranges of blocks that hold the environments.
+            block_ranges: Ranges of blocks that contain these environments, as the function `block_ranges` of
+                `batched_simulator` yields them: index of the first block, index after the last block.
         """
         measured, unused = np.empty_like(self.measurements)
         for first, last in block_ranges:
@@ -238,7 +243,7 @@ class DelayLine:
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
 
     def record(self, readings: Array, step: int, first: int, last: int) -> None:
-        """Store the readings of blocks first to last - 1 after an integration step, in place of the oldest ones.
+        """Store the readings of blocks first to last - 1 after an integration step; overwrite the oldest stored ones.
 
         Args:
             readings: Ideal (noise-free) readings without delay, m or rad, shape (blocks, sensors, LANES).
@@ -251,8 +256,8 @@ class DelayLine:
     def read(self, step: int, first: int, last: int, out: Array) -> None:
         """Write the delayed readings of blocks first to last - 1 to `out`.
 
-        They are interpolated in the history at the present time minus the delay of each sensor. Before the start of
-        the episode, readings are those at its start.
+        The reading of a sensor with the delay T is that at the present time minus T, interpolated between the recorded
+        ones. For times before the start of the episode, it is the reading at the start.
 
         Args:
             step: Number of the integration step that `record` stored last.

@@ -37,7 +37,8 @@ class StateView(NamedTuple):
 
     Attributes:
         rows: Four indices per entry, shape (n, 4): row of the state array; coordinate; two coordinates whose product
-            is added (-1: none), such as yaw * y, which is added to x if the bridge can yaw.
+            is added, or -1 and -1. Example: if the bridge can yaw, the tool is at x + yaw * y; the entry x then has the
+            indices of x, x, yaw and y.
         box: Lower and upper bounds of the entries (m, rad, m/s or rad/s), shape (2, n).
     """
 
@@ -53,8 +54,9 @@ class StateView(NamedTuple):
             signals: Specifications of the entries, positions and velocities; the tool's axes come first.
 
         Returns:
-            `rows`, shape (n, 4): for each entry the row of the state array, the coordinate, and two coordinates whose
-            product is added (-1: none). `box`, shape (2, n): lower and upper bounds in the entries' units, as float32.
+            `rows`, shape (n, 4): for each entry the row of the state array, the index of the coordinate, and the
+            indices of two coordinates whose product is added (yaw * y for a bridge that can yaw), or -1 and -1.
+            `box`, shape (2, n): lower and upper bounds in the entries' units, rounded to float32.
         """
         names = simulator.machine.coordinate_names
         rows = np.full((len(signals), 4), -1)
@@ -130,7 +132,9 @@ class ObservationBuilder:
         sampler: MachineSampler,
         elapsed: NDArray[np.int64],
     ) -> None:
-        """Prepare new episodes of k environments and, if sensors are observed, take the first measurements.
+        """Begin new episodes of k environments: store the randomized parameters and take the first measurements.
+
+        Parameters are stored for the array `privileged`, measurements if sensors are observed.
 
         Args:
             index: Indices of the environments, shape (k,).
@@ -146,10 +150,10 @@ class ObservationBuilder:
             self._sensors.measure_first(self._simulator.readings, elapsed, index, block_ranges(index))
 
     def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
-        """Take the measurements of the sensors at the end of a control period, and store them in this object.
+        """Measure with the sensors of blocks first to last - 1 at the end of a control period, and store the results.
 
-        They are positions and angles with noise, quantization and limited range; `write` puts them and their rates of
-        change into observations. Nothing happens if the state is observed.
+        Measurements are positions and angles with noise, quantization and limited range. `write` puts them and their
+        rates of change into observations. Nothing happens if the true state is observed.
 
         Args:
             first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
@@ -160,11 +164,11 @@ class ObservationBuilder:
             self._sensors.measure(self._simulator.readings, elapsed, first, last)
 
     def blank(self) -> Observation:
-        """Allocate arrays, without initial values, that `write` fills.
+        """Allocate the arrays of an observation, which `write` fills; they are not initialized.
 
         Returns:
-            Arrays `observation`, `achieved_goal` and, with the constructor's `privileged`, `privileged`; float32, shape
-            (count, entries of the key) for `count` environments.
+            Arrays by key, float32, shape (count, entries of the key) for `count` environments: `observation`,
+            `achieved_goal` and, for a builder with the option `privileged`, `privileged`.
         """
         observation: Observation = {}
         for key, shape in self._shapes:  # quicker than a comprehension, and every step does it
@@ -172,15 +176,14 @@ class ObservationBuilder:
         return observation
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
-        """Choose the array into which `write` puts the true tool positions.
-
-        If the state is observed, `achieved_goal` is the true position, so that no second array is needed.
+        """Return the array into which `write` is to put the true tool positions.
 
         Args:
             observation: Arrays by key, among them `achieved_goal`, m, shape (count, axes).
 
         Returns:
-            Array for positions, m, float32, shape (count, axes): new, or `achieved_goal` if the state is observed.
+            Array for positions, m, float32, shape (count, axes). If the true state is observed, it is the array
+            `achieved_goal`, which then holds the true positions; if sensors are observed, it is a new array.
         """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
@@ -195,15 +198,16 @@ class ObservationBuilder:
     ) -> int:
         """Write observations and true tool positions of the environments in blocks first to last - 1.
 
-        All are limited to the bounds of the observation space. `evaluation` adds distances to the goal and rewards.
+        All are limited to the bounds of the observation space. With `evaluation`, distances to the goal and rewards are
+        written too.
 
         Args:
             first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
             last: Index after the last block.
             observation: Output, arrays by key, shape (count, entries of the key); rows of other blocks are not changed.
             tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
-            evaluation: Built-in reward (0 dense, 1 sparse), distance of success, m, and two output arrays: distances,
-                m, and rewards, dimensionless, shape (count,) each. Default: neither is computed.
+            evaluation: Kind of built-in reward (0 dense, 1 sparse), distance that counts as a success, m, and two
+                output arrays, shape (count,) each: distances, m, and rewards. Default: neither is computed.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.

@@ -209,7 +209,8 @@ def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
 def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArray[np.uint64]:
     """Derive the keys of new episodes in k environments; all random numbers of an episode follow from its key.
 
-    Successive keys of an environment differ by a constant, as the states of SplitMix64 (Steele, Lea and Flood 2014).
+    The keys of successive episodes of an environment differ by a constant, as do the states of the generator SplitMix64
+    (Steele, Lea and Flood 2014).
 
     Args:
         keys: Keys of the environments, one 64-bit random number each, uint64, shape (k,).
@@ -225,10 +226,10 @@ def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArr
 def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
     """Factorize a covariance matrix, which may be singular, into L L^T by the Cholesky method with pivoting.
 
-    If z holds independent standard normal numbers, L z has this covariance. Each column of L says how all parameters
-    change together with one of these numbers. The pivot of a column is the parameter with the largest variance that
-    earlier columns leave (in units of `scale`). If the sum of two parameters is known well and their difference is not,
-    a single column therefore contains nearly all of their variance, with opposite signs.
+    If z holds independent standard normal numbers, L z has this covariance. Column j of L contains the changes of all
+    parameters with z[j]. Its pivot is the parameter with the largest variance that the columns before j do not explain
+    (in units of `scale`). Example: if the sum of two parameters is known well and their difference is not, a single
+    column contains nearly all of their variance, with opposite signs.
 
     Args:
         covariance: Symmetric positive semidefinite matrix of k parameters, SI, shape (k, k).
@@ -257,9 +258,10 @@ def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
 class CorrelatedSampler:
     """Sample deviations of k parameters from their nominal values.
 
-    The distribution is normal with a given covariance and truncated: each joint change of parameters (column of the
-    Cholesky factor) ends where a parameter that gets more than half of its variance from it would leave its limits.
-    Clipping single parameters instead would change sums of parameters that are known well.
+    The distribution is normal with a given covariance and truncated. Deviations are L z with the Cholesky factor L of
+    the covariance and independent standard normal numbers z, which are truncated: z[j] keeps those parameters within
+    their limits that get more than half of their variance from it. Clipping single parameters instead would change sums
+    of parameters that are known well.
 
     Args:
         covariance: Covariance of the parameters, SI, shape (k, k).
@@ -287,16 +289,16 @@ class CorrelatedSampler:
     def deviations(self, uniforms: Array) -> Array:
         """Convert uniform random numbers to correlated deviations of k parameters from their nominal values.
 
-        Each uniform number becomes a normal number by the inverse of its distribution function. The Cholesky factor of
-        the covariance times the normal numbers gives the deviations. A normal number is truncated where a parameter
-        that gets more than half of its variance from it would leave its limits.
+        Each uniform number is converted to a standard normal number z[j] by the inverse normal distribution function.
+        The deviations are L z with the Cholesky factor L of the covariance. z[j] is truncated so that L[i, j] z[j]
+        alone keeps parameter i within its limits, for every i that gets more than half of its variance from z[j].
 
         Args:
             uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.
 
         Returns:
-            Deviations from the nominal values, SI, shape (n, k). A parameter that is correlated with others is the sum
-            of several truncated numbers and can therefore exceed its limits.
+            Deviations from the nominal values, SI, shape (n, k). A parameter can still exceed its limits if it depends
+            on several of the numbers z.
         """
         probabilities = self._lowest + uniforms * (self._highest - self._lowest)
         normals = np.clip(ndtri(probabilities), -_LARGEST_NORMAL, _LARGEST_NORMAL)

@@ -33,17 +33,29 @@ TARGET, PATH, TRACE = (22, 140, 92), (150, 206, 178), (238, 140, 20)
 
 @dataclass(frozen=True)
 class Scene:
-    """Hold the positions, tensions and goal of one environment that a picture shows."""
+    """Hold the positions, tensions and goal of one environment that a picture shows.
 
-    position: Point  # of the tool, m
-    target: Point  # m
-    band: float  # tolerance around the target, m
-    angles: tuple[float, float]  # of the two motor pulleys, rad
-    tensions: dict[str, float]  # beyond the pretension, by belt, N
-    trail: Sequence[Point]  # past tool positions, m
-    path: Sequence[Point]  # of a moving goal, m
-    time_s: float  # since the reset, s
-    distance: float  # from tool to target, m
+    Attributes:
+        position: Tool position (x, y), m.
+        target: Goal position (x, y), m.
+        band: Distance to the goal that counts as a success, m.
+        angles: Angles of the two motor pulleys, rad.
+        tensions: Belt tensions minus pretension by name of the belt, N.
+        trail: Past tool positions (x, y), m, oldest first.
+        path: Positions (x, y) of a moving goal, m; empty for a fixed goal.
+        time_s: Time since the reset, s.
+        distance: Distance from tool to goal, m.
+    """
+
+    position: Point
+    target: Point
+    band: float
+    angles: tuple[float, float]
+    tensions: dict[str, float]
+    trail: Sequence[Point]
+    path: Sequence[Point]
+    time_s: float
+    distance: float
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
@@ -55,9 +67,8 @@ class Scene:
             trail: Past tool positions (x, y), m, oldest first.
 
         Returns:
-            Scene with tool position and goal, m, angles of the pulleys of the first two drives, rad (0 for a drive
-            without one), belt tensions minus pretension, N, the trail, the time since the reset, s, and the distance to
-            the goal, m; for a moving goal also its path during the first 3 s of the episode, m.
+            Scene of the environment's present state. Positions and distances are in m, angles in rad (0 for a drive
+            that has no pulley), tensions in N. The path of a moving goal is that of the first 3 s of the episode.
         """
         index = np.array([b])
         position = batch.simulator.positions(b)
@@ -86,8 +97,8 @@ def tool_point(batch: EnvironmentBatch, b: int) -> Point:
         b: Index of the environment, from 0.
 
     Returns:
-        Point (x, y), m: positions of the carriages along the tool's axes; y is 0 for a machine with one axis. The small
-        displacement of the tool by a yaw of the bridge is left out.
+        Point (x, y), m: the coordinates of the tool's axes; y is 0 for a machine with one axis. If the bridge can yaw,
+        the small displacement of the tool by the yaw is not included.
     """
     position = batch.simulator.positions(b)
     return _in_plane([position[name] for name in batch.machine.tool_axes])

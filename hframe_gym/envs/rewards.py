@@ -79,8 +79,8 @@ def evaluate_rows(
         desired: Goal positions, m, shape (n, axes).
         first: Index of the first row.
         last: Index after the last row.
-        kind: Built-in reward: 0 dense, -1 (far) to 0 (at the goal); 1 sparse, 0 within `band` and -1 outside; 2 the
-            potential of "progress", -ln(1 + d / 1 mm).
+        kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1: sparse, 0
+            within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm).
         band: Distance to the goal within which the sparse reward is 0, m; others do not use it.
         distance: Output, distances from `tool` to `desired`, m, shape (n,); other rows are not changed.
         reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,); other rows

@@ -104,7 +104,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     def reset(self) -> Any:
         """Begin episodes in all environments, with the seeds and options that `seed` and `set_options` stored.
 
-        The options hold for one reset, also if it raises an error; the seeds remain for the next one in this case.
+        The stored options are used for this reset only. The stored seeds are cleared too, unless the reset raises an
+        error: the next reset then uses them.
 
         Returns:
             Observation arrays by key, float32, shape (num_envs, entries of the key), in the units of the observation
@@ -206,7 +207,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             indices: Index or indices of environments; None for all.
 
         Returns:
-            The same attribute once per index.
+            List with one entry per index, all equal to the attribute.
 
         Raises:
             AttributeError: If there is no such attribute.
@@ -233,7 +234,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             **kwargs: Keyword arguments of the method.
 
         Returns:
-            The same result once per index.
+            List with one entry per index, all equal to the result of the call.
 
         Raises:
             AttributeError: If there is no such method.
@@ -249,6 +250,6 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             indices: Index or indices of environments; None for all.
 
         Returns:
-            False once per index.
+            List with False for each index.
         """
         return [False] * len(list(self._get_indices(indices)))

@@ -135,7 +135,8 @@ class Sensors(SensorSuite):
     def apply(self, machine: Machine) -> Machine:
         """Return a copy of a machine in which lasers measure x and y and encoders measure the driven coordinates.
 
-        A sensor that the machine has there gets their kind, noise, resolution and range; a missing sensor is added.
+        A sensor that the machine already has for such a coordinate becomes this laser or encoder: it gets its kind,
+        noise, resolution and range. A missing sensor is added.
 
         Args:
             machine: Machine to copy; it is not changed.
@@ -182,7 +183,7 @@ class DeclaredSensors(SensorSuite):
     """Observe all sensors that the machine declares, without changes."""
 
     def apply(self, machine: Machine) -> Machine:
-        """Return the machine itself: its own sensors are used unchanged.
+        """Return the machine itself: the sensors that it declares are used unchanged.
 
         Args:
             machine: Machine with its sensors.
@@ -240,8 +241,8 @@ def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
             a `SensorSuite`.
 
     Returns:
-        Copy with these sensors in the order of the observation, without the other sensors and the effects on those
-        (such as ranges and delays). None for "state", where the true state is observed.
+        Copy with the observed sensors, in the order of the observation. All other sensors and their effects (such as
+        range and delay) are removed. None for "state", where the true state is observed.
 
     Raises:
         InputError: If the name is unknown or the argument has another type.
@@ -299,9 +300,9 @@ class PositionFromSensors:
     """Map the measurements of n sensors to the tool position.
 
     Attributes:
-        belts: Matrix from measurements of other coordinates to the tool's axes (m), for unstretched belts, shape
-            (axes, n); zero where these sensors do not determine the axis.
-        direct: Index of the sensor that measures each axis; -1 for none. Shape (axes,).
+        belts: Matrix from the n measurements to the tool position (m) with unstretched belts, shape (axes, n). It uses
+            the sensors of other coordinates (encoders); zero where these do not determine the axis.
+        direct: Index of the sensor that measures each axis itself, -1 if there is none, shape (axes,).
         scale: Factor from the measurement of the sensor `direct` to the tool position (m), shape (axes,).
     """
 
@@ -318,8 +319,8 @@ class PositionFromSensors:
             sensors: The n observed sensors.
 
         Returns:
-            Map from n measurements (m or rad) to the tool position (m). An axis with a sensor: its index `direct` (-1:
-            none) and factor `scale`, shape (axes,). Otherwise by the other sensors: matrix `belts`, shape (axes, n).
+            Map from n measurements (m or rad) to the tool position (m): index `direct` of the sensor that measures an
+            axis itself (-1: none) and its factor `scale`, shape (axes,) each; matrix `belts` for others, (axes, n).
 
         Raises:
             InputError: If the sensors do not determine every axis.
@@ -334,9 +335,8 @@ class PositionFromSensors:
         others = [j for j, sensor in enumerate(sensors) if sensor.coordinate not in axes]
         if others:
             rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
-            per_position = rows @ rest_positions_per_axis(
-                machine
-            )  # measurements per meter of each axis, (others, axes)
+            # Measurements per meter of each axis, (others, axes).
+            per_position = rows @ rest_positions_per_axis(machine)
             if np.linalg.matrix_rank(per_position) == len(axes):
                 # More sensors than axes determine the position by least squares.
                 belts[:, others] = (np.linalg.inv if len(others) == len(axes) else np.linalg.pinv)(per_position)

@@ -172,8 +172,8 @@ def observation_signals(
 
     Returns:
         Specifications (name, unit, bounds) by key, in alphabetical order of the keys as in a space of Gymnasium:
-        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, with `previews` > 0 `preview` (axes *
-        previews entries), and `privileged` unless it is empty.
+        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, `preview` (axes * previews entries) if
+        `previews` > 0, and `privileged` unless it is empty.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
@@ -211,7 +211,7 @@ def observation_space(
 
     Returns:
         Bounded float32 boxes by key: `observation`, shape (entries,), `achieved_goal` and `desired_goal`, shape
-        (axes,), with `previews` > 0 `preview`, shape (axes * previews,), and `privileged` unless it is empty.
+        (axes,), `preview`, shape (axes * previews,), if `previews` > 0, and `privileged` unless it is empty.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
@@ -308,22 +308,23 @@ class ObservationFormat:
         return values if self.entries is None else np.concatenate(list(values.values()), axis=1)
 
     def goal_rounding(self) -> NDArray[np.float32]:
-        """Return the numbers by which goals are normalized.
+        """Return center and scale by which goals are normalized: (goal - center) / scale.
 
         Returns:
-            Center and scale, m, of the goal on each axis, shape (2, axes); scale 0 if goals are observed in meters.
+            Centers (row 0) and scales (row 1) of the tool's axes, m, shape (2, axes). Scales are 0 without the option
+            `normalize`: goals are then observed in meters.
         """
         center, scale = self._center["desired_goal"], self._scale["desired_goal"]
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
 
     def goal_in_meters(self, goal: ArrayLike) -> NDArray[np.float32]:
-        """Convert goals as they are observed (in meters or normalized) to positions.
+        """Convert goals from the form in which they are observed to positions in meters.
 
         Args:
             goal: Achieved or desired goals as observed (m, or dimensionless if normalized), shape (axes,) or (n, axes).
 
         Returns:
-            Positions, m, float32, the same shape.
+            Positions, m, float32, in the shape of `goal`.
         """
         values = np.asarray(goal, np.float32)
         return values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values

@@ -164,27 +164,30 @@ class StepRewards:
             self._potential[index] = self._evaluate(self.reward, *goals_seen)
 
     def evaluation(self, distance: Array, reward: Array) -> Evaluation:
-        """Return the last arguments of `evaluate_rows`; only if `depends_on_distance`.
+        """Return the arguments `kind`, `band`, `distance` and `reward` of the function `evaluate_rows`.
+
+        They are valid only if the attribute `depends_on_distance` is True.
 
         Args:
-            distance: Output, distances to the goal, m, shape (count,).
-            reward: Output, rewards, dimensionless, shape (count,).
+            distance: Array for the distances to the goal, m, shape (count,); returned unchanged.
+            reward: Array for the rewards, dimensionless, shape (count,); returned unchanged.
 
         Returns:
-            Number of the reward, distance of success in m, and the two arrays.
+            Kind of the reward (0 dense, 1 sparse), distance that counts as a success, m, and the two arrays.
         """
         return self._kind, self._band, distance, reward
 
     def write(
         self, rows: slice, observation: Mapping[str, Positions], tool: Positions, distance: Array, reward: Array
     ) -> None:
-        """Compute distances and rewards of the last step for some environments; only if `compiled`.
+        """Compute distances and rewards of the last step for some environments, in compiled code.
 
-        Calls for different rows may run in several threads at once. Call it once per step and environment, because it
-        replaces the potential of "progress" with which the next step is compared.
+        Call it only if the attribute `compiled` is True, and once per step and environment: the reward "progress"
+        compares the distances after this step with those that the previous call stored. Calls for different rows may
+        run in several threads at once.
 
         Args:
-            rows: Environments, a slice with start and stop.
+            rows: Indices of the environments, a slice with start and stop.
             observation: Arrays by key, of which `achieved_goal` and `desired_goal` are used, m, shape (count, axes) for
                 `count` environments.
             tool: True tool positions, m, shape (count, axes).
@@ -196,20 +199,24 @@ class StepRewards:
         _evaluate_step(tool, achieved, desired, *constants, self._potential, distance, reward)
 
     def keep_goals(self, observation: Mapping[str, Positions]) -> None:
-        """Keep the goals after a step, for the info of this step and the next; for "progress" only.
+        """Store the goals after a step; those after the previous step become the goals before this step (`info`).
+
+        Call it once per step if the attribute `compares_steps` is True (reward "progress").
 
         Args:
             observation: Arrays by key after the step, of which `achieved_goal` and, if goals move, `desired_goal` are
-                kept, m, shape (count, axes) for `count` environments.
+                stored, m, shape (count, axes) for `count` environments.
         """
         self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
 
     def of_step(self, observation: Mapping[str, Positions]) -> Array:
-        """Compute the rewards of the last step from the observation after it; call `keep_goals` before.
+        """Compute the rewards of the last step with `compute`, if the attribute `compiled` is False.
+
+        If `compares_steps` is True, call `keep_goals` before.
 
         Args:
-            observation: Arrays by key, of which `achieved_goal` and `desired_goal` are used, m, shape (count, axes) for
-                `count` environments.
+            observation: Arrays by key after the step, of which `achieved_goal` and `desired_goal` are used, m, shape
+                (count, axes) for `count` environments.
 
         Returns:
             Rewards, dimensionless, shape (count,).
@@ -226,8 +233,9 @@ class StepRewards:
         `compute` needs them to compute the reward "progress" again, for example for relabeled goals.
 
         Returns:
-            `previous_achieved_goal` and, if goals move, `previous_desired_goal`, as observed (m, or normalized), shape
-            (count, axes) for `count` environments. Right after a reset: the present goals. Empty for other rewards.
+            Dict with the keys `previous_achieved_goal` and, if goals move, `previous_desired_goal`: goals as observed
+            (m, or normalized), shape (count, axes) for `count` environments. Right after a reset they are the present
+            goals. The dict is empty for rewards other than "progress".
         """
         return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
 
@@ -238,8 +246,8 @@ class StepRewards:
 
         Args:
             achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
-            desired_goal: Desired goals as observed, shape (axes,) or (n, axes). One goal, shape (axes,) or (1, axes),
-                goes with each of several goals of the other kind.
+            desired_goal: Desired goals as observed, shape (axes,) or (n, axes). A single achieved or desired goal,
+                shape (axes,) or (1, axes), is combined with each of n goals of the other argument.
             info: Info of the step, or one info per row. Only the reward "progress" uses it: `previous_achieved_goal`
                 and, if goals move, `previous_desired_goal`.
 
@@ -247,7 +255,7 @@ class StepRewards:
             Reward, dimensionless: a float if both goals have the shape (axes,), else n rewards, shape (n,).
 
         Raises:
-            InputError: If the shapes of the goals do not fit together, or the reward is "progress" and an info lacks
+            InputError: If the shapes of the goals do not fit together. For the reward "progress" also if an info lacks
                 the goals before the step, or there is not one info per row.
         """
         achieved, desired = self._same_shape(achieved_goal, desired_goal)

@@ -38,15 +38,16 @@ LARGEST_DEPTH = 1e3  # m, more than any machine's workspace
 def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[str, tuple[float, float]]:
     """Compute the limits of the parameters of effects and of the unstretched lengths of belts.
 
-    Effects declare the bounds of their parameters. A belt must keep a fraction of its `rest_length`, the unstretched
-    length at position 0, at every position in the workspace.
+    Effects declare the bounds of their parameters. The unstretched length of a belt depends on the position; its value
+    at position 0 is the parameter `rest_length`. The lower limit of this parameter is so large that the unstretched
+    length is at least `smallest_fraction` times the machine's present `rest_length` everywhere in the workspace.
 
     Args:
         machine: Machine with its effects and belts.
-        smallest_fraction: This fraction of the rest length, dimensionless.
+        smallest_fraction: Smallest allowed unstretched length / present `rest_length`, dimensionless.
 
     Returns:
-        Smallest and largest value by full name of the parameter, SI.
+        Smallest and largest value of each of these parameters, by its full name, SI.
     """
     bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
     for belt in machine.belts:
@@ -186,14 +187,18 @@ class EndStops:
         self.machine = machine.with_effects(*stops)
 
     def parameters(self, values: Array) -> Array:
-        """Compute all parameters of machines, with end stops for their masses.
+        """Append the parameters of the end stops to those of k machines.
+
+        They depend on the machine's masses: end stops of a carriage that is too light for the integration step are
+        softer.
 
         Args:
-            values: Parameters of k machines, SI, shape (k, N). The first columns are the parameters of the machine
+            values: Parameters of the machines, SI, shape (k, N). The first columns are the parameters of the machine
                 without end stops, in their order; further columns are ignored.
 
         Returns:
-            Parameters in the order of those of the attribute `machine`, SI, shape (k, parameters).
+            Parameters with end stops, in the order of `machine.parameters` of the attribute `machine`, SI, shape
+            (k, parameters).
         """
         result = np.empty((len(values), self._count + len(self._stops)))
         result[:, : self._count] = values[:, : self._count]
@@ -220,18 +225,18 @@ def _soften_buffers(parameters: Any, first: int, columns: Any, factors: Any, bel
 
 
 def tool_product(machine: Machine, name: str) -> tuple[int, int]:
-    """Find the two coordinates whose product is a part of the tool position along an axis, if there is one.
+    """Find the two coordinates whose product is added to the tool position along an axis, if there is such a product.
 
-    The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y; the result for "x"
-    is then the indices of yaw and y.
+    The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y: the result for "x"
+    is then (index of yaw, index of y).
 
     Args:
         machine: Machine with its coordinates and sensors.
         name: Axis of the tool position, "x" or "y".
 
     Returns:
-        first: Index of one coordinate in `machine.coordinate_names`; -1 if the position has no product.
-        second: Index of the other coordinate; -1 if the position has no product.
+        first: Index of one coordinate in `machine.coordinate_names`; -1 if no product is added.
+        second: Index of the other coordinate; -1 if no product is added.
     """
     for sensor in machine.sensors:
         for key, factor in sensor.row.items():
@@ -244,14 +249,14 @@ def tool_product(machine: Machine, name: str) -> tuple[int, int]:
 def tool_terms(machine: Machine) -> NDArray[np.intp]:
     """Find the coordinates from which the tool position along each axis is computed.
 
-    The position along an axis is q[i], or q[i] + q[j] q[k] where the axis depends on a product of two coordinates: with
-    a bridge that can yaw, the tool is at x + yaw * y.
+    With the coordinates q, the position along an axis is usually q[i]. It is q[i] + q[j] q[k] where a product is added:
+    with a bridge that can yaw, the tool is at x + yaw * y along x.
 
     Args:
         machine: Machine with one or two tool axes.
 
     Returns:
-        Indices i, j and k of each axis in `machine.coordinate_names`, shape (axes, 3); j and k are -1 without product.
+        Indices i, j and k of each axis in `machine.coordinate_names`, shape (axes, 3); j = k = -1 without product.
     """
     return np.array(
         [(machine.coordinate_names.index(name), *tool_product(machine, name)) for name in machine.tool_axes]
@@ -267,7 +272,7 @@ def write_tool_positions(state: Any, units: Any, terms: Any, first: int, positio
             LANES (8 or 16) of block b // LANES.
         units: Factor from belt travel to the coordinate's unit, shape (blocks, coordinates, LANES).
         terms: Indices of coordinates, as `tool_terms` returns them, shape (axes, 3).
-        first: Index of the block whose first machine is the first of the k machines.
+        first: Index of the first block. The k machines are machine first * LANES and those after it.
         positions: Output, tool positions, m, shape (k, axes).
     """
     for axis in range(terms.shape[0]):

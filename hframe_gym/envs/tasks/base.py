@@ -117,7 +117,8 @@ class Task(ABC):
         Args:
             plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
             elapsed_s: Present times since the reset, s, not negative, shape (n,).
-            ahead_s: Times from the present to the m future goals in the observation, s, shape (m,); `Task.ahead_s`.
+            ahead_s: Times from the present to the m future goals in the observation, s, shape (m,), as the property
+                `ahead_s` of the task.
             goals: Array that receives the present goals, m, shape (n, axes).
             previews: Array that receives the future goals, m, shape (n, m, axes).
         """
@@ -190,7 +191,7 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
     Raises:
-        InputError: If a point is not of finite numbers, outside the workspace, or has another number of coordinates.
+        InputError: If a point is not finite, lies outside the workspace, or does not have one coordinate per axis.
     """
     fits = points.dtype.kind in "fiu" and points.shape[-1:] == (len(workspace),)
     if not (fits and np.all((points >= workspace[:, 0]) & (points <= workspace[:, 1]))):
@@ -268,9 +269,9 @@ class ReferenceTrajectories:
         """Add arrays for the goals to an observation; `write` fills them.
 
         Args:
-            observation: Arrays by key for `count` environments. Receives `desired_goal`, m, float32, shape (count,
-                axes), and for a task with p future goals `preview`, m, float32, shape (count, axes * p). Goals that do
-                not move are filled in already.
+            observation: Arrays by key for `count` environments; changed here. `desired_goal`, m, float32, shape
+                (count, axes), is added and, for a task with p future goals, `preview`, m, float32, shape (count,
+                axes * p). They are not initialized, unless goals do not move: `desired_goal` then holds the goals.
         """
         if not self.moving:
             observation["desired_goal"] = self._fixed_goals.copy()
@@ -286,9 +287,9 @@ class ReferenceTrajectories:
 
         Args:
             index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
-            observation: Arrays by key. Written are `desired_goal`, m, shape (count, axes), and for a
-                task with p future goals `preview`, m, shape (count, axes * p): all axes of the first future goal, then
-                of the second, ...
+            observation: Arrays by key. Two are written: `desired_goal`, m, shape (count, axes), and, for a task with p
+                future goals, `preview`, m, shape (count, axes * p): all axes of the first future goal, then of the
+                second, ...
         """
         if not self.moving:
             observation["desired_goal"][index] = self._fixed_goals[index]

@@ -25,7 +25,7 @@ COARSE_VERTICES = 128  # vertices that a wide search for the nearest point tries
 
 
 class CurveData(NamedTuple):
-    """A curve as compiled functions take it.
+    """Hold the data of a curve in the form that compiled functions take.
 
     Attributes:
         radius: Radius of a circle, m; 0 for a curve of straight segments.
@@ -60,8 +60,8 @@ class Curve:
         """Compute the points at n arc lengths.
 
         Args:
-            s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends a closed curve
-                repeats, an open one stops.
+            s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends, a closed curve
+                repeats; on an open curve, the point stays at the end.
 
         Returns:
             Points x, y, m, shape (n, 2).
@@ -71,7 +71,10 @@ class Curve:
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances of n points to the part of the curve near s, as `write_distances` describes.
+        """Compute the distances of n points to the part of the curve near s.
+
+        With d the distance from a point to the curve's point at s, the nearest point is searched from s - pi d to
+        s + pi d. On a circle, the distance is exact for every s.
 
         Args:
             points: Points x, y, m, shape (n, 2).
@@ -127,7 +130,8 @@ def points_at(s: Any, curve: Any, scratch: Any) -> Any:
 
     Args:
         s: Arc lengths from the start of the curve, m, any real numbers: a SIMD register with LANES (8 or 16) float64
-            values, as `simd.load` returns it. Beyond its ends a closed curve repeats, an open one stops.
+            values, as `simd.load` returns it. Beyond its ends, a closed curve repeats; on an open one, the point stays
+            at the end.
         curve: Radius of a circle, m, or 0 and the vertices of a polyline, m, with their arc lengths, m (`CurveData`).
         scratch: Array for intermediate values, float64, shape (2 or more, LANES); the first two rows are overwritten.
 
@@ -244,15 +248,16 @@ def _speed_up(t: Any, speed: Any, lead_s: float) -> Any:
 
 @inlined
 def traveled(t: Any, speed: Any, lead_s: float, length: float) -> Any:
-    """Compute how far a goal has traveled that speeds up and, at the end of an open path, slows down in the same way.
+    """Compute how far a goal has traveled along its path at time t. Only compiled functions can call it.
 
-    It is callable in compiled code only.
+    The goal starts at rest and reaches `speed` at t = lead_s, by v = speed (3 u^2 - 2 u^3) with u = t / lead_s. On a
+    path of finite length it slows down in the same way, so that it comes to rest at the end of the path.
 
     Args:
         t: Time since the start, s, not negative; number or SIMD register.
-        speed: Speed after the speed-up, m/s, of the same type; above length / lead_s it is reduced to this value.
+        speed: Speed after the speed-up, m/s, of the same type; limited to length / lead_s.
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
-        length: Length of the path, m; infinite for a closed path, where the goal does not slow down.
+        length: Length of the path, m; inf for a closed path, on which the goal does not slow down.
 
     Returns:
         Distance along the path, m, of the type of t.

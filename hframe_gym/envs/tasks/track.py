@@ -171,8 +171,8 @@ class Track(Task):
     ) -> tuple[Array, Array]:
         """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
 
-        Each of these that is not None as an attribute of the task is fixed; the others are random. A path from a file
-        is followed as it is, from its first point.
+        Center, direction and phase are random if the attribute of this name is None. The path is chosen at random if
+        `path` is a tuple of names. A path from a file is followed as it is, from its first point.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
@@ -233,17 +233,18 @@ class Track(Task):
         return out.reshape(*elapsed_s.shape, 2)
 
     def write_goals(
-        self,
-        plan: Array,
-        elapsed_s: Array,
-        ahead_s: Array,
-        goals: NDArray[np.float32],
-        previews: NDArray[np.float32],
+        self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32], previews: NDArray[np.float32]
     ) -> None:
-        """Write the goals as `Task.write_goals` does, but in compiled code if all episodes follow the same curve.
+        """Write the present and future goals of n episodes to two arrays.
 
-        `Task.write_goals` itself computes the goals for a choice of several shapes and for a path file with times. The
-        compiled code requires that `previews` is contiguous.
+        Compiled code is used unless the task has several shapes or a path file with times.
+
+        Args:
+            plan: Path of each episode, as `begin` chose it, shape (n, 6).
+            elapsed_s: Present times since the reset, s, not negative, shape (n,).
+            ahead_s: Times from the present to the m future goals, s, shape (m,).
+            goals: Output, present goals x, y, m, shape (n, 2).
+            previews: Output, future goals x, y, m, contiguous, shape (n, m, 2).
         """
         if not self._is_single_curve:
             super().write_goals(plan, elapsed_s, ahead_s, goals, previews)
@@ -290,8 +291,8 @@ class Track(Task):
 def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     """Compute the arc lengths of the goals of n episodes along their paths at m times each.
 
-    A goal starts at rest and reaches its speed after `lead_s`. On an open path it slows down in the same way and rests
-    at the end; a speed above length / lead_s is reduced to this value.
+    A goal starts at rest and reaches its speed after `lead_s`. On an open path it slows down in the same way and stays
+    at the end; its speed is limited to length / lead_s.
 
     Args:
         plan: Path of each episode, shape (n, 6). Columns 3 to 5 are used: direction (+1 or -1), arc length at the start
