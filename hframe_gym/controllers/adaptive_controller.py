@@ -181,18 +181,20 @@ class AdaptiveController(FullStateController):
 
     def _update_expected_friction(self, goals: Array) -> None:
         """Update `expected_friction` by the previewed goals."""
+        if goals.shape[1] == 1:  # a fixed goal, perhaps after a path
+            self.expected_friction = np.zeros_like(self.expected_friction)
+            return
         starts = self._starts.mask
         previous = self.expected_friction.reshape(len(starts), PERIODS_AHEAD + 1, -1)
         recent = np.where(starts[:, None], 0.0, previous[:, -1] + RECENT_WEIGHT * (previous[:, 0] - previous[:, -1]))
-        if goals.shape[1] > 1:
-            goals = self._dead_time.delayed_goals(goals)[:, : PERIODS_AHEAD + 2]
-            if goals.shape[1] < PERIODS_AHEAD + 2:
-                raise InputError(
-                    f"the preview ends {goals.shape[1] - 1} periods after the dead time, {PERIODS_AHEAD + 1} are "
-                    "needed; increase the task's previews"
-                )
-            ahead = self._filter.friction_voltage_ahead(goals) / self.model.rated
-            self.expected_friction = np.concatenate([ahead, recent[:, None]], axis=1).reshape(len(goals), -1)
+        goals = self._dead_time.delayed_goals(goals)[:, : PERIODS_AHEAD + 2]
+        if goals.shape[1] < PERIODS_AHEAD + 2:
+            message = (
+                f"the preview ends {goals.shape[1] - 1} periods after the dead time, {PERIODS_AHEAD + 1} are needed"
+            )
+            raise InputError(f"{message}; increase the task's previews")
+        ahead = self._filter.friction_voltage_ahead(goals) / self.model.rated
+        self.expected_friction = np.concatenate([ahead, recent[:, None]], axis=1).reshape(len(goals), -1)
 
     def _controllers(self) -> Iterator[ModelBasedController]:
         """Iterate over all controllers of the bank."""

@@ -69,6 +69,15 @@ def test_reset_clears_the_memory(hframe: Machine, adaptive: AdaptiveController) 
     np.testing.assert_array_equal(first.actions, second.actions)
 
 
+def test_a_fixed_goal_after_a_path_needs_no_friction_of_the_path(hframe: Machine, adaptive: AdaptiveController) -> None:
+    """Environments pass fixed goals without a reset of all stages at once."""
+    goals, changes = circles(3, 4, periods=5), random_stages(hframe, 3, 5)
+    closed_loop(adaptive, hframe, goals[:, 0], goals, changes=changes, periods=5)
+    assert np.any(adaptive.expected_friction)
+    adaptive.act({"observation": np.zeros((3, 8)), "desired_goal": np.zeros((3, 2))})
+    assert not np.any(adaptive.expected_friction)
+
+
 def test_features_have_their_declared_sizes(hframe: Machine, adaptive: AdaptiveController) -> None:
     goals = circles(3, 4, periods=2)
     closed_loop(adaptive, hframe, goals[:, 0], goals, periods=2)
