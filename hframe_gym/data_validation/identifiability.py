@@ -79,13 +79,13 @@ def _relative_information(data: Dataset, machine: Machine, names: Sequence[str])
     # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of zero.
     names = [name for name in names if machine.parameters[name] != 0.0]
     data = dataclasses.replace(data, runs=tuple(_first_rows(run, _MAX_ROWS) for run in data.runs))
-    forward, backward = (_residual_model(data, machine, names, direction) for direction in (1.0, -1.0))
     at_declared = np.zeros(len(names))
+    forward, backward = (_residual_model(data, machine, names, sign).at(at_declared) for sign in (1.0, -1.0))
 
     def normal_equations(run: PreparedRecording) -> NormalEquations:
         """Use central differences; rounding in forward ones would seem to separate inseparable parameters."""
-        rows = forward.linearize_run(run, at_declared)
-        opposite = backward.linearize_run(run, at_declared)  # derivatives with respect to decreases
+        rows = forward.linearize_run(run)
+        opposite = backward.linearize_run(run)  # derivatives with respect to decreases
         return NormalEquations.from_rows((rows.jacobian - opposite.jacobian) / 2, rows.residual)
 
     return names, NormalEquations.total(map_runs(normal_equations, data)).information

@@ -19,7 +19,8 @@ from .estimation import SWITCH_CHANGES, Fit, with_changed_switch
 from .free_parameters import parameter_table, prior_precision
 from .linearization import ResidualModel, has_impacts
 from .prediction import POLISH_STEP, block_size, map_runs, predict, residuals
-from .start_uncertainty import initial_state_projection
+from .start_displacements import UncertainStart, uncertain_starts
+from .start_uncertainty import InitialStateProjection, predict_with_displaced_starts
 
 Array = NDArray[np.float64]
 
@@ -85,7 +86,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     """
     prior = prior_precision(fitted.free)
     directions = _directions(fitted, data, prior)  # (k, k), one per column
-    parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions), data))
+    starts = uncertain_starts(fitted.machine, data.runs)
+    parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions, starts[run.name]), data))
     information = np.concatenate([part.information for part in parts])  # J^T J of each block, (blocks, k, k)
     scores = np.concatenate([part.scores for part in parts])  # J^T r of each block, (blocks, k)
     if not (np.isfinite(information).all() and np.isfinite(scores).all()):
@@ -174,35 +176,33 @@ def _principal_directions(information: Array, prior: Array) -> Array:
     return shortened
 
 
-def _linearize(fitted: Fit, run: PreparedRecording, data: Dataset, directions: Array) -> _RunPart:
-    """Linearize the residual of one run along directions (k, k), one per column."""
+def _linearize(
+    fitted: Fit, run: PreparedRecording, data: Dataset, directions: Array, start: UncertainStart
+) -> _RunPart:
+    """Linearize the residual of one run, predicted from a given start, along directions (k, k), one per column."""
     machine = fitted.machine
-    initial_state = run.initial_state(machine)
     thetas = np.vstack([fitted.theta, fitted.theta + directions.T, fitted.theta - directions.T])
-    table = parameter_table(machine, fitted.free, thetas)
-
-    def residual(of_run: PreparedRecording, parameters: Array | None = None) -> Array:
-        """Return the residuals of the run, (batch, rows), from one initial state for all parameters."""
-        motion = predict(
-            machine,
-            of_run,
-            fitted.bandwidth,
-            period=data.period,
-            parameters=parameters,
-            initial_state=initial_state,
-            longest_step=POLISH_STEP,
-        )
-        return residuals(of_run, data, motion.readings)
-
+    motion = predict_with_displaced_starts(
+        machine,
+        run,
+        fitted.bandwidth,
+        start,
+        period=data.period,
+        parameters=parameter_table(machine, fitted.free, thetas),
+        longest_step=POLISH_STEP,
+    )
     # Zero-order-held inputs that are delayed by a fraction of a sample have this mean over each sample.
-    delayed = run.inputs.copy()
-    delayed[1:] -= _DELAY_DIFFERENCE * np.diff(run.inputs, axis=0)
-    rows = np.vstack([residual(run, table), residual(dataclasses.replace(run, inputs=delayed))])
+    delayed_inputs = run.inputs.copy()
+    delayed_inputs[1:] -= _DELAY_DIFFERENCE * np.diff(run.inputs, axis=0)
+    delayed = dataclasses.replace(run, inputs=delayed_inputs)
+    delayed_motion = predict(
+        machine, delayed, fitted.bandwidth, period=data.period, initial_state=start.state, longest_step=POLISH_STEP
+    )
+    rows, displaced = np.split(residuals(run, data, motion.readings), [len(thetas)])
+    projection = InitialStateProjection.from_displaced(rows[0], displaced)
+    rows = np.vstack([rows, residuals(run, data, delayed_motion.readings)])
     # Where the simulation diverges with changed parameters, the residual counts as unchanged.
     rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, rows[0])
-    projection = initial_state_projection(
-        machine, run, data, fitted.bandwidth, initial_state=initial_state, longest_step=POLISH_STEP
-    )
     if projection is not None:
         rows = projection(rows)
     k = len(fitted.free)

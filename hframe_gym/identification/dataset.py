@@ -19,7 +19,7 @@ from ..machine import Machine
 from ..recordings import Recording, fill_gaps, without_outliers, without_repetitions
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .initial_rest import without_moving_start
-from .initial_state import measured_initial_state, model_initial_state
+from .initial_state import measured_initial_state, model_initial_states
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
 
@@ -71,7 +71,7 @@ class PreparedRecording:
             Positions (m, rad), velocities (m/s, rad/s; zero at rest) and states of the effects (SI; zero unless
             estimated), shape (2 * coordinates + effect states,).
         """
-        return dataclasses.replace(self.initial, state=model_initial_state(machine, self.initial)).start(machine)
+        return model_initial_states(machine, [self.initial])[0]
 
 
 @dataclass(frozen=True)

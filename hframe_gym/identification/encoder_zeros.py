@@ -1,11 +1,8 @@
-"""Zeros of the encoders of a session: measurements at position 0 with unstretched belts; and what stretches these.
+"""Zeros of the encoders of a session: their measurements at position 0 with unstretched belts.
 
 An incremental encoder counts from where it was switched on. If it stayed on for a session (consecutive recordings of a
 rig), its zero is the same in all runs and is estimated from all of them. An identified machine carries these zeros
 (`Sensor.zero`), so that a single run is simulated from the same initial state as in identification.
-
-At rest, friction holds a stretch of the belts; in motion, the drives cause it. Encoders on pulleys measure the stretch
-and the vibration in addition to the motion of the carriages.
 """
 
 from __future__ import annotations
@@ -17,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import stiffness_matrix
-from ..machine import Machine, pulley_names
+from ..machine import Machine
+from .belt_stretch import max_held_angle
 
 if TYPE_CHECKING:
     from .rest_measurement import InitialState
@@ -28,10 +25,6 @@ Array = NDArray[np.float64]
 _MIN_RUNS_FOR_ZERO = 3
 _MIN_STRETCH = 0.1e-3  # rad; zeros that scatter by less from run to run show no stretch of the belts.
 _MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within which an encoder kept its zero.
-# Torques that typically stretch the belts: at rest, the part of the motors' Coulomb friction that a decaying vibration
-# leaves; in motion, the part of the torque at rated voltage that does not accelerate the motors or overcome back-EMF.
-_HELD_FRICTION, _MOVING_TORQUE = 0.2, 0.25
-_SMALLEST_ANGLE = 1e-6  # rad; a motor that is declared without friction still has some
 
 
 class EncoderZeros(NamedTuple):
@@ -148,25 +141,6 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     return zeros
 
 
-def max_held_angle(machine: Machine) -> Array:
-    """Return how far static friction can hold each pulley away from its angle with unstretched belts.
-
-    This is a generous estimate: 2 F / (k r) with the Coulomb friction F of all coordinates together, as a force at the
-    belt, the mean stiffness k of the belts and the radius r of the pulley.
-
-    Args:
-        machine: Machine with belts.
-
-    Returns:
-        Largest deviation of the pulley's angle at each sensor, rad, shape (sensors,); 0 for sensors on linear
-        coordinates.
-    """
-    friction = sum(c.coulomb / c.travel_per_unit for c in machine.coordinates)  # N, as a force at the belt
-    stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))  # N/m
-    coordinates = [machine.coordinate(s.coordinate) for s in machine.sensors]
-    return np.array([2 * friction / stiffness / c.radius if c.kind == "rotary" else 0.0 for c in coordinates])
-
-
 def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Array:
     """Return by how much an encoder's zero in one run may differ from its zero in the session (all runs together).
 
@@ -183,67 +157,3 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
     """
     # Friction can hold the pulley in one direction in this run, and in the other one in those that gave the zeros.
     return np.asarray(2 * max_held_angle(machine) + _MAX_SCATTER * zeros.spread + 2 * quanta)
-
-
-def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
-    """Return the angle by which the stretch of the belts typically turns each pulley at the start of a run.
-
-    The angle is 0 with unstretched belts. The result serves as the standard deviation of the unknown initial angle. It
-    is a typical torque divided by the rotational stiffness of the belts at the pulley.
-
-    Args:
-        machine: Machine; without belts the result is empty.
-        moving: False for a run that begins at rest: the torque is 20 % of the pulley's Coulomb friction. True for one
-            that begins in motion: 25 % of the drive's torque at rated voltage is added.
-
-    Returns:
-        Angle, rad, at least 1e-6, by name of each pulley with a sensor; without `Machine.spring_loaded`.
-    """
-    torques = {c.name: _HELD_FRICTION * c.coulomb for c in machine.coordinates}
-    for drive in machine.drives if moving else ():
-        torques[drive.coordinate] += _MOVING_TORQUE * abs(drive.gain) * drive.rated_voltage
-    return {
-        name: max(torques[name] / stiffness, _SMALLEST_ANGLE) for name, stiffness in _pulley_stiffness(machine).items()
-    }
-
-
-def vibration_speeds(machine: Machine) -> dict[str, float]:
-    """Return the speed amplitude of each pulley's typical vibration against the belts while the machine moves.
-
-    It is the standard deviation of the pulley's unknown velocity at the start of a run that begins in motion.
-
-    Args:
-        machine: Machine; without belts the result is empty.
-
-    Returns:
-        Speed, rad/s, by name of each pulley with a sensor: the angle `stretch_angles(machine, moving=True)`, rad, times
-        the natural angular frequency of the pulley on its belts, 1/s. Without `Machine.spring_loaded`.
-    """
-    angles = stretch_angles(machine, moving=True)
-    return {
-        name: angles[name] * float(np.sqrt(stiffness / machine.coordinate(name).mass))
-        for name, stiffness in _pulley_stiffness(machine).items()
-    }
-
-
-def _pulley_stiffness(machine: Machine) -> dict[str, float]:
-    """Return the torque per angle, Nm/rad, by name of each pulley with a sensor; carriages and other motors are held.
-
-    Pulleys without a sensor (idlers) turn with the belt, so that its division into sections does not matter.
-    """
-    if not machine.belts:
-        return {}
-    matrix = stiffness_matrix(machine)
-    measured = {s.coordinate for s in machine.sensors}
-    pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
-    stretching = [i for i in pulleys if matrix[i, i] > 0.0]
-    idlers = [i for i in stretching if machine.coordinates[i].name not in measured]
-    stiffness = {}
-    for i in stretching:
-        if i in idlers:
-            continue
-        turning = matrix[np.ix_([i, *idlers], [i, *idlers])]
-        if np.linalg.matrix_rank(turning) < len(turning):  # The pulley could turn the idlers without any stretch.
-            turning = matrix[i : i + 1, i : i + 1]
-        stiffness[machine.coordinates[i].name] = 1.0 / float(np.linalg.inv(turning)[0, 0])
-    return stiffness

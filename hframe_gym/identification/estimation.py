@@ -23,6 +23,7 @@ from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from .linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
 from .prediction import SEARCH_STEP, map_runs
+from .start_displacements import uncertain_starts
 from .start_uncertainty import prediction_residuals
 
 Array = NDArray[np.float64]
@@ -223,10 +224,13 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
     Returns:
         Cost, dimensionless; infinite if a prediction diverges.
     """
+    starts = uncertain_starts(machine, data.runs)
 
     def of_run(run: PreparedRecording) -> float:
         with np.errstate(over="ignore"):
-            return float(np.sum(prediction_residuals(machine, run, data, bandwidth, longest_step=longest_step) ** 2))
+            start = starts[run.name]
+            residual = prediction_residuals(machine, run, data, bandwidth, start=start, longest_step=longest_step)
+            return float(np.sum(residual**2))
 
     total = sum(map_runs(of_run, data))
     return total if math.isfinite(total) else math.inf

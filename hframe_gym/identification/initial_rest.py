@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..dynamics import simulate_batch
 from ..machine import Machine, Sensor
 from ..recordings import Recording, peak_to_peak
-from .encoder_zeros import vibration_speeds
+from .belt_stretch import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
 
 Array = NDArray[np.float64]

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import effect_forces, stiffness_matrix
-from ..machine import Machine, pulley_names, rest_state
+from ..machine import Machine, rest_state
 from ..recordings import Recording
+from .belt_stretch import linear_coordinates, static_equilibrium
 from .encoder_zeros import EncoderZeros, zero_tolerance
 from .rest_measurement import InitialState, estimate_initial_state, rigid_basis
 
@@ -106,46 +106,8 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
     return moved
 
 
-def static_equilibrium(machine: Machine, position: Array) -> Array:
-    """Compute the angles of the pulleys at rest, where forces may stretch the belts, for given carriage positions.
-
-    Effects such as cables and tilt exert forces at rest. Static friction carries such a force up to the Coulomb level.
-    A larger force has displaced the carriage, which is assumed to rest at the far end of its first swing: there the
-    belts carry twice the force in excess of the Coulomb level, but at most the entire force.
-
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
-        position: Positions, m or rad, shape (coordinates,); only linear coordinates (carriages) are used.
-            Coordinates that structural effects added, the last ones, may be missing.
-
-    Returns:
-        Positions of all coordinates, m or rad, shape (coordinates,); for the carriages, the values in `position`.
-    """
-    names = machine.coordinate_names
-    linear, pulleys = _linear(machine), np.isin(names, pulley_names(machine))
-    given = position[: len(names)]
-    at_rest = rest_state(machine, given[linear[: len(given)]])[: len(names)]
-    if not any(e.definition.force for e in machine.effects):
-        return at_rest
-    force = _force_at_rest(machine, at_rest)[linear]  # N, on each carriage
-    friction = np.array([c.coulomb for c in machine.coordinates])[linear]
-    stiffness = stiffness_matrix(machine, at_rest)[np.ix_(linear, pulleys)]  # N/rad, (carriages, pulleys)
-    # The belts carry twice the force in excess of friction, but at most the entire force.
-    carried = np.sign(force) * np.clip(2.0 * (np.abs(force) - friction), 0.0, np.abs(force))
-    # The pulleys turn by the smallest angles at which the belts carry these forces.
-    at_rest[pulleys] += np.linalg.lstsq(stiffness, carried, rcond=None)[0]
-    return at_rest
-
-
-def _force_at_rest(machine: Machine, position: Array) -> Array:
-    """Return the force of the effects on each coordinate of a machine at rest (coordinates,), N or Nm."""
-    positions = np.tile(position, (2, 1))
-    inputs = np.zeros((2, len(machine.drives)))
-    return np.asarray(effect_forces(machine, np.array([0.0, 1e-3]), positions, np.zeros_like(positions), inputs)[0])
-
-
-def model_initial_state(machine: Machine, initial: InitialState) -> Array:
-    """Return the state from which a simulation of a machine starts, given the measurements at rest.
+def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> list[Array]:
+    """Return the states from which simulations of a machine start, given the measurements at rest of each run.
 
     The state depends on the machine's effects, which may change measurements and exert forces at rest. If the zero of
     an encoder (its measurement at position 0) is known, the encoder gives the angle of its pulley. All other angles are
@@ -158,28 +120,45 @@ def model_initial_state(machine: Machine, initial: InitialState) -> Array:
     Args:
         machine: Machine with its effects (deviations from the nominal model); structural ones may have added
             coordinates.
-        initial: Measured initial state (positions at rest, zeros of the sensors).
+        initial: Measured initial state of each run (positions at rest, zeros of the sensors).
 
     Returns:
-        Positions (m, rad), then velocities (m/s, rad/s), shape (2 * coordinates,). The velocities are copied from
-        `initial`: zero unless the run begins in motion. Without belts, added coordinates start at 0.
+        For each run positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI; zero unless estimated),
+        shape (2 * coordinates + effect states,). Velocities are those in `initial`: zero unless the run begins in
+        motion. Without belts, added coordinates start at 0.
     """
-    added = len(machine.coordinates) - len(initial.position)  # coordinates of structural effects, at rest at 0
-    if not machine.belts:
-        return np.concatenate([np.pad(half, (0, added)) for half in np.split(initial.state, 2)])
+    if not initial:
+        return []
+    added = len(machine.coordinates) - len(initial[0].position)  # coordinates of structural effects, at rest at 0
+    if machine.belts:
+        measured = np.array([_position_from_measurements(machine, state) for state in initial])
+        positions = static_equilibrium(machine, measured)
+        for i, state in enumerate(initial):
+            _set_encoder_angles(machine, state, measured[i], positions[i])
+    else:
+        positions = np.array([np.pad(state.position, (0, added)) for state in initial])
+    states = (np.concatenate([q, np.pad(s.velocity, (0, added))]) for q, s in zip(positions, initial, strict=True))
+    return [dataclasses.replace(s, state=state).start(machine) for s, state in zip(initial, states, strict=True)]
+
+
+def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array, positions: Array) -> None:
+    """Replace angles in static equilibrium by those that encoders with a known zero measure, in place.
+
+    Args:
+        machine: Machine with its effects.
+        initial: Measured initial state of the run.
+        measured: Positions without the machine's effects on measurements, m or rad, shape (coordinates,).
+        positions: Positions in static equilibrium, m or rad, shape (coordinates,), of which pulleys are replaced.
+    """
     # Encoders are not used if an effect changes the position that lasers measure and their zeros are not corrected yet.
-    measured = _position_from_measurements(machine, initial)
-    position = static_equilibrium(machine, measured)
-    if initial.zeros_refined or np.array_equal(measured, initial.position):
-        eccentric = [
-            machine.coordinate_of_site(e.site, e.definition.site)
-            for e in machine.effects
-            if e.definition.rest_angle_offset
-        ]
-        for i, angle in _encoder_angles(machine, initial).items():
-            if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
-                position[i] = angle
-    return np.concatenate([position, np.pad(initial.velocity, (0, added))])
+    if not initial.zeros_refined and not np.array_equal(measured, initial.position):
+        return
+    eccentric = [
+        machine.coordinate_of_site(e.site, e.definition.site) for e in machine.effects if e.definition.rest_angle_offset
+    ]
+    for i, angle in _encoder_angles(machine, initial).items():
+        if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
+            positions[i] = angle
 
 
 def _encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:
@@ -231,15 +210,10 @@ def _position_from_measurements(machine: Machine, initial: InitialState) -> Arra
             zeroed[j] = row * _concentric_angle(machine, i, zeroed[j] / row) - stretch[j]
         unstretched = initial.position_matrix @ zeroed
         position = _without_measurement_effects(machine, initial, unstretched)
-        at_rest = rest_state(machine, position[_linear(machine)[: len(position)]])
+        at_rest = rest_state(machine, position[linear_coordinates(machine)[: len(position)]])
         held = static_equilibrium(machine, position) - at_rest[: len(machine.coordinates)]
         stretch = machine.sensor_matrix @ held
     return position
-
-
-def _linear(machine: Machine) -> NDArray[np.bool_]:
-    """Mark the linear coordinates."""
-    return np.array([c.kind == "linear" for c in machine.coordinates])
 
 
 def _without_measurement_effects(machine: Machine, initial: InitialState, position: Array) -> Array:

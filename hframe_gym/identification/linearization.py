@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,8 @@ from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
 from .normal_equations import NormalEquations
 from .prediction import SEARCH_STEP, map_runs, predict, residuals
-from .start_uncertainty import InitialStateProjection, initial_state_projection
+from .start_displacements import UncertainStart, uncertain_starts
+from .start_uncertainty import InitialStateProjection, predict_with_displaced_starts, projected
 
 Array = NDArray[np.float64]
 
@@ -60,18 +60,6 @@ def forward_differences(values: Array, step: float | Array = DIFFERENCE_STEP) ->
     return np.asarray(((values[1:] - values[0]).T / step).T)
 
 
-class Start(NamedTuple):
-    """State from which a run is predicted.
-
-    Attributes:
-        state: Positions (m, rad), velocities (m/s, rad/s), effect states, shape (2 * coordinates + effect states,).
-        projection: Removes from residuals what an error of this state explains; None if it explains nothing.
-    """
-
-    state: Array
-    projection: InitialStateProjection | None
-
-
 @dataclass(frozen=True)
 class RunLinearization:
     """Linearized residual of one run in units of the noise, without the part that an error of the start explains.
@@ -80,13 +68,13 @@ class RunLinearization:
         jacobian: Derivatives with respect to k parameters, shape (k, rows).
         responses: Changes by m perturbations, shape (m, rows), or None.
         residual: Residual at the expansion point, shape (rows,).
-        start: State from which the run is predicted, and the projection that removed what an error of it explains.
+        projection: Removed from all of them what an error of the start explains; None if it explains nothing.
     """
 
     jacobian: Array
     responses: Array | None
     residual: Array
-    start: Start
+    projection: InitialStateProjection | None
 
 
 # Function from a run and its motion at the expansion point (batch of one) to the responses E^T, shape (m, rows).
@@ -146,49 +134,43 @@ class ResidualModel:
         """
         return residuals(run, self.data, predicted, self.rows_per_block)
 
-    def linearize_run(
-        self, run: PreparedRecording, theta: Array, responses: Responses | None = None
-    ) -> RunLinearization:
-        """Linearize the residual (prediction error / noise) of one run as a function of the free parameters.
+    def at(self, theta: Array) -> ExpansionPoint:
+        """Prepare the linearization of the residual at given values of the free parameters.
+
+        Args:
+            theta: Dimensionless variables of the k free parameters, shape (k,).
+
+        Returns:
+            The machine with these values and the state from which it predicts each run.
+        """
+        machine = self.machine_at(theta)
+        return ExpansionPoint(self, theta, machine, uncertain_starts(machine, self.data.runs))
+
+    def parameters(self, thetas: Array) -> Array:
+        """Return all parameters of the machines that a batch of theta describes.
+
+        Args:
+            thetas: Dimensionless variables of the k free parameters, shape (batch, k).
+
+        Returns:
+            Parameters in the order of `Machine.parameters`, SI, shape (batch, parameters).
+        """
+        return parameter_table(self.machine, self.free, thetas)
+
+    def linearize_run(self, run: PreparedRecording, theta: Array) -> RunLinearization:
+        """Linearize the residual (prediction error / noise) of one run of the data set.
+
+        `at(theta).linearize_run` does the same for several runs and computes what they have in common once.
 
         Args:
             run: Run to predict.
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function that returns the residual's changes by m perturbations, shape (m, rows). Default: none.
 
         Returns:
-            Residual, shape (rows,), its derivatives, shape (k, rows), and the responses, shape (m, rows), all without
-            the part that an error of the initial state can explain.
+            Residual, shape (rows,), and its derivatives, shape (k, rows), without the part that an error of the initial
+            state can explain.
         """
-        machine = self.machine_at(theta)
-        steps = self._difference_steps()
-        thetas = np.vstack([theta, theta + np.diag(steps)])
-        initial_state = run.initial_state(machine)
-        motion = self._predict(machine, run, thetas, initial_state, states=responses is not None)
-        residual = self.residuals(run, motion.readings)  # (k + 1, rows)
-        expansion_motion = Motion(*(part[:1] for part in motion))
-        extra = None if responses is None else responses(run, expansion_motion)
-        projection = initial_state_projection(
-            machine,
-            run,
-            self.data,
-            self.bandwidth,
-            initial_state=initial_state,
-            longest_step=self.longest_step,
-            rows_per_block=self.rows_per_block,
-        )
-        if projection is not None:
-            residual = projection(residual)
-            extra = None if extra is None else projection(extra)
-        start = Start(initial_state, projection)
-        return RunLinearization(forward_differences(residual, steps), extra, residual[0], start)
-
-    def _difference_steps(self) -> Array:
-        """Return the change of each theta over which its derivative is computed, shape (k,)."""
-        if self.difference_step is not None:
-            return np.full(len(self.free), self.difference_step)
-        step = _IMPACT_DIFFERENCE_STEP if has_impacts(self.machine) else DIFFERENCE_STEP
-        return np.array([_SWITCH_DIFFERENCE_STEP if f.switch else step for f in self.free])
+        return self.at(theta).linearize_run(run)
 
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
         """Linearize the residual (prediction error / noise) of all runs as a function of the free parameters.
@@ -198,33 +180,72 @@ class ResidualModel:
             responses: Function from run and motion to residual changes by m perturbations, (m, rows). Default: none.
 
         Returns:
-            For each run: `NormalEquations` with the Jacobian J (J^T J, shape (k, k), J^T r, (k,), ...), initial state.
+            For each run: `NormalEquations` with the Jacobian J (J^T J, shape (k, k), J^T r, (k,), ...), and projection.
         """
+        point = self.at(theta)
 
-        def of_run(run: PreparedRecording) -> tuple[NormalEquations, Start]:
-            rows = self.linearize_run(run, theta, responses)
+        def of_run(run: PreparedRecording) -> tuple[NormalEquations, InitialStateProjection | None]:
+            rows = point.linearize_run(run, responses)
             equations = NormalEquations.from_rows(rows.jacobian, rows.residual, rows.responses, count=run.count)
-            return equations, rows.start
+            return equations, rows.projection
 
         parts = list(map_runs(of_run, self.data))
-        starts = {run.name: start for run, (_, start) in zip(self.data.runs, parts, strict=True)}
-        return Linearization(self, self.machine_at(theta), tuple(equations for equations, _ in parts), starts)
+        projections = {run.name: projection for run, (_, projection) in zip(self.data.runs, parts, strict=True)}
+        return Linearization(point, tuple(equations for equations, _ in parts), projections)
 
-    def _predict(
-        self, machine: Machine, run: PreparedRecording, thetas: Array, initial_state: Array, *, states: bool = False
-    ) -> Motion:
-        """Predict a run for a batch of theta; `machine` determines where encoders count from."""
-        table = parameter_table(self.machine, self.free, thetas)
-        return predict(
-            machine,
+    @property
+    def difference_steps(self) -> Array:
+        """Change of each theta over which its derivative is computed, dimensionless, shape (k,)."""
+        if self.difference_step is not None:
+            return np.full(len(self.free), self.difference_step)
+        step = _IMPACT_DIFFERENCE_STEP if has_impacts(self.machine) else DIFFERENCE_STEP
+        return np.array([_SWITCH_DIFFERENCE_STEP if f.switch else step for f in self.free])
+
+
+@dataclass(frozen=True)
+class ExpansionPoint:
+    """Values of the free parameters at which a residual is linearized.
+
+    Attributes:
+        model: Residual as a function of theta.
+        theta: Dimensionless variables of the k free parameters, shape (k,).
+        machine: Machine with these values.
+        starts: State from which each run is predicted, and its uncertainty, by name of the run.
+    """
+
+    model: ResidualModel
+    theta: Array
+    machine: Machine
+    starts: Mapping[str, UncertainStart]
+
+    def linearize_run(self, run: PreparedRecording, responses: Responses | None = None) -> RunLinearization:
+        """Linearize the residual (prediction error / noise) of one run as a function of the free parameters.
+
+        Args:
+            run: Run to predict, one of the data set.
+            responses: Function that returns the residual's changes by m perturbations, shape (m, rows). Default: none.
+
+        Returns:
+            Residual, shape (rows,), its derivatives, shape (k, rows), and the responses, shape (m, rows), all without
+            the part that an error of the initial state can explain.
+        """
+        model, start = self.model, self.starts[run.name]
+        steps = model.difference_steps
+        motion = predict_with_displaced_starts(
+            self.machine,
             run,
-            self.bandwidth,
-            period=self.data.period,
-            parameters=table,
-            initial_state=initial_state,
-            longest_step=self.longest_step,
-            states=states,
+            model.bandwidth,
+            start,
+            period=model.data.period,
+            parameters=model.parameters(np.vstack([self.theta, self.theta + np.diag(steps)])),
+            longest_step=model.longest_step,
+            states=responses is not None,
         )
+        residual, projection = projected(model.residuals(run, motion.readings), len(start.displacements))
+        extra = None if responses is None else responses(run, Motion(*(part[:1] for part in motion)))
+        if extra is not None and projection is not None:
+            extra = projection(extra)
+        return RunLinearization(forward_differences(residual, steps), extra, residual[0], projection)
 
 
 @dataclass(frozen=True)
@@ -232,16 +253,15 @@ class Linearization:
     """Linearized residual of a data set.
 
     Attributes:
-        model: Residual as a function of theta.
-        machine: Machine at the expansion point.
+        point: Values of the free parameters at which it is linearized.
         by_run: Products of each run's linearized residual, in the order of the runs.
-        starts: Initial state of each run at the expansion point, by run name.
+        projections: For each run, by its name, what removes from residuals the part that an error of the initial state
+            explains; None if such an error explains nothing.
     """
 
-    model: ResidualModel
-    machine: Machine
+    point: ExpansionPoint
     by_run: tuple[NormalEquations, ...]
-    starts: Mapping[str, Start]
+    projections: Mapping[str, InitialStateProjection | None]
 
     @property
     def normal_equations(self) -> NormalEquations:
@@ -260,13 +280,22 @@ class Linearization:
             Sums of squared residuals in units of the noise, dimensionless, without the prior, shape (batch,); infinite
             where a prediction diverges.
         """
+        model, machine = self.point.model, self.point.machine
+        parameters = model.parameters(thetas)
 
         def of_run(run: PreparedRecording) -> Array:
-            start = self.starts[run.name]
-            motion = self.model._predict(self.machine, run, thetas, start.state)
-            residual = self.model.residuals(run, motion.readings)
-            residual = residual if start.projection is None else start.projection(residual)
+            motion = predict(
+                machine,
+                run,
+                model.bandwidth,
+                period=model.data.period,
+                parameters=parameters,
+                initial_state=self.point.starts[run.name].state,
+                longest_step=model.longest_step,
+            )
+            residual, projection = model.residuals(run, motion.readings), self.projections[run.name]
+            residual = residual if projection is None else projection(residual)
             return np.asarray(np.einsum("bi,bi->b", residual, residual))
 
-        total = np.sum(list(map_runs(of_run, self.model.data)), axis=0)
+        total = np.sum(list(map_runs(of_run, model.data)), axis=0)
         return np.where(np.isfinite(total), total, np.inf)

@@ -278,9 +278,10 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
     """Return for each piece of the runs its cost and that of all others, with parameters fitted to the others."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
+    point = model.at(fitted.theta)
 
     def of_run(run: PreparedRecording) -> list[NormalEquations]:
-        rows = model.linearize_run(run, fitted.theta)
+        rows = point.linearize_run(run)
         parts = zip(np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True)
         return [NormalEquations.from_rows(*part, count=run.count / pieces) for part in parts]
 

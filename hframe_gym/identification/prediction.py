@@ -130,7 +130,7 @@ def predict(
         inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
             (batch, n, coordinates). Default: none.
-        extra_measurement: Value added to the sensors' output, m or rad, shape (batch, n, sensors). Default: none.
+        extra_measurement: Value added to the sensors' output, m or rad, shape (batch, n or 1, sensors). Default: none.
         initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero), shape
             (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
             observer shifts the measurements of encoders so that they agree with the first of these states.

@@ -23,7 +23,7 @@ from .dataset import Dataset, PreparedRecording, prepare
 from .encoder_zeros import EncoderZeros
 from .force_sizes import force_error
 from .initial_rest import count_resting_rows, without_moving_start
-from .initial_state import measured_initial_state, model_initial_state, refine_encoder_zeros
+from .initial_state import measured_initial_state, model_initial_states, refine_encoder_zeros
 from .lost_voltages import estimate_lost_voltages
 from .prediction import POLISH_STEP, map_runs
 from .residual import ChannelError, errors_by_channel
@@ -234,7 +234,7 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
-    state = model_initial_state(machine, initial)
+    state = model_initial_states(machine, [initial])[0][: 2 * len(machine.coordinates)]
     max_means = max_zero_means(behind_belts(machine), quanta)
     measured = np.isfinite(usable.outputs)
 

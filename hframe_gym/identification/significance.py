@@ -96,7 +96,7 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
         Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
     """
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
-    runs = list(map_runs(lambda run: model.linearize_run(run, fitted.theta), data))
+    runs = list(map_runs(model.at(fitted.theta).linearize_run, data))
     if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
         return math.inf
     of_effect = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])

@@ -1,10 +1,8 @@
-"""The uncertainty that the measurements at rest leave about the initial state of a run, and its estimate from the run.
+"""Remove from residuals what an uncertain initial state explains, and estimate that state from a run.
 
-Static friction holds an unknown stretch of the belts when a run begins: encoders behind belts do not resolve it, and an
-encoder that was switched on anew does not measure it at all. Where no laser measures at rest, the position is uncertain
-as well. A bristle or a cable with hysteresis remembers motion that was not recorded. The motion that follows depends on
-all of these unknowns. A fit removes the response to them from its residual (variable projection); a simulation over a
-recording starts from the most probable state.
+The motion after the start of a run depends on unknowns of its initial state (`start_displacements`). A fit removes the
+response to them from its residual (variable projection); a simulation over a recording starts from the most probable
+state.
 """
 
 from __future__ import annotations
@@ -15,19 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
-from ..dynamics import Equations
+from ..dynamics.simulation import Motion, parameter_batch
 from ..machine import Machine
 from .dataset import Dataset, PreparedRecording
-from .encoder_zeros import stretch_angles, vibration_speeds
 from .initial_state import refine_encoder_zeros
 from .lost_voltages import estimate_lost_voltages
 from .prediction import POLISH_STEP, SEARCH_STEP, SIMULATION, map_runs, predict, residuals
-from .rest_measurement import InitialState, rigid_basis
+from .rest_measurement import InitialState
+from .start_displacements import UncertainStart, effect_state_spreads, start_displacements, uncertain_starts
 
 Array = NDArray[np.float64]
-_UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
 # Iterations of `most_probable_start`, fractions of a step that it tries, and its differences in standard deviations.
 _ITERATIONS, _FRACTIONS, _DIFFERENCE = 4, np.array([1.0, 0.5, 0.25, 0.1]), 0.3
 _SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which `most_probable_start` ends
@@ -37,15 +33,38 @@ _SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which `most_probab
 class InitialStateProjection:
     """Projection that removes from residuals what an uncertain initial state, such as a belt stretch, explains.
 
+    The squared norm of a projected residual r is the minimum over w of |r - C w|^2 + |w|^2, where the columns of C are
+    the changes of r by displacements of the initial state, each of the size of one standard deviation (variable
+    projection). A fit therefore need not estimate the displacements w.
+
     Attributes:
-        directions: Orthonormal responses of the residual to s independent displacements of the initial state, shape
-            (rows, s).
+        directions: Orthonormal basis of the s columns of C, shape (rows, s).
         weights: Fraction of the residual along each direction that is removed, 0 (the prior determines the
             displacement) to 1 (the data determine it), shape (s,).
+
+    References:
+        Golub and Pereyra (1973), variable projection.
     """
 
     directions: Array
     weights: Array
+
+    @classmethod
+    def from_displaced(cls, residual: Array, displaced: Array) -> InitialStateProjection | None:
+        """Build the projection from the residuals of predictions that start from displaced states.
+
+        Args:
+            residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).
+            displaced: Residuals of predictions from `UncertainStart.displaced_states`, shape (displacements, rows).
+
+        Returns:
+            The projection; None without displacements, or if a prediction diverges.
+        """
+        columns = (displaced - residual).T
+        if not columns.shape[1] or not np.all(np.isfinite(columns)):
+            return None
+        directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        return cls(directions, 1.0 - 1.0 / np.hypot(1.0, sizes))  # no overflow close to divergence
 
     def __call__(self, residual: Array) -> Array:
         """Remove the part of residuals that the optimal displacement of the initial state explains, given its prior.
@@ -59,78 +78,89 @@ class InitialStateProjection:
         return residual - (residual @ self.directions) * self.weights @ self.directions.T
 
 
-def initial_state_projection(
+def projected(residuals_of_predictions: Array, displacements: int) -> tuple[Array, InitialStateProjection | None]:
+    """Remove from residuals what an uncertain initial state explains.
+
+    Args:
+        residuals_of_predictions: Residuals in units of the noise, shape (batch + displacements, rows). The first one is
+            that of the prediction around which the initial state is displaced; the last ones are those of the displaced
+            states, from `predict_with_displaced_starts`.
+        displacements: Number of displaced states.
+
+    Returns:
+        residuals: Projected residuals, without those of the displaced states, shape (batch, rows).
+        projection: Projection for further residuals, shape (batch, rows). None if nothing is uncertain or a prediction
+            diverges.
+    """
+    batch, displaced = np.split(residuals_of_predictions, [len(residuals_of_predictions) - displacements])
+    projection = InitialStateProjection.from_displaced(batch[0], displaced)
+    return (batch if projection is None else projection(batch)), projection
+
+
+def predict_with_displaced_starts(
+    machine: Machine,
+    run: PreparedRecording,
+    bandwidth: float,
+    start: UncertainStart,
+    *,
+    period: float,
+    parameters: Array | None = None,
+    longest_step: float = SEARCH_STEP,
+    states: bool = False,
+) -> Motion:
+    """Predict a run for several sets of parameters, and from displaced initial states, as one batch.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict, n samples.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
+        start: State from which the run is predicted, with s displacements.
+        period: Sampling period, s.
+        parameters: Parameters, SI, as in `Machine.parameters`, shape (batch, parameters); the first set is also that
+            for the displaced states. Default: those of the machine, a batch of one.
+        longest_step: Maximum integration step, s.
+        states: Whether to return positions and velocities too.
+
+    Returns:
+        Motion as from `predict`, shape (batch + s, n, ...): first the sets of parameters, then the displaced states.
+    """
+    table = parameter_batch(machine) if parameters is None else parameters
+    displaced = start.displaced_states
+    rows = np.vstack([table, np.repeat(table[:1], len(displaced), axis=0)])
+    initial_states = np.vstack([np.tile(start.state, (len(table), 1)), displaced])
+    return predict(
+        machine,
+        run,
+        bandwidth,
+        period=period,
+        parameters=rows,
+        initial_state=initial_states,
+        extra_measurement=_displaced_zeros(machine, run, initial_states) if bandwidth else None,
+        longest_step=longest_step,
+        states=states,
+    )
+
+
+def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array | None:
+    """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, 1, sensors).
+
+    An encoder without a known zero counts from the state at the start. If that state is displaced, all of its
+    measurements are, which an observer feeds back throughout the run. None if there is no such encoder.
+    """
+    unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.resolves_stretch
+    positions = initial_states[:, : len(machine.coordinates)]
+    changes = np.where(unknown, (positions - positions[0]) @ machine.sensor_matrix.T, 0.0)  # (batch, sensors)
+    return -changes[:, None] if np.any(changes) else None
+
+
+def prediction_residuals(
     machine: Machine,
     run: PreparedRecording,
     data: Dataset,
     bandwidth: float,
     *,
-    initial_state: Array | None = None,
+    start: UncertainStart | None = None,
     longest_step: float = SEARCH_STEP,
-    rows_per_block: int = 1,
-) -> InitialStateProjection | None:
-    """Return the projection that removes from residuals what an uncertain initial state explains.
-
-    The initial state is uncertain mainly because static friction holds an unknown stretch of the belts at rest.
-    `start_displacements` lists all uncertain displacements and their standard deviations (Gaussian prior). The run is
-    simulated once for each of them, which linearizes the residual. The sum of squares of a projected residual equals
-    the cost, prior included, at the best displacements (variable projection). A fit therefore need not estimate them.
-
-    Args:
-        machine: Machine that predicts.
-        run: Run to predict.
-        data: Data set of the run.
-        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
-        initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect
-            states,). Default: `run.initial_state(machine)`.
-        longest_step: Maximum integration step, s.
-        rows_per_block: Number of consecutive rows that are combined into one (sum / square root of the number).
-
-    Returns:
-        Projection for residuals and for columns of a Jacobian, shape (batch, rows). None if nothing is uncertain or the
-        simulation diverges.
-
-    References:
-        Golub and Pereyra (1973), variable projection.
-    """
-    displacements = start_displacements(machine, run.initial)
-    if not len(displacements):
-        return None
-    state = run.initial_state(machine) if initial_state is None else initial_state
-    initial_states = np.tile(state, (len(displacements) + 1, 1))
-    initial_states[1:] += displacements
-    motion = predict(
-        machine,
-        run,
-        bandwidth,
-        period=data.period,
-        initial_state=initial_states,
-        extra_measurement=_displaced_zeros(machine, run, initial_states) if bandwidth else None,
-        longest_step=longest_step,
-    )
-    residual = residuals(run, data, motion.readings, rows_per_block)
-    columns = (residual[1:] - residual[0]).T  # (rows, displacements), in units of the prior's standard deviation
-    if not np.all(np.isfinite(columns)):
-        return None
-    # The squared norm of the projected residual is the minimum over w of |residual - columns w|^2 + |w|^2.
-    directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return InitialStateProjection(directions, 1.0 - 1.0 / np.hypot(1.0, sizes))  # no overflow close to divergence
-
-
-def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array:
-    """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, n, sensors).
-
-    An encoder without a known zero counts from the state at the start. If that state is displaced, all of its
-    measurements are, which an observer feeds back throughout the run.
-    """
-    unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.resolves_stretch
-    positions = initial_states[:, : len(machine.coordinates)]
-    changes = np.where(unknown, (positions - positions[0]) @ machine.sensor_matrix.T, 0.0)  # (batch, sensors)
-    return np.repeat(-changes[:, None], len(run.time_s), axis=1)
-
-
-def prediction_residuals(
-    machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP
 ) -> Array:
     """Return a machine's prediction errors over a run, each divided by the standard deviation of the sensor's noise.
 
@@ -142,91 +172,18 @@ def prediction_residuals(
         run: Run to predict (times, voltages, measurements, SI), n samples.
         data: Data set of the run.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        start: State from which the run is predicted. Default: that of `uncertain_starts`.
         longest_step: Maximum integration step, s.
 
     Returns:
         Residuals, dimensionless, shape (n * sensors,), 0 where not measured; not finite if the prediction diverges.
     """
-    motion = predict(machine, run, bandwidth, period=data.period, longest_step=longest_step)
-    residual = residuals(run, data, motion.readings)
-    projection = initial_state_projection(machine, run, data, bandwidth, longest_step=longest_step)
-    return np.ravel(residual if projection is None else projection(residual))
-
-
-def start_displacements(machine: Machine, initial: InitialState) -> Array:
-    """Return the independent displacements by which the state at the start of a run may differ from the measured one.
-
-    They have four causes:
-
-    - Static friction holds an unknown stretch of the belts: one displacement per pulley with an encoder.
-    - In a machine with belts, lasers (sensors with a fixed zero) do not measure the complete position before the motion
-      begins: one displacement per motion that stretches no belt and that no laser measures at rest.
-    - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that stretches
-      no belt, and one per pulley with an encoder, because the belts vibrate.
-    - An effect such as hysteresis remembers motion before the recording: one per state of an effect that defines an
-      `initial_spread`.
-
-    Args:
-        machine: Machine whose simulation starts from this state.
-        initial: Measured initial state of the run.
-
-    Returns:
-        Displacements, one per row, each of the size of one standard deviation: positions (m, rad), velocities (m/s,
-        rad/s), states of the effects (SI), shape (displacements, 2 * coordinates + effect states).
-    """
-    held_angles = stretch_angles(machine, moving=len(initial.velocity_deviations) > 0)
-    velocities = _velocity_displacements(machine, initial)
-    displacements = np.zeros((len(held_angles), len(machine.coordinates)))
-    for k, (name, angle) in enumerate(held_angles.items()):
-        displacements[k, machine.coordinate_names.index(name)] = angle
-    if held_angles and not initial.lasers_measured:
-        displacements = np.vstack([displacements, _rigid_displacements(machine, initial, held_angles)])
-    spreads = _effect_state_spreads(machine)
-    of_effects = np.diag(spreads)[spreads > 0.0]
-    count = len(machine.coordinates)
-    blocks = (
-        np.pad(displacements, ((0, 0), (0, count + len(spreads)))),
-        np.pad(velocities, ((0, 0), (count, len(spreads)))),
-        np.pad(of_effects, ((0, 0), (2 * count, 0))),
+    start = start or uncertain_starts(machine, [run])[run.name]
+    motion = predict_with_displaced_starts(
+        machine, run, bandwidth, start, period=data.period, longest_step=longest_step
     )
-    return np.vstack(blocks)
-
-
-def _velocity_displacements(machine: Machine, initial: InitialState) -> Array:
-    """Return the uncertain velocities of a run that begins in motion, each of the size of its error (k, coordinates).
-
-    Beside the motions that stretch no belt, every pulley vibrates against the belts.
-    """
-    rigid, count = initial.velocity_deviations, len(machine.coordinates)
-    if not len(rigid):
-        return np.zeros((0, count))
-    speeds = vibration_speeds(machine)
-    vibrations = [machine.coefficients({name: 1.0}) * speed for name, speed in speeds.items()]
-    # `rigid` lacks the coordinates of structural effects, which are the last ones.
-    return np.vstack([np.pad(rigid, ((0, 0), (0, count - rigid.shape[1]))), *vibrations])
-
-
-def _effect_state_spreads(machine: Machine) -> Array:
-    """Return the standard deviation of each effect's state at the start, in its unit, shape (effect states,)."""
-    equations = Equations(machine)
-    spreads = []
-    for k in equations.states:
-        effect, i = equations.instances[k].effect, equations.instances[k].coordinate
-        level = machine.coordinates[i].coulomb if i >= 0 else 0.0
-        known = effect.definition.initial_spread is None
-        spreads.append(0.0 if known else float(equations.evaluate(effect, "initial_spread", {"level": level})))
-    return np.array(spreads)
-
-
-def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
-    """Return the rigid motions that no laser measured at rest, of the size of their uncertainty, (k, coordinates)."""
-    travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
-    size = max(travel) if initial.position_measured else _UNMEASURED_POSITION
-    rigid = rigid_basis(machine)
-    lasers = np.array([not sensor.incremental for sensor in machine.sensors]) & initial.measured_at_rest
-    unseen = rigid @ null_space((machine.sensor_matrix @ rigid)[lasers])  # (coordinates, k)
-    linear = [c.kind == "linear" for c in machine.coordinates]
-    return np.asarray(size * (unseen / np.linalg.norm(unseen[linear], axis=0)).T)
+    residual, _ = projected(residuals(run, data, motion.readings), len(start.displacements))
+    return residual[0]
 
 
 def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
@@ -274,7 +231,7 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
         m or rad, shape (n, sensors), of each run; `data` itself if there is nothing to correct.
     """
     data = estimate_lost_voltages(refine_encoder_zeros(data, machine, reference), machine)
-    if not np.any(_effect_state_spreads(machine) > 0.0):
+    if not np.any(effect_state_spreads(machine) > 0.0):
         return data
 
     def refined(run: PreparedRecording) -> PreparedRecording:
@@ -309,7 +266,7 @@ def most_probable_start(
     References:
         Nocedal and Wright (2006), "Numerical optimization", chapter 10 (Gauss-Newton method with a line search).
     """
-    displacements = start_displacements(machine, initial)
+    (displacements,) = start_displacements(machine, [initial])
     count = len(displacements)
     state = np.pad(state, (0, displacements.shape[1] - len(state)))
     best = np.zeros(count)  # displacements in units of their standard deviations

@@ -10,11 +10,11 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, InitialState, PreparedRecording, initial_state_of_recording, prepare
+from hframe_gym.identification.belt_stretch import static_equilibrium
 from hframe_gym.identification.initial_state import (
     encoder_zero_errors,
-    model_initial_state,
+    model_initial_states,
     refine_encoder_zeros,
-    static_equilibrium,
 )
 from hframe_gym.identification.residual import channel_errors
 from hframe_gym.machine import Machine, rest_state
@@ -85,8 +85,8 @@ def test_a_skewed_laser_is_inverted(hframe: Machine) -> None:
     measured = np.array([x, y + a * x])
     initial = initial_at(measured, rigid(measured), known=False)
     skewed = hframe.with_effects(EFFECTS["sensor_skew"].at("y_m", a=a))
-    np.testing.assert_allclose(model_initial_state(skewed, initial), rest_state(hframe, [x, y]), atol=1e-9)
-    np.testing.assert_allclose(model_initial_state(hframe, initial), rest_state(hframe, measured), atol=1e-9)
+    np.testing.assert_allclose(model_initial_states(skewed, [initial])[0], rest_state(hframe, [x, y]), atol=1e-9)
+    np.testing.assert_allclose(model_initial_states(hframe, [initial])[0], rest_state(hframe, measured), atol=1e-9)
 
 
 def test_a_position_beyond_the_range_of_a_laser_is_kept(hframe: Machine) -> None:
@@ -94,7 +94,7 @@ def test_a_position_beyond_the_range_of_a_laser_is_kept(hframe: Machine) -> None
     position = np.array([0.14, 0.02])
     limited = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=-0.1, high=0.1))
     initial = initial_at(position, rigid(position), known=False)
-    np.testing.assert_allclose(model_initial_state(limited, initial)[:2], position, atol=1e-12)
+    np.testing.assert_allclose(model_initial_states(limited, [initial])[0][:2], position, atol=1e-12)
 
 
 def test_an_eccentric_pulley_rests_where_the_simulator_has_it(hframe: Machine) -> None:
@@ -104,7 +104,7 @@ def test_an_eccentric_pulley_rests_where_the_simulator_has_it(hframe: Machine) -
     machine = hframe.with_effects(EFFECTS["eccentric_pulley"].at("motor2", e=e, p=p))
     initial = dataclasses.replace(initial_at(position, measured, known=True), zeros_refined=True)
     # The state is that of a round pulley, whose belts are unstretched, up to second order in e / r.
-    assert abs(model_initial_state(machine, initial)[3] - rigid(position)[1]) < 2 * (e / RADIUS) ** 2
+    assert abs(model_initial_states(machine, [initial])[0][3] - rigid(position)[1]) < 2 * (e / RADIUS) ** 2
     assert abs(measured[1] - rigid(position)[1]) > 20 * (e / RADIUS) ** 2
 
 

@@ -195,9 +195,12 @@ class LinearModel:
     def __init__(self, *arguments: Any) -> None:
         pass
 
-    def linearize_run(self, run: Any, theta: np.ndarray) -> Any:
-        jacobian, residual = self.ROWS[run.name]
-        return SimpleNamespace(jacobian=jacobian, residual=residual + theta @ jacobian)
+    def at(self, theta: np.ndarray) -> Any:
+        def linearize_run(run: Any) -> Any:
+            jacobian, residual = self.ROWS[run.name]
+            return SimpleNamespace(jacobian=jacobian, residual=residual + theta @ jacobian)
+
+        return SimpleNamespace(linearize_run=linearize_run)
 
 
 @pytest.mark.parametrize("names", ["abcde", "ab"])

@@ -215,7 +215,10 @@ class CorrelatedResidual:
     def __init__(self, *arguments: Any) -> None:
         pass
 
-    def linearize_run(self, run: Any, theta: np.ndarray) -> Any:
+    def at(self, theta: np.ndarray) -> Any:
+        return self  # the model is linear
+
+    def linearize_run(self, run: Any) -> Any:
         """Return Jacobian (2, 4000) and residual (4000,) of a run, which is a pair of seed and correlation in rows."""
         seed, rows = run
         residual = np.repeat(np.random.default_rng(seed).normal(size=4000 // rows), rows)

@@ -7,10 +7,16 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import prepare, simulate_recording
+from hframe_gym.identification import Dataset, prepare, simulate_recording
 from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.prediction import SIMULATION
-from hframe_gym.identification.start_uncertainty import initial_state_projection, refine_dataset
+from hframe_gym.identification.prediction import SIMULATION, residuals
+from hframe_gym.identification.start_displacements import uncertain_starts
+from hframe_gym.identification.start_uncertainty import (
+    InitialStateProjection,
+    predict_with_displaced_starts,
+    projected,
+    refine_dataset,
+)
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 
@@ -39,10 +45,18 @@ def moving_run(machine: Machine, state: np.ndarray) -> Recording:
     return Recording("run", time_s, inputs, motion.outputs)
 
 
+def simulation_projection(machine: Machine, data: Dataset) -> InitialStateProjection | None:
+    """Return what removes the influence of an uncertain start from residuals of the first run's simulation."""
+    run = data.runs[0]
+    start = uncertain_starts(machine, data.runs)[run.name]
+    motion = predict_with_displaced_starts(machine, run, SIMULATION, start, period=data.period)
+    return projected(residuals(run, data, motion.readings), len(start.displacements))[1]
+
+
 def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> None:
     """The projection shrinks the directions of the two initial motor angles by their weights."""
     data = prepare([moving_run(hframe, rest_state(hframe))], hframe)
-    projection = initial_state_projection(hframe, data.runs[0], data, SIMULATION)
+    projection = simulation_projection(hframe, data)
     assert projection is not None
     np.testing.assert_allclose(projection.directions.T @ projection.directions, np.eye(2), atol=1e-9)
     assert np.all((projection.weights > 0) & (projection.weights < 1))
@@ -55,14 +69,14 @@ def test_projection_of_a_machine_close_to_divergence_does_not_overflow(hframe: M
     data = prepare([moving_run(hframe, rest_state(hframe))], hframe)
     unstable = hframe.replace({"x.viscous": -650.0 * hframe.coordinate("x").mass})
     with np.errstate(over="raise"):
-        projection = initial_state_projection(unstable, data.runs[0], data, SIMULATION)
+        projection = simulation_projection(unstable, data)
     assert projection is not None
     np.testing.assert_array_equal(projection.weights, 1.0)
 
 
 def test_no_projection_without_belts(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
-    assert initial_state_projection(axis, data.runs[0], data, SIMULATION) is None
+    assert simulation_projection(axis, data) is None
 
 
 def test_a_run_that_began_with_stretched_belts_is_simulated_from_that_stretch(hframe: Machine) -> None:
