@@ -68,9 +68,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     The sum of the first two parts is at least the variance that white noise of the assumed size causes.
 
     Derivatives are central differences along the principal axes of the Fisher information: along single parameters,
-    rounding errors would make viscous friction and back-EMF seem separable. A threshold (`FreeParameter.switch`)
-    changes predictions in steps and has no derivative. Its difference is taken between a smaller and a larger value, at
-    both of which the cost is clearly larger; its standard deviation is at least half the distance of the two.
+    rounding would make viscous friction and back-EMF seem separable. A threshold (`FreeParameter.switch`) has no
+    derivative. It is raised and lowered until the cost clearly rises; its standard deviation is at least this change.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.

@@ -324,7 +324,7 @@ def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fit with the step of `search_step`: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared).
+        Fit with the step of `search_step`: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
     """
     step = search_step(bandwidth)
     return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)
