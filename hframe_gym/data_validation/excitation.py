@@ -54,16 +54,17 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
 
 
 def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report inputs that have one constant value throughout a run: drives that were not used, or not logged.
+    """Report inputs that are constant throughout a run: the drive was not used, or its voltage was not logged.
 
-    A drive without voltage is not reported where it has one in another run: runs with a single motor are useful.
+    An input that is zero throughout a run is not reported if it changes in another run, because runs in which a drive
+    is off are useful.
 
     Args:
         recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
         machine: Declared machine, which names the input channels.
 
     Returns:
-        One finding of severity "advice" for each such run and channel.
+        One finding of severity "advice" for each run and each input channel that is reported.
     """
     used = np.any([np.ptp(recording.inputs, axis=0) > 0.0 for recording in recordings], axis=0)
     return [

@@ -47,14 +47,15 @@ class Finding:
 
 
 def channel_unit(channel: str, machine: Machine) -> str:
-    """Return the unit of a channel, as a finding states it: the unit with which the channel's name ends, else SI.
+    """Return the unit of a channel, which the end of its name gives, such as V in "v1_V".
 
     Args:
         channel: Name of an input or output channel of the machine, for example "v1_V".
         machine: Declared machine.
 
     Returns:
-        Of an input: V, or A or Nm of a drive without back-EMF. Of an output: m or rad.
+        For an input, "A" or "Nm" if its name ends with this unit, otherwise "V". For an output, "m" or "rad" if its
+        name ends with this unit, otherwise the unit of the coordinate's position.
     """
     ending = channel.rpartition("_")[2]
     if channel in machine.input_channels:

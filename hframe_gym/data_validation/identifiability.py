@@ -60,9 +60,9 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
         names: Full names of the parameters. Default: the parameters that identification refits.
 
     Returns:
-        One bound per parameter, in the order of `names`, without parameters whose value is zero: smallest possible
-        standard deviation divided by the absolute value, dimensionless, and the other parameter whose estimate
-        correlates most with it, with the correlation, -1 to 1. A parameter without influence has an infinite bound.
+        One bound per parameter, in the order of `names`; parameters whose value is zero are left out. It contains the
+        smallest possible standard deviation divided by |value|, dimensionless (infinite for a parameter without
+        influence on the measurements), the parameter with the largest correlation, and this correlation, -1 to 1.
 
     Raises:
         KeyError: If the machine has no parameter of a given name.

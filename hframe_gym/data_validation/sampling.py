@@ -142,7 +142,7 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report runs whose times overlap: the clock then restarted with each run.
+    """Report that the times of runs overlap, which shows that the clock restarted with each run.
 
     Identification can find a drift (a slow change from run to run) only if all runs have a common clock.
 
@@ -150,7 +150,7 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
         recordings: Runs of a machine (times, s).
 
     Returns:
-        One finding of severity "note" if runs overlap, otherwise an empty list.
+        One finding of severity "note" about all runs if the times of any two overlap, otherwise an empty list.
     """
     ordered = sorted(recordings, key=lambda recording: recording.time_s[0])
     overlapping = [b.name for a, b in pairwise(ordered) if b.time_s[0] < a.time_s[-1]]
@@ -185,23 +185,23 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
 
 
 def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report voltages that are logged one row late: one row earlier, they explain the motion clearly better.
+    """Report voltages that are logged one row late: shifted to one row earlier, they explain the motion clearly better.
 
     The machine's parameters are fitted twice, with the voltages as logged and with the voltages of the next row. Of the
-    runs with at most 20,000 rows, the three with the largest changes of the voltages are used. A force or a mass that
-    the machine lacks can make earlier voltages fit better too, but the voltage that is applied from the time of a
-    measurement on never moves this measurement.
+    runs with at most 20,000 rows, the three with the largest changes of the voltages are used. The finding is a fault
+    only if measurements depend on the voltage of their row, which is impossible if this voltage acts from the time of
+    the row on. Otherwise it is advice, because a force or a mass that the machine lacks can also make the shifted
+    voltages fit better.
 
     Args:
         data: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad), without other faults.
         machine: Declared machine.
 
     Returns:
-        One finding about all runs together if the second fit has less than 70 % of the chi-squared (sum of squared
-        errors divided by the noise variances) of the first, else an empty list: a fault if measurements depend on the
-        voltage of their own row, advice if the noise hides whether they do. Empty also if all runs are longer, or if
-        the declared machine has a delay or an effect with a state (lag, hysteresis): too large a declared delay would
-        make the response seem early as well.
+        One finding (fault or advice) about all runs together if the second fit has less than 70 % of the chi-squared
+        (sum of squared errors divided by the noise variances) of the first, otherwise an empty list. Also empty if all
+        runs have more than 20,000 rows, or if the declared machine has a delay or an effect with a state (lag,
+        hysteresis), because too large a declared delay would make the response seem early as well.
     """
     largest = sorted((run for run in data.runs if len(run.time_s) <= _MAX_ROWS), key=_input_changes)[-_RUNS:]
     if not largest or any(e.definition.delay or e.definition.next_state for e in machine.effects):

@@ -32,20 +32,23 @@ _CONSISTENT = 0.3  # fraction of the motion; other channels that contradict each
 def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report sensor channels that keep one value for more than 0.1 s although they should have changed.
 
-    A channel should have changed if the other channels show that its coordinate moves, or if it has noise at rest,
-    which a constant value lacks. If no other channels determine its motion, it should also have changed if its drive
-    pushes the coordinate in both directions by several times the friction.
+    A channel should have changed in an interval for one of three reasons:
 
-    The finding is a fault, except in two cases, where it is advice: only the drive indicates a motion, and the drive
-    may have been off; or the value is the smallest or largest one over all runs of a sensor with a fixed zero (no
-    incremental encoder), which may have reached the end of its range. Identification leaves out such measurements.
+    - The other channels show that its coordinate moves.
+    - The sensor has noise at rest, so that its measurements are never constant.
+    - Its drive pushes the coordinate in both directions with several times the friction force. This reason counts only
+      if no other channels determine the motion of the coordinate, and for machines without belts.
+
+    The finding is a fault, with two exceptions, in which it is advice: for the third reason, because the drive may have
+    been off; and if a sensor with a fixed zero (no incremental encoder) stays at the smallest or largest value of all
+    runs, because it may have reached the end of its range. Identification leaves out measurements at such an end.
 
     Args:
         recordings: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad).
         machine: Declared machine.
 
     Returns:
-        At most one finding for each run and channel, about its longest such interval.
+        At most one finding for each run and channel, about the longest interval in which it is stuck.
     """
     findings = []
     # Ends of the channels' spans over all runs, (2, sensors).

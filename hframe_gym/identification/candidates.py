@@ -56,17 +56,20 @@ class Candidate:
 
     @property
     def has_no_amplitude(self) -> bool:
-        """Whether no parameter of the effect is an amplitude, so that its basis function has no weight to fit."""
+        """Whether the effect has no amplitude parameter; its only basis function then has no weight to fit."""
         return not self.effect.amplitudes
 
     def differs_in_thresholds(self, other: Candidate) -> bool:
-        """Check whether another candidate for the same effect differs only in thresholds, which a fit searches for.
+        """Check whether another candidate for the same effect differs from this one only in its thresholds.
+
+        A threshold is a parameter on which predictions depend in steps. A fit tries several values of it, so that two
+        such candidates lead to the same fit.
 
         Args:
             other: Candidate with other starting values of the effect (deviation from the nominal model).
 
         Returns:
-            True if all other shape parameters are equal; amplitudes are not compared.
+            True if all parameters that are neither thresholds nor amplitudes have the same starting values.
         """
         shapes = (p for p in self.effect.parameters if p.role not in ("switch", "amplitude"))
         return all(self.columns[0][p.name] == other.columns[0][p.name] for p in shapes)

@@ -62,15 +62,14 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
       blocks, standard deviations are multiplied by the ratio of the 95 % quantiles of Student's t and the normal
       distribution, so that the value +- 1.96 standard deviations is a 95 % interval.
     - Prior: combinations of parameters that the data do not determine keep the standard deviation of the prior.
-    - Delay: the change of the parameters if the inputs act later than recorded. The variance of this delay is 0.5 % of
-      a sampling period, squared, plus the square of the delay that the residual indicates.
+    - Delay: the change of the parameters if the inputs act later than recorded. The variance of this delay is
+      (0.005 T)^2 + d^2, with the sampling period T and the delay d that the residual indicates.
 
     The sum of the first two parts is at least the variance that white noise of the assumed size causes.
 
     Derivatives are central differences along the principal axes of the Fisher information: along single parameters,
-    rounding errors would make viscous friction and back-EMF seem separable. A threshold on which measurements depend in
-    steps has no derivative: its difference is taken between values at which the cost is clearly larger, and its
-    standard deviation is at least half their distance.
+    rounding would make viscous friction and back-EMF seem separable. A threshold (`FreeParameter.switch`) has no
+    derivative. It is raised and lowered until the cost clearly rises; its standard deviation is at least this change.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.

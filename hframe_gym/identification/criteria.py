@@ -32,42 +32,45 @@ class SelectionCriteria:
             because the residual of the observer is correlated.
         min_total_gain: Smallest gain summed over all samples, chi-squared. It protects short recordings, where chance
             explains a larger fraction of the residual.
-        min_chance_gain: Smallest gain summed over all samples in units of the long-run variance of the remaining
-            residual along the effect's influence: what the best of some hundred candidates with a few parameters
-            reaches by chance.
-        min_gain_fraction: Smallest gain relative to the excess of chi-squared per sample over 1: an effect that removes
-            less is a substitute for the true one.
+        min_chance_gain: Smallest gain summed over all samples, divided by the long-run variance of the remaining
+            residual (`significance.long_run_variance`). The best of some hundred candidates with a few parameters
+            reaches this value by chance.
+        min_gain_fraction: Smallest gain relative to chi-squared per sample - 1, the error beyond the noise. An effect
+            that removes less is a substitute for the true one.
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
         rival_gain_margin: Difference of chi-squared per sample below which two candidates are rivals.
         noise_level: Chi-squared per sample at which the search stops, because nothing but noise is left.
-        min_trial_gain: Fraction of the smallest gain that the first few iterations of a fit must reach.
+        min_trial_gain: Fraction of the required gain that a trial fit (first few iterations) must reach for the fit to
+            be continued.
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
         min_drive_force_ratio: Smallest force of an effect relative to that of the drives. Amplifiers and numerical
             integration have larger errors.
-        max_form_error: Force that an effect adds, relative to that of an effect of another family which depends on the
-            same variable of the same component, below which it counts as an error in the form of the other.
+        max_form_error: Ratio of the forces of two effects that depend on the same variable of the same component, but
+            are of different families. If the ratio is smaller, the smaller effect is rejected: it may only correct an
+            error in the formula of the larger one.
         max_effects: Largest number of effects that the forward selection adds.
         max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per
             step.
-        min_promise: Smallest linearized gain relative to the best candidate's for which a full fit is tried.
-        rival_promise: Smallest linearized gain, relative to that of a candidate which explains the data, for which
-            another candidate is fitted as its possible rival.
+        min_promise: Smallest linearized gain, relative to the best candidate's, for which a candidate is fitted.
+        rival_promise: Once a fitted candidate explains the data, smallest linearized gain, relative to that of this
+            candidate, for which another candidate is fitted as its possible rival.
         min_structural_promise: Smallest linearized gain of a structural candidate relative to the best fitted gain of
             the others.
         min_promised_force_ratio: As `min_force_ratio`, for the linearized size of a candidate that is not fitted yet.
-        linear_gain_ratio: Ratio of linearized to fitted gain that is still expected; screened gains below this times
-            the minimum gain are not fitted.
+        linear_gain_ratio: Smallest linearized gain, relative to the required gain, for which a candidate is fitted. It
+            is below 1 because the fitted gain may exceed the linearized one.
         one_step_floor: Chi-squared per sample that a correct model reaches in one-step prediction; quantization keeps
             it above 1.
-        rival_remainder: Fraction of the excess over `one_step_floor` below which a candidate explains the data, so that
-            only its possible rivals are fitted as well.
-        structural_remainder: Fraction of that excess that every candidate must leave before structural candidates are
-            tried, whose simulations must be compiled.
-        min_structural_excess: Smallest excess of chi-squared per sample for which structural candidates are tried.
-        structural_retry: Excess of chi-squared per sample, relative to that at the last trial of structural candidates,
-            below which they are tried again.
+        rival_remainder: Largest fraction of the excess that a candidate may leave to explain the data. The excess is
+            chi-squared per sample minus its value for a correct model (1, or `one_step_floor`). Once a candidate
+            explains the data, only its possible rivals are fitted as well.
+        structural_remainder: Structural candidates are tried only if every other candidate leaves more than this
+            fraction of the excess, because their simulations must first be compiled.
+        min_structural_excess: Smallest excess for which structural candidates are tried.
+        structural_retry: If no effect was selected when structural candidates were last tried, they are tried again
+            only after chi-squared per sample - 1 has fallen below this fraction of its value then.
         min_table_gain: Smallest gain of a table, chi-squared per sample. A table has two dozen values and fits chance
             well.
         min_table_gain_fraction: Smallest gain of a table relative to the excess over `one_step_floor`.
@@ -76,30 +79,31 @@ class SelectionCriteria:
             one over the coordinate's position.
         max_table_cross_validation: Largest cost of data to which a table was not fitted, relative to the cost without
             the table.
-        cross_validation_blocks: Smallest number of parts of all runs, left out of the fit of a table in turn. Each run
-            has at least two.
-        max_drift: Simulation error relative to the standard deviation of the signal above which formulas for a table
-            are compared in one-step prediction instead of simulation.
+        cross_validation_blocks: Smallest number of pieces into which all runs together are divided to cross-validate a
+            table. Each run is divided into at least two.
+        max_drift: Largest ratio of simulation error to standard deviation of the measurements at which formulas for a
+            table are compared in simulation. Above it, they are compared in one-step prediction.
         explained_chi2: Chi-squared per sample below which the model explains the data.
         max_residue_bandwidth: Largest bandwidth, rad/s, of the most likely observer at which a machine without effects
-            explains the data. Where the widest observer of 60 rad/s is needed, forces of unknown size are missing.
+            can explain the data. If the widest observer (60 rad/s) is needed, forces of unknown size are missing.
         explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data,
             where the initial value is large.
-        max_table_cost_fraction: Cost relative to the best model of known effects below which a table is accepted
-            although the residual is not yet noise.
-        max_table_cost_of_several_effects: Cost relative to that of two or more known effects below which a single table
-            replaces them; `max_table_cost_fraction` then applies to the cost of the refitted machine alone.
-        max_partial_excess: Error beyond the noise, relative to that of the refitted model, below which known effects
-            are reported although they leave more than noise: excess of chi-squared per sample over `one_step_floor`, or
-            root mean square error in simulation.
-        min_saturated_fraction: Smallest fraction of all rows at the outermost measurement that indicates the end of a
-            sensor's range.
-        second_end_factor: Factor on the two saturation thresholds for the other end of a sensor that saturates at one
-            end.
-        saturation_band: Width of the outermost measurements that count as constant, in standard deviations of the
-            noise.
-        min_saturated_travel: Distance that the encoders measure while a saturated sensor is constant, in standard
-            deviations of its noise; more than belts can stretch.
+        max_table_cost_fraction: A model with a table that leaves more than noise is accepted if its cost is below this
+            fraction of the cost of the best model without tables.
+        max_table_cost_of_several_effects: A single table replaces two or more selected effects if its cost is below
+            this fraction of theirs, and below `max_table_cost_fraction` times the cost of the refitted machine.
+        max_partial_excess: Selected effects that leave more than noise are reported if they reduce the error beyond the
+            noise to less than this fraction of the refitted machine's. It suffices that one of two errors falls so far:
+            chi-squared per sample - `one_step_floor` in one-step prediction, or the root mean square error in
+            simulation.
+        min_saturated_fraction: Smallest fraction of all rows near a sensor's largest (or smallest) measurement at which
+            the sensor may have reached the end of its range there.
+        second_end_factor: If a sensor saturates at one end, factor that reduces `min_saturated_fraction` and
+            `min_saturated_travel` for its other end.
+        saturation_band: Distance from the largest (or smallest) measurement that counts as near it, in standard
+            deviations of the noise.
+        min_saturated_travel: Smallest distance that the encoders must measure in these rows for the sensor to be
+            saturated, in standard deviations of its noise. It is more than belts can stretch.
     """
 
     min_gain_simulation: float = 0.003

@@ -150,7 +150,7 @@ def separate_machines(
 
     Returns:
         Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if there is no run
-        within the travel on which the predictions differ by at least 10 standard deviations of the noise in total.
+        within the travel for which `ExperimentDesign.sigma`, the difference in standard deviations, reaches 10.
     """
     rows = round(_DURATION_S / data.period)
     time_s: Array = np.arange(rows, dtype=np.float64) * data.period

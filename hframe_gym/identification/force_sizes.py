@@ -44,8 +44,8 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
         data: Runs (times, voltages, measurements) over which the machine is predicted.
 
     Returns:
-        Size of the force vector with one component per coordinate, root mean square over time, as a force at the belt
-        (torque / pulley radius), N; infinite for an effect that adds coordinates or changes a measurement.
+        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the effect's force F at the belt (torque /
+        pulley radius); infinite for an effect that adds coordinates or changes a measurement.
     """
     if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
         return np.inf
@@ -65,8 +65,8 @@ def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
         data: Runs over which the motion is predicted (times, voltages, measurements, SI).
 
     Returns:
-        Size of the force vector with one component per coordinate, root mean square over time, as a force at the belt
-        (torque / pulley radius), N.
+        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
+        (torque / pulley radius).
     """
 
     def of_run(run: PreparedRecording) -> Array:
@@ -86,8 +86,8 @@ def drive_force(machine: Machine, data: Dataset) -> float:
         data: Runs with the voltages.
 
     Returns:
-        Size of the force vector with one component per drive, root mean square over time, as a force at the belt
-        (torque / pulley radius), N.
+        sqrt(mean over time of the sum of F^2 over the drives), N, with the force F of each drive at the belt (torque /
+        pulley radius).
     """
     gains = [drive.gain / machine.coordinate(drive.coordinate).travel_per_unit for drive in machine.drives]
     return force_size(np.concatenate([run.inputs for run in data.runs]) * gains)
@@ -100,7 +100,7 @@ def force_size(force: Array) -> float:
         force: Forces at n samples, N, shape (n, coordinates).
 
     Returns:
-        Root mean square over the samples of the root sum of squares over the coordinates, N.
+        sqrt(mean over the samples of the sum of force^2 over the coordinates), N.
     """
     return float(np.sqrt(np.mean(np.sum(force**2, axis=1))))
 
@@ -108,16 +108,16 @@ def force_size(force: Array) -> float:
 def residue_force(fitted: Fit, data: Dataset) -> float:
     """Return the root mean square force that a fitted model lacks during the recordings.
 
-    An observer corrects the predicted velocities by the measurements. These corrections, divided by the sampling period
-    and times the mass, are forces. The part of them that the sensors' noise causes is subtracted.
+    An observer corrects the predicted velocities by the measurements. The lacking force is mass * correction / sampling
+    period. The mean square that the sensors' noise causes is subtracted from its mean square.
 
     Args:
-        fitted: Fitted machine with its observer bandwidth; a fit in simulation is observed with 3 rad/s.
+        fitted: Fitted machine with its observer bandwidth. For a fit in simulation (0), an observer of 3 rad/s is used.
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Size of the force vector with one component per coordinate, root mean square over time, as a force at the belt
-        (torque / pulley radius), N.
+        sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
+        (torque / pulley radius).
     """
     machine = fitted.machine
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
@@ -152,7 +152,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     Returns:
         Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
         or a sensor that measures only this coordinate, if an effect other than a delay changes what this sensor
-        measures, or if no row is used or has a voltage.
+        measures, if no row is used, or if F_drive is zero in all of them.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
@@ -262,7 +262,7 @@ class TypicalScales:
     Attributes:
         by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "force", "speed",
             "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V) and "A" (its current, A).
-        general: Sizes that belong to no coordinate, by key: of belts, extension "m" (m), force "N" (N), "1/m^2".
+        general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2).
     """
 
     by_coordinate: Mapping[str, Mapping[str, float]]
@@ -276,7 +276,7 @@ class TypicalScales:
 
         Returns:
             Typical size, SI, by key: "force", "speed", "position", "viscous" (force / speed), "drag" (force / speed^2),
-            "stiffness" (force / position), "voltage", "A" (current); of belts "m" (extension), "N" (force), "1/m^2".
+            "stiffness" (force / position), "voltage", "A" (current). Belts: "m" (extension), "N" (force), "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -284,9 +284,9 @@ class TypicalScales:
 def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
     """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
-    Starting values of effect parameters are multiples of these sizes. Sizes of motions, voltages and currents are at
-    least 1e-9: candidates on an axis that never moves have parameters of no meaning there, but change no prediction, so
-    that screening drops them.
+    Starting values of effect parameters are multiples of these sizes. The sizes of motions, voltages and currents are
+    at least 1e-9, even for an axis that never moves. Effects on such an axis get meaningless starting values, but as
+    they change no prediction, the screening drops them.
 
     Args:
         machine: Machine that moved.
@@ -340,7 +340,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
-        Sizes by coordinate, such as "force" (N, Nm) and "speed" (m/s, rad/s), and for belts, such as extension "m".
+        Sizes by coordinate, such as "force" (N, Nm), and of belts, such as "m" (m); `scales_of_motion` lists all.
     """
     motions = list(
         map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)

@@ -119,18 +119,21 @@ class ProposedFormula:
         return cls(effect, entry["fitted"], entry["held_out"], entry["recommended"])
 
     def with_name(self, name: str, table_error: float) -> ProposedFormula:
-        """Return a copy whose effect has a name, and notes about its accuracy for the file of the effect.
+        """Return a copy whose effect has a given name, and a note that states the accuracy of the formula.
+
+        The note becomes a paragraph in the file that defines the effect. It compares the error of the machine with the
+        formula to that with the table.
 
         Args:
             name: Name of the effect, a Python identifier in lower case.
-            table_error: Mean over the channels of rms error / sensor noise on the held-out runs with the table,
-                dimensionless; ignored if the formula was fitted only to the values of the table.
+            table_error: Error of the machine with the table on the held-out runs, dimensionless: mean over the channels
+                of rms error / sensor noise. Ignored if the formula was fitted only to the values of the table.
 
         Returns:
-            Copy; its parameters and errors are unchanged.
+            Copy with the name and the note; its parameters and errors are unchanged.
 
         Raises:
-            InputError: If the name cannot be used.
+            InputError: If the name is not such an identifier.
         """
         if self.fitted is None:
             note = "It was fitted to the table alone; identify the machine with it to see its error on held-out runs."
@@ -154,8 +157,8 @@ class TableComparison:
         table: The table.
         fitted: Error of the machine with the table on the fitted runs, in units of the sensor noise (root of
             chi-squared per sample).
-        held_out: Root-mean-square error of the held-out runs that it simulates, by channel, in units of the sensor
-            noise.
+        held_out: Root-mean-square error of the held-out runs that the machine with the table simulates, by channel, in
+            units of the sensor noise.
         formulas: Formulas by increasing number of parameters, with their errors.
     """
 

@@ -116,7 +116,7 @@ class EffectSearch:
         self._doubted: tuple[float, Step] | None = None
 
     def with_data(self, data: Dataset) -> EffectSearch:
-        """Return a search in other data that remembers which effects failed a test, and which need not be tried again.
+        """Return a copy of this search that uses other data but remembers which effects have failed a test.
 
         Args:
             data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros of
@@ -137,8 +137,9 @@ class EffectSearch:
         stays stable, and the force of the effect exceeds the force that remains unexplained. Effects that fail a test
         are added to `considered`. After each selected effect, the bandwidth of the observer that corrects predictions
         by the measurements is chosen anew (maximum likelihood), and earlier effects may be replaced by others that now
-        explain more. If no effect passes, two may pass together, each of which the other hides. The search also ends at
-        `max_effects` effects or when only noise is left (`noise_level`).
+        explain more. If no effect passes, the best one that failed is tried together with a second one, because each of
+        two missing effects can hide the other. The search also ends at `max_effects` effects or when only noise is left
+        (`noise_level`).
 
         Args:
             current: Fit of the machine with the effects selected so far.

@@ -45,9 +45,11 @@ class FreeParameter:
         scale: Change of the value per unit of theta, SI; None for a parameter that is fitted as a logarithm.
         lower: Lower bound of the value.
         upper: Upper bound of the value.
-        along: Name of the curve of which this parameter is one ordinate (empty: none). Ordinates of one curve follow
-            each other in order; the prior also penalizes their second differences.
-        switch: Whether measurements depend on the parameter in steps, so that derivatives do not lead to its value.
+        along: Name of the table (curve given by its values at knots) of which this parameter is one value; "" if it
+            belongs to no table. Values of one table follow each other in order; the prior also penalizes their second
+            differences.
+        switch: Whether the parameter is a threshold: predictions change in steps as it changes. Derivatives do not lead
+            to its value, so a fit also tries values at a distance.
     """
 
     name: str
@@ -128,14 +130,14 @@ class FreeParameter:
         return self.center * math.exp(theta) if self.scale is None else self.scale
 
     def prior_std(self, value: float) -> float:
-        """Return the standard deviation of the prior as a change of the parameter's value.
+        """Convert the prior's standard deviation from theta to the parameter's value.
 
         Args:
-            value: Value at which a relative standard deviation is converted, SI, if the parameter is fitted as a
-                logarithm.
+            value: Value of the parameter, SI. It is used only if the parameter is fitted as a logarithm.
 
         Returns:
-            Standard deviation, in the SI unit of the value.
+            Standard deviation in the SI unit of the value: `prior` * |value| for a parameter that is fitted as a
+            logarithm, otherwise `prior` * `scale`.
         """
         return self.prior * (abs(value) if self.scale is None else self.scale)
 
@@ -166,7 +168,7 @@ def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Arr
         `simulate_batch` takes them.
 
     Raises:
-        ValueError: If the machine has no parameter of a name.
+        ValueError: If the name of a free parameter is not one of the machine's parameters.
     """
     names = list(machine.parameters)
     table = np.tile(np.array(list(machine.parameters.values())), (len(thetas), 1))

@@ -31,12 +31,15 @@ _MIN_EXCITATION = 0.05  # change of the predictions relative to their errors, ro
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
     """Choose the runs that are held out: excluded from the fit and used to evaluate it.
 
-    By default, the runs are divided into groups of four with similar voltages (see `spectral_differences`): the first
-    run and the three that are most similar to it, and so on; a remainder of up to three runs joins the last group. The
-    held-out run of a group is the one for which the held-out runs are most similar to runs that are fitted. A kind of
-    motion that occurs once is therefore fitted if possible. Of equally suitable runs, those unlike the other held-out
-    runs are preferred, then the one closest to the fourth, eighth, ... of all runs, so that the held-out runs are
-    spread over the session: if all runs are alike, every fourth one is held out.
+    By default, the runs are divided into groups of four with similar voltages (see `spectral_differences`), and one run
+    of each group is held out. A group consists of the first run that belongs to no group yet and the three remaining
+    runs that are most similar to it; the last group has up to seven runs. The run to hold out is chosen by three
+    criteria, each of which decides between the runs that are equally good by those before it:
+
+    1. The held-out runs are as similar as possible to runs that are fitted. A kind of motion that occurs only once is
+       therefore fitted if possible.
+    2. The run is no repetition of another held-out run.
+    3. The run is close to the fourth, eighth, ... of all runs. If all runs are alike, every fourth one is held out.
 
     Args:
         recordings: All runs (times, s; voltages, V; measurements, m or rad).
@@ -86,17 +89,17 @@ def _representative_runs(differences: Array) -> list[int]:
 def spectral_differences(recordings: Sequence[Recording]) -> Array:
     """Compare the kinds of motion of runs by the spectra of their voltages.
 
-    A spectrum has the root mean square voltage of each octave of frequency, of each drive and of the sums and the
-    differences of two drives (divided by sqrt(2)), which tell the axes of a machine with belts apart. Adjacent octaves
-    overlap, so that a small change of a frequency changes the spectrum little.
+    The spectrum s of a run consists of the root mean square voltages in each octave of frequency: of each drive, and of
+    the sum and the difference of each pair of drives, divided by sqrt(2). On a machine with belts, sum and difference
+    move different axes. Adjacent octaves overlap, so that a small change of a frequency changes the spectrum little.
 
     Args:
         recordings: Runs with their voltages, V, of any durations and sampling rates.
 
     Returns:
-        Difference of each pair of runs, dimensionless, shape (runs, runs): the size of the difference of the spectra
-        divided by the sum of their sizes. 1 if no octave is in common, 1/3 if one has twice the voltages of the other;
-        0 if it is below 0.2, as it is for repetitions.
+        |s_i - s_j| / (|s_i| + |s_j|) for each pair of runs i and j, dimensionless, shape (runs, runs). It is 1 if the
+        runs have no octave in common, and 1/3 if one run has twice the voltages of the other. Values below 0.2, such as
+        those of repetitions of a run, are set to 0.
     """
     duration = max(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
     spectra = [_octave_spectrum(r, duration) for r in recordings]
@@ -152,12 +155,13 @@ def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
 
 
 def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
-    """Return by which fraction the squared error of a machine is smaller than another machine's.
+    """Return by which fraction a machine reduces the squared error of another: 1 - error^2 / error_without^2.
 
-    The error is the prediction error in units of the sensors' noise. With the widest observer (60 rad/s), for machines
-    without belts and with a drive and a sensor for each coordinate, it is the error of the drives' force instead:
-    force by the voltages minus force that the measured motion requires (`force_sizes.force_error`). That says nothing
-    about effects on sensors: if the machines differ in these, their prediction errors are compared.
+    The error is the root mean square prediction error in units of the sensors' noise. With the widest observer
+    (60 rad/s), for machines without belts and with a drive and a sensor for each coordinate, it is the error of the
+    drives' force instead: force by the voltages minus force that the measured motion requires
+    (`force_sizes.force_error`). Effects on sensors do not change this force. If the machines differ in such effects,
+    the prediction errors are therefore compared.
 
     Args:
         without: Machine to compare with, for example without an effect (deviation from the nominal model).
@@ -191,8 +195,9 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
         validation: Held-out runs (times, voltages, measurements, SI).
 
     Returns:
-        True if the squared errors of the simulations are larger with the effects in the geometric mean over the runs,
-        in which one run with a large error of another cause does not decide. False if both diverge.
+        True if the ratio of the squared simulation errors, with effects / without effects, has a geometric mean over
+        the runs above 1. In this mean, a single run with a large error of another cause counts little. A run on which
+        both simulations diverge does not count.
     """
     changes = []
     for run in validation.single_runs():

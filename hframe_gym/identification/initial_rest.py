@@ -47,8 +47,8 @@ class InitialVelocity(NamedTuple):
 
     Attributes:
         mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,); zero for a run that begins at rest.
-        deviations: Square root of their covariance: independent errors, one per row, each of the size of one standard
-            deviation, shape (errors, coordinates); no rows if the run begins at rest or shows no velocity.
+        deviations: Matrix D of independent errors of the velocities, one per row, shape (errors, coordinates); D^T D is
+            the covariance of the velocities. No rows if the run begins at rest or no velocity is significant.
     """
 
     mean: Array
@@ -77,7 +77,7 @@ class InitialRest(NamedTuple):
         rows: Number of rows from the beginning of the run to the end of the rest; 1 if the machine moves throughout, so
             that only the first row counts.
         moving: True for each sensor that moves in these rows, shape (sensors,).
-        lead_s: Time by which motion begins before the first input, at least, s; 0 if it does not.
+        lead_s: Lower bound of the time by which a motion precedes the first input, s; 0 if no motion precedes it.
     """
 
     first: int
@@ -89,13 +89,15 @@ class InitialRest(NamedTuple):
 def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     """Find the rest at the beginning of a run by its inputs and its sensors.
 
-    The inputs alone do not show rest: the machine may still swing when the run begins, or move before a voltage is
-    logged. The rows before the first input are therefore divided into blocks, and the medians of each sensor are
-    compared. A sensor moves where its median departs from those of the last blocks (then the machine settles first) or
-    of the first blocks (then it moves before the input) by more than noise and quantization explain. If the machine
-    moves from beginning to end, only its first row counts as rest. Fewer than 16 rows are not divided into blocks: they
-    are rest, or motion from beginning to end if a sensor varies in them by more than noise and quantization explain.
-    After motion, 16 rows must show that the machine has settled, because neighboring blocks of a coast hardly differ.
+    The rows before the first input are divided into blocks, and the medians of each sensor in the blocks are compared.
+    Differences that noise and quantization explain do not count. There are three kinds of motion before the input:
+
+    - The last blocks agree, earlier ones differ from them: the machine settles, and the rest begins later than the run.
+      At least 16 rows must then be at rest, because neighboring blocks of a slow motion hardly differ.
+    - The first blocks agree, later ones differ from them: the machine moves before the input; the rest ends earlier.
+    - The blocks differ throughout: the machine moves from beginning to end, and only the first row counts as rest.
+
+    Fewer than 16 rows are not divided: they are rest, or the third kind of motion if a sensor varies too much.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -137,21 +139,21 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
     """Count the rows at the beginning of a run in which the machine is at rest.
 
     The row in which an input first changes is included, because its measurement still precedes the motion. Rows without
-    measurement count as at rest, so that motion which `without_moving_start` has removed does not count.
+    measurements count as rest, among them those whose measurements `without_moving_start` has removed.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad).
         machine: Machine with the sensors.
 
     Returns:
-        Number of rows, at least 1; 1 if an input is not zero in the first row or the machine moves when the run begins.
+        Number of rows, at least 1. It is 1 if an input is not zero in the first row or the run begins in motion.
     """
     rest = initial_rest(recording, machine)
     return 1 if rest.first else rest.rows
 
 
 def without_moving_start(recording: Recording, machine: Machine, rest: InitialRest | None = None) -> Recording:
-    """Copy a recording without the measurements before the machine comes to rest, if it moves when the run begins.
+    """Copy a recording that begins in motion, without the measurements before the machine comes to rest.
 
     The rest that follows gives the initial state. A simulation that begins with this state and without input remains at
     rest until the first input, so times and inputs are kept.
@@ -162,8 +164,8 @@ def without_moving_start(recording: Recording, machine: Machine, rest: InitialRe
         rest: Rest at the beginning of the run. Default: `initial_rest` finds it.
 
     Returns:
-        Copy in which these measurements, m or rad, shape (n, sensors), are NaN; the same object if the run begins at
-        rest or the machine does not come to rest before the first input.
+        Copy whose measurements, m or rad, shape (n, sensors), are NaN before the rest. The same object if the run
+        begins at rest or the machine does not come to rest before the first input.
     """
     first = (rest or initial_rest(recording, machine)).first
     if not first:
@@ -193,11 +195,11 @@ def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Arra
 
 
 def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float:
-    """Estimate the noise of some measurements: the largest of measured scatter, declared noise and rounding error.
+    """Estimate the noise of a sensor: the largest of measured scatter, declared noise and rounding error.
 
     Args:
-        values: The measurements, m or rad, NaN where there is none, shape (rows,).
-        run_values: All measurements of the sensor in the run, m or rad, for its quantization step, shape (n,).
+        values: Measurements whose scatter counts, m or rad, NaN where there is none, shape (rows,).
+        run_values: All measurements in the run, m or rad, shape (n,), for the quantization step and its rounding error.
         sensor: The sensor with its declared noise and resolution.
 
     Returns:
@@ -250,11 +252,12 @@ def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) ->
 def initial_velocity(recording: Recording, machine: Machine, rigid: Array, position: Array) -> InitialVelocity:
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
-    Parabolas are fitted to the measurements of the first 5, 10, 20 and 40 ms (at least eight rows, half of them
-    measured). For each duration, weighted least squares convert their slopes at the first row to velocities of the
-    rigid motions (those that stretch no belt). A run that begins at rest and is driven from its first row on has such
-    slopes as well. The machine is therefore simulated over the first 50 ms from rest and with each velocity. The start
-    with the smallest sum of squared errors is chosen; one with at most twice this sum remains possible.
+    Parabolas are fitted to each sensor's measurements in the first 5, 10, 20 and 40 ms (at least eight rows, half of
+    them measured). For each duration, weighted least squares convert the slopes of the parabolas at the first row to
+    velocities of the rigid motions (those that stretch no belt). Zero velocity is a candidate as well, because a run
+    that is driven from its first row on has such slopes even if it begins at rest. The machine is simulated over 50 ms
+    with each candidate. The one with the smallest sum of squared errors is chosen; others with at most twice this sum
+    remain possible.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -263,10 +266,10 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array, posit
         position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging, cables).
 
     Returns:
-        Velocities of the coordinates, m/s or rad/s, shape (coordinates,), and their independent errors, each of the
-        size of one standard deviation, shape (errors, coordinates). Their variance is the variance of the slopes (noise
-        and vibration of the belts) plus the square of 20 % of the speed or of the distance to the farthest possible
-        start, whichever is larger. Zeros and no errors if only rest is possible, or no velocity is significant.
+        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,).
+        deviations: D, shape (errors, coordinates); the covariance D^T D is that of the slopes (noise, vibration of the
+            belts) plus the square of 20 % of the speed, or of the difference to the farthest candidate that is possible
+            if this is larger. Zeros and no errors if only rest is possible, or no velocity is significant.
     """
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:

@@ -54,9 +54,9 @@ _UNCHANGED = 0.05  # change relative to the error of interpolation that is not w
 def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
     """Copy a data set, with the voltages in dropped rows estimated from the measurements by a fitted machine.
 
-    Voltages are expected to be those of linear interpolation or of a cubic spline, whichever predicts recorded rows
-    better from neighbors at the distance that the gap has; the errors of these predictions show how far the voltages
-    may deviate. What the machine does not explain counts as noise.
+    The expected voltages are interpolated linearly or by a cubic spline. Both are tried on recorded rows, each of which
+    is predicted from neighbors as far away as the ends of the gap; the better one is used. The errors of these
+    predictions give the expected deviation of the voltages. What the machine does not explain counts as noise.
 
     Args:
         data: Data set (times, voltages, measurements, SI) in whose gaps of up to 20 rows voltages are estimated.
@@ -64,7 +64,7 @@ def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
 
     Returns:
         Copy with corrected voltages, V, shape (n, drives) for each run; `data` itself if no row was dropped, or if all
-        voltages change by less than 5 % of the error of interpolation.
+        voltages change by at most 5 % of the standard deviation of the interpolation error.
     """
     if not any(run.dropped.any() for run in data.runs):
         return data

@@ -85,7 +85,7 @@ def innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Mean over the sensors of the variance relative to that of the noise, and of its logarithm, dimensionless.
+        Means of the ratio (variance / noise variance) and of its logarithm over all measured values, dimensionless.
     """
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
     gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
@@ -219,8 +219,8 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
 
-    It is the difference of `left_out_cost` for whole runs. Fewer than four runs are divided into at least eight pieces
-    in all, which are left out instead of runs: too few other runs might not determine the parameters.
+    It is the difference of the `left_out_cost` of both fits, where each run is left out in turn. Of fewer than four
+    runs, pieces (at least eight in all) are left out instead: too few other runs might not determine the parameters.
 
     Args:
         without: Fit without the effect (deviation from the nominal model).
@@ -324,8 +324,7 @@ def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise
-        variances), with the integration step of the search.
+        Fit with the step of `search_step`: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
     """
     step = search_step(bandwidth)
     return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)

@@ -179,10 +179,11 @@ def add_tables(
 ) -> Selection:
     """Add tables (forces or Coulomb friction forces over one variable) that reduce the residual of a fitted machine.
 
-    Each step adds the first of the tables with the largest linearized gain that passes cross-validation: each half of
-    each run (or each of at least eight pieces in all) is predicted with parameters that are fitted to all others, and
-    the sum of these costs must be below `max_table_cross_validation` times that without the table. The gain on all data
-    must suffice as well.
+    Each step ranks the proposed tables by their linearized gain (predicted reduction of chi-squared) and adds the first
+    one that passes cross-validation. For this, each run is divided into halves (into more pieces if there are fewer
+    than four runs). Each piece is predicted with parameters that are fitted to all other pieces. The sum of these costs
+    must be below `max_table_cross_validation` times the same sum without the table. The gain on all data must suffice
+    as well.
 
     Args:
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.

@@ -13,9 +13,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Products of the linearized residual r + J dtheta + E a, summed over rows and runs; all are dimensionless.
+    """Inner products of r, J and E in the linearized residual r + J dtheta + E a, summed over all rows and runs.
 
-    J: derivatives by k parameters theta. E: changes by a unit amount of each of m perturbations. a (m,): amounts.
+    r: residual in units of the noise. J: derivatives of r with respect to k parameters theta. dtheta: change of theta,
+    shape (k,). E: changes of r by a unit amount of each of m perturbations, such as forces of candidate effects. a:
+    amounts of the perturbations, shape (m,). All are dimensionless.
 
     Attributes:
         information: J^T J, shape (k, k); Fisher information of the parameters theta for white noise.
@@ -71,13 +73,14 @@ class NormalEquations:
 
     @classmethod
     def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
-        """Sum the normal equations (inner products of Jacobian and residual) of several runs, to fit them together.
+        """Add up the normal equations (inner products of Jacobian and residual) of several runs, to fit them together.
 
         Args:
             parts: Normal equations of at least one run.
 
         Returns:
-            Sums over the runs: J^T J, shape (k, k), J^T r (k,), all other products, and numbers of measured values.
+            Normal equations with the sums over the runs of J^T J, shape (k, k), J^T r, shape (k,), all other products,
+            and `count`, dimensionless.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))
@@ -89,19 +92,21 @@ class NormalEquations:
 
     @property
     def finite(self) -> bool:
-        """Whether cost, gradient and J^T J are finite; if not, a machine at or near the expansion point diverges."""
+        """Whether cost, J^T r and J^T J are finite; if not, a simulation at or near the expansion point diverges."""
         return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all())
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
-        """Eliminate the k parameters (Schur complement), so that the weights of the m perturbations are the unknowns.
+        """Eliminate the k parameters theta (Schur complement), so that only the amounts a remain unknown.
 
-        What a change of the parameters can reproduce is removed from the responses to the perturbations.
+        For every a, theta takes its optimal value. With H = J^T J + precision, the products become
+        E^T E - E^T J H^-1 J^T E and E^T r - E^T J H^-1 J^T r.
 
         Args:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
 
         Returns:
-            Copy with k = 0; what remains of E^T E, shape (m, m), and E^T r, (m,), for responses E and residual r.
+            Copy with k = 0 and the new `response_information`, shape (m, m), and `response_gradient`, shape (m,). The
+            cost r^T r is unchanged.
         """
         hessian = self.information + precision
         right_side = np.column_stack([self.cross_products, self.gradient])

@@ -49,7 +49,8 @@ class InseparableParameters:
         """Describe in words which weighted sums of these parameters the data determine.
 
         Returns:
-            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined", or that no combination is.
+            Clause, for example "only phi1.viscous + 1.13 motor1.Ke is determined". If the data determine none: "no
+            combination of phi1.viscous, motor1.Ke is determined".
         """
         if not self.combinations:
             return f"no combination of {', '.join(self.names)} is determined"
@@ -235,8 +236,8 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
 
     The limit is 4 prior standard deviations of the value's logarithm from the declared value. A value so far away means
     that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or that the machine lacks an
-    effect. The other parameters are then unreliable as well. If the declared value is within two standard deviations,
-    the recordings do not determine the parameter, and its value means nothing.
+    effect. The other parameters are then unreliable as well. If the declared value is within two standard deviations of
+    the fitted one, the recordings do not determine the parameter, and its fitted value means nothing.
 
     Args:
         machine: Refitted machine, with its uncertainty if that is known.

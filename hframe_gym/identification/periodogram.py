@@ -39,8 +39,9 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
 
     The missing force is the force that the model lacks. At each spatial rate (2 pi / period), a sine and a cosine of
     the position are fitted to it by least squares, together with a constant, viscous and dry friction. Rates from 1
-    (friction: 0.5) to 1000 periods over the range of the positions are tried. For each, the rows are used in which the
-    motion is so slow that a period has at least four rows and passes at less than `MISSING_FORCE_CUTOFF` (40 Hz).
+    (friction: 0.5) to 1000 periods over the range of the positions are tried. Only slow rows are used: at their speed,
+    the motion takes at least four rows and at least 1 / `MISSING_FORCE_CUTOFF` (25 ms) to pass one period. The strength
+    of a rate is the sum of squares of the force that sine and cosine explain in these rows.
 
     Args:
         motion: Columns position, velocity and missing force of one coordinate, m, m/s, N or rad, rad/s, Nm, shape
@@ -50,11 +51,10 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
             force.
 
     Returns:
-        At most seven spatial rates, rad per unit of position, shape (rates,). First the strongest of each of five bands
-        (limits: 3, 12, 40 and 150 periods over the range), by decreasing strength, then the strongest of the others.
-        Rates within 0.75 periods over the range of one that precedes them are left out. Strength is the square sum of
-        the force that sine and cosine explain in the rows used, so that a rate with few rows counts little. Empty if
-        the position does not change, or never slowly enough.
+        At most seven spatial rates, rad per unit of position, shape (rates,). First, by decreasing strength, the
+        strongest rate of each of five bands, with the limits 3, 12, 40 and 150 periods over the range of the positions;
+        then the strongest of all other rates. A rate is skipped if it differs from an earlier one by at most 0.75
+        periods over the range. Empty if the position does not change or the motion is never slow enough.
 
     References:
         Lomb (1976), Least-squares frequency analysis of unequally spaced data.
@@ -79,9 +79,8 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
 def slow_rates(position: Array) -> Array:
     """Return starting values for the spatial rate (2 pi / period) of friction that varies slowly over the position.
 
-    They form a grid of 0.5 to 6 periods over the range of the positions and are tried besides `periodogram_peaks`,
-    which may miss slow variations: the force that the model lacks is estimated with much noise. A simulation with such
-    a variation can nevertheless predict the positions better.
+    The values form a grid of 0.5 to 6 periods over the range of the positions. They are tried in addition to
+    `periodogram_peaks`, which may overlook slow variations because the estimate of the missing force is noisy.
 
     Args:
         position: Positions of one coordinate over all rows of all runs, m or rad, shape (n,).

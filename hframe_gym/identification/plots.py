@@ -248,10 +248,10 @@ def _coverage(label: str, values: Array) -> Panel:
 
 
 def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
-    """Compute the fraction of the moving time that each coordinate spent below a twentieth of its top speed.
+    """Compute the fraction of its moving time that each coordinate spends below 5 % of its top speed.
 
-    There, friction shows how it depends on a low speed. The top speed is the 99th percentile of the speed. A coordinate
-    moves while its speed is above 0.1 % of the top speed.
+    The report states it because only motion at low speed shows how friction depends on low speeds. The top speed is the
+    99th percentile of the speed. A coordinate moves while its speed is above 0.1 % of the top speed.
 
     Args:
         curves: Curves by name. Those named "coverage/velocity of C" are velocities of the coordinate C, m/s or rad/s,

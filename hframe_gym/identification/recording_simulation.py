@@ -80,7 +80,7 @@ class ModelEvaluation:
         machine: The machine.
         held_out: Errors on the held-out runs.
         errors: Simulation errors by name of the held-out run, m or rad, NaN if not measured, shape (n, sensors).
-        warnings: Name of a run and sentence about what could not be determined about its initial state, each.
+        warnings: Pairs of the name of a run and a sentence about what is unknown about its initial state.
         diverged: Names of the held-out runs on which the simulation diverges; then `held_out` has no channel errors.
     """
 
@@ -92,7 +92,7 @@ class ModelEvaluation:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Channels whose error is clear and cannot come from a wrongly simulated motion: other sensors do not show it.
+        """Channels whose error is above 3 times their noise although other sensors of the same motion agree.
 
         Belts stretch little, so if a carriage moved otherwise than simulated, the encoders of the pulleys would deviate
         as well. If only the sensor of the carriage deviates, the cause is that sensor, its mounting, or the part of the
@@ -181,9 +181,10 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
     """Determine the initial state from which a machine is simulated over a recording.
 
     The measurements at rest give a first estimate: saturated ones are ignored, scale and skew of a sensor are
-    corrected, and pulleys are in static equilibrium. Encoders whose zero (measurement at position 0) the machine
-    declares measure the stretch of the belts, unless the lasers show that the encoder was switched on anew. What
-    remains uncertain (belt stretch, states of hysteresis and bristles) is then estimated from the motion, see
+    corrected, and pulleys are in static equilibrium. An encoder measures the stretch of the belts if the machine
+    declares its zero (measurement at position 0). The zero is not used if it contradicts the lasers (sensors with a
+    fixed zero): the encoder was then switched on anew and counts from another zero. What remains uncertain (belt
+    stretch, states of hysteresis and bristles) is estimated from the motion, see
     `start_uncertainty.most_probable_start`.
 
     Args:

@@ -91,7 +91,7 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
     The error is the simulation error in units of the sensors' noise, root mean square over the channels. If that is
-    above 50 (the simulation drifts) and the report has one, it is the relative error of the drives' force.
+    above 50, the simulation drifts; the relative error of the drives' force is then stated if the report contains it.
 
     Args:
         report: Content of report.json.

@@ -44,8 +44,8 @@ class InitialState:
         zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
-        position_known: Whether sensors with a known zero determine the position at rest; where none measures at rest,
-            by later measurements.
+        position_known: Whether sensors with a known zero determine the position at rest, by measurements at rest or
+            later ones.
         zeroed_measurement: Measurements at rest minus the known zeros, m or rad, NaN where there is none, shape
             (sensors,).
         measured_at_rest: Whether each sensor measured something at rest, shape (sensors,).

@@ -80,7 +80,8 @@ class IdentificationResult:
     """Result of `identify`.
 
     Attributes:
-        verdict: "effect_found", "no_effect" or "unexplained".
+        verdict: "effect_found", "no_effect" (the refitted machine explains the data) or "unexplained" (an error remains
+            that no effect explains).
         declared: The machine as declared.
         before: The machine with its parameters refitted.
         after: The machine with the selected effects.
@@ -139,7 +140,7 @@ class IdentificationResult:
 
     @property
     def evaluations(self) -> dict[str, ModelEvaluation]:
-        """The three machines with their errors, shape (n, sensors) per run, by their keys in report.json."""
+        """The machines with their errors, shape (n, sensors) per run, by the names "declared", "before" and "after"."""
         return dict(zip(STAGES, (self.declared, self.before, self.after), strict=True))
 
     @property

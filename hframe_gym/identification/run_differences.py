@@ -1,8 +1,9 @@
 """Find a quantity that differs between runs, such as a payload or the supply voltage.
 
 Identification assumes one machine for all runs. If a parameter had another value in every run, no effect explains the
-runs together, although each of them is explained by itself. Here one quantity at a time has a value per run, fitted
-together with the parameters that the runs have in common. The result is a hint for the user: no machine contains it.
+runs together, although each of them is explained by itself. Here one quantity at a time has a separate value in each
+run, fitted together with the parameters that the runs have in common. The result is a hint for the user: no machine
+contains it.
 
 Notation: theta (k,) are the optimizer's variables of the free parameters, as in `linearization`; a (n,) are the
 dimensionless amounts by which a quantity differs in the n runs.
@@ -46,9 +47,9 @@ class Quantity:
     """Something that may differ between runs.
 
     Attributes:
-        name: What it is, for messages.
-        exponents: By full name of a parameter: its value is multiplied by exp(exponent * amount).
-        additions: By full name of a parameter: amount times this is added to its value, SI.
+        name: Name of the quantity, for messages.
+        exponents: Exponent by full name of a parameter. The parameter of a run is value * exp(exponent * amount).
+        additions: Addition (SI) by full name of a parameter. The parameter of a run is value + addition * amount.
     """
 
     name: str
@@ -56,14 +57,15 @@ class Quantity:
     additions: Mapping[str, float] = field(default_factory=dict)
 
     def changed(self, values: Mapping[str, float], amount: float) -> dict[str, float]:
-        """Compute the parameters of a run.
+        """Compute the parameters of a run in which the quantity differs by a given amount.
 
         Args:
             values: Parameters that the runs have in common, SI, by full name.
-            amount: Amount by which the quantity differs in the run, dimensionless.
+            amount: Dimensionless amount. With 0, the run has the common parameters.
 
         Returns:
-            Parameters of the run, SI, by full name.
+            Parameters of the run, SI, by full name: value * exp(exponent * amount) for those in `exponents`, value +
+            addition * amount (at least 5 % of value) for those in `additions`, and the common value for all others.
         """
         changed = dict(values)
         for name, exponent in self.exponents.items():
@@ -76,10 +78,11 @@ class Quantity:
         """Describe by how much the quantity differs between two runs.
 
         Args:
-            amount: Difference of their amounts, dimensionless.
+            amount: Amount of one run minus that of the other, dimensionless.
 
         Returns:
-            Ratio, such as "1.12", or difference, such as "+0.31 kg".
+            Ratio exp(amount), such as "1.12"; for a quantity with `additions` (a payload), the difference, such as
+            "+0.31 kg".
         """
         if self.additions:
             return f"{amount * next(iter(self.additions.values())):+.2g} kg"
@@ -87,12 +90,12 @@ class Quantity:
 
 
 class RunDifferences(NamedTuple):
-    """A quantity with a value of its own in every run, and what it explains.
+    """A quantity with a separate value in each run, and the error with and without these values.
 
     Attributes:
         quantity: The quantity.
-        amounts: Amounts of the runs relative to the smallest, dimensionless, by name of the run, in the order of their
-            times.
+        amounts: Amount of each run minus the smallest amount, dimensionless, by name of the run, in the order of the
+            runs' times.
         chi2_before: Chi-squared per sample with one machine for all runs.
         chi2: The same with the differences.
     """
@@ -139,10 +142,10 @@ class RunDifferences(NamedTuple):
 
 
 def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> RunDifferences | None:
-    """Find the quantity that explains the runs if it has a value of its own in each of them.
+    """Find the quantity that explains all runs together if it has a separate value in each of them.
 
-    Compared are each free parameter alone, and quantities that concern several: the voltage of all drives, a payload,
-    the friction of all coordinates and the stiffness of all belts.
+    Each free parameter is tried alone, then quantities that change several parameters: the voltage of all drives, a
+    payload, the friction of all coordinates and the stiffness of all belts.
 
     Args:
         fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.

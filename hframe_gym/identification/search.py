@@ -48,7 +48,7 @@ class SearchOutcome(NamedTuple):
         selected: The selected effects.
         considered: Effects that reduced the error of the fitted runs but failed a test.
         data: Runs that the machines were fitted to.
-        contradiction: Name of the run that was left out because it contradicts the others.
+        contradiction: Name of the run that was left out because it contradicts the others; None if all were used.
     """
 
     before: Fit
@@ -95,22 +95,22 @@ def search_effects(
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
-    One run may contradict the others because of a mistake, or because it excites a missing effect more. Effects are
-    first searched for without this run, unless all runs differ from each other in one parameter. The run is then left
-    out and named in the outcome (`contradiction`), unless one of these conditions holds:
+    One run, the suspect, may contradict the others because of a mistake, or because it excites a missing effect more.
+    Effects are first searched for without the suspect, unless all runs differ from each other in one parameter. The
+    suspect is then left out and named in the outcome (`contradiction`), unless one of these conditions holds:
 
-    - The effects found without it explain all runs. Or they explain the other runs, no other value of one parameter in
-      this run explains it, and with one more effect they explain all runs.
-    - These effects do not explain the other runs, and a search in all runs explains all runs, or leaves less than ten
-      times the chi-squared per sample of the search without this run.
+    - The effects found without the suspect explain all runs. Or they explain the other runs, no single parameter with
+      another value in the suspect explains it, and with one more effect they explain all runs.
+    - These effects do not explain the other runs, but the effects found in all runs explain all runs, or leave less
+      than ten times the chi-squared per sample of the search without the suspect.
 
     Args:
         machine: Machine as declared.
         data: Runs to fit.
         criteria: Decision thresholds.
         log: Called with a line at each stage.
-        confirmed: Whether held-out runs confirm an outcome without a run that contradicts the others. If not, the
-            outcome of a search in all runs is returned. Default: they do.
+        confirmed: Function that returns whether the held-out runs confirm an outcome from which a suspect was left out.
+            If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
 
     Returns:
         Verdict, fits of the machine without and with the effects, and the selected and the rejected effects.

@@ -32,7 +32,8 @@ def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
         resolution: Declared resolution, m or rad, 0 if there is none.
 
     Returns:
-        Median over the runs that show a quantum, m or rad; the declared resolution if none does (hardly any motion).
+        Median of the quanta of single runs, m or rad. A run without a recognizable quantum, such as one with hardly any
+        motion, does not count. If no run has one, the declared resolution.
     """
     quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
     return float(np.median(quanta)) if quanta else resolution
@@ -46,7 +47,8 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
         resting_rows: Number of rows at rest at the beginning of each run.
 
     Returns:
-        Standard deviation, m or rad; None if less than about 30 rows are at rest, in runs with at least 10.
+        Standard deviation around a parabola in each run, m or rad. Runs with fewer than 10 measurements at rest do not
+        count. None if the others have too few (about 30 in total).
     """
     squares, rows = 0.0, 0
     for values, count in zip(channel, resting_rows, strict=True):
@@ -61,15 +63,17 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
 
 
 def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
-    """Estimate the standard deviation of a sensor's noise; it is at least the rounding error, quantum / sqrt(12).
+    """Estimate the standard deviation of a sensor's noise.
 
-    With fewer than 30 rows at rest it is the declared value. If there is none, it comes from third differences or, if
-    that is smaller, from the deviations from a smooth curve (Savitzky and Golay 1964).
+    The first of these sources that is available is used: about 30 measurements at rest, the declared value, third
+    differences of the measurements. For a sensor with a quantum, deviations from a smooth curve (Savitzky and Golay
+    1964) replace the third differences if they are smaller. The result is at least the rounding error,
+    quantum / sqrt(12).
 
     Args:
         channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
         resting_rows: Number of rows at rest at the beginning of each run.
-        quantum: Quantization step of the sensor, m or rad.
+        quantum: Quantization step of the sensor, m or rad; 0 if there is none.
         declared: Declared standard deviation, m or rad; 0 where none is declared.
 
     Returns:
@@ -90,9 +94,11 @@ _REST_S = 0.02  # s; a quantized measurement that stays the same for longer show
 
 
 def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
-    """Return the weight of each measurement in a sum of squared errors: 1 if it is independent of its neighbors.
+    """Return the weight of each measurement in a sum of squared errors: 1 if its error is independent.
 
-    At rest, all measurements of a quantized sensor have the same rounding error. Therefore their weights add up to 1.
+    While a quantized sensor is at rest, all its measurements are equal and have the same rounding error. They count as
+    one measurement: N equal measurements have the weight 1 / N each. A sensor counts as at rest if its measurement
+    stays the same for more than 20 ms.
 
     Args:
         time_s: Sample times, s, shape (n,).
@@ -100,8 +106,8 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
         quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
 
     Returns:
-        Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N for N equal measurements in succession
-        over more than 20 ms; otherwise, and always without quantization, 1.
+        Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N at rest; 1 in motion, and for sensors
+        without quantization.
     """
     counts = np.isfinite(outputs).astype(float)
     for values, count, quantum in zip(outputs.T, counts.T, quanta, strict=True):
@@ -127,7 +133,7 @@ def difference_noise(channel: Sequence[Array]) -> float:
         channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
 
     Returns:
-        Standard deviation, m or rad, at least 1e-12; 1 if no run has four measurements.
+        Standard deviation, m or rad, at least 1e-12. If no run has four measurements, 1.
     """
     differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
     if len(differences) == 0:
@@ -149,9 +155,10 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
     """Estimate the jitter of the clock, the random error of the sampling times, from a channel during fast motion.
 
     A measurement that is late by dt has an error of dt * speed. During fast motion, the standard deviation s of the
-    measurements is therefore given by s^2 = noise^2 + jitter^2 * speed^2. It is computed from fifth differences, which
-    smooth motion hardly changes. Used is the fastest quarter of the rows, without those in which the sensor moves by
-    less than sqrt(12) * noise: there, the rounding errors of successive measurements are not independent.
+    measurements is therefore given by s^2 = noise^2 + jitter^2 * speed^2. s is computed from fifth differences, which
+    smooth motion hardly changes. Only the fastest quarter of the rows is used. Rows in which the sensor moves by less
+    than sqrt(12) * noise per row are left out, because rounding errors of successive measurements then depend on each
+    other.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
@@ -194,7 +201,8 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
         jitter: Standard deviation of the sampling time, s.
 
     Returns:
-        sqrt(noise^2 + (jitter * speed)^2), m or rad, shape (n, sensors).
+        sqrt(noise^2 + (jitter * speed)^2), m or rad, shape (n, sensors). The speed of a sensor is the slope of a
+        parabola over 11 of its measurements.
     """
     by_row = np.tile(noise, (len(time_s), 1))
     for j, values in enumerate(outputs.T):
@@ -213,10 +221,12 @@ def _smooth_speed(time_s: Array, values: Array) -> Array:
 def saturation_ranges(
     recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> dict[str, Range]:
-    """Find the lasers that saturate: many measurements are at the outermost value while the machine moves.
+    """Find the lasers that saturate: they stay at the end of their measuring range while the machine moves.
 
-    By default, at least 1 % of the rows must be there, and the encoders must show that the laser's coordinate moves in
-    these rows by 300 standard deviations of the laser's noise. Without belts or encoders, nothing is found.
+    A laser is a sensor with a fixed zero. It saturates at its largest (or smallest) measurement if two conditions hold,
+    whose thresholds are those of the default `criteria`: at least 1 % of all rows are within 8 standard deviations of
+    the noise from this measurement, and by the encoders, the laser's coordinate moves in these rows by at least 300
+    standard deviations of the laser's noise. Without belts or encoders, nothing is found.
 
     Args:
         recordings: All runs of the rig (times, s; voltages, V; measurements, m or rad).
@@ -225,8 +235,8 @@ def saturation_ranges(
         criteria: Decision thresholds.
 
     Returns:
-        Lower and upper end of the range by channel of a saturating sensor, m or rad; ten times the largest magnitude of
-        a measurement for an end that was never reached.
+        Lower and upper end of the measuring range, m or rad, by channel of each saturating laser. For an end that the
+        laser never reached, -10 or +10 times the largest magnitude of its measurements. Empty if none saturates.
     """
     ranges: dict[str, Range] = {}
     positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]
@@ -289,11 +299,14 @@ def _end(
 def blank_saturated(
     recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SelectionCriteria
 ) -> Recording:
-    """Copy a recording, with NaN for saturated measurements: beyond the end of a range, or within 4 noise deviations.
+    """Copy a recording, with NaN in place of saturated measurements.
+
+    A measurement is saturated if it lies beyond an end of the sensor's range, or inside the range but closer to an end
+    than 4 standard deviations of the noise (half of `criteria.saturation_band`).
 
     Args:
         recording: One run (times, s; voltages, V; measurements, m or rad).
-        ranges: Lower and upper end by channel name, m or rad.
+        ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are unchanged.
         machine: Machine that was recorded.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         criteria: Decision thresholds.
