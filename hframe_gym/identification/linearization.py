@@ -141,7 +141,8 @@ class ResidualModel:
             theta: Dimensionless variables of the k free parameters, shape (k,).
 
         Returns:
-            The machine with these values and the state from which it predicts each run.
+            The machine with these values and, for each run, the state from which it is predicted, shape (2 *
+            coordinates + effect states,).
         """
         machine = self.machine_at(theta)
         return ExpansionPoint(self, theta, machine, uncertain_starts(machine, self.data.runs))

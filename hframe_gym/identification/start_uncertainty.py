@@ -58,7 +58,7 @@ class InitialStateProjection:
             displaced: Residuals of predictions from `UncertainStart.displaced_states`, shape (displacements, rows).
 
         Returns:
-            The projection; None without displacements, or if a prediction diverges.
+            Projection for residuals of shape (batch, rows); None without displacements, or if a prediction diverges.
         """
         columns = (displaced - residual).T
         if not columns.shape[1] or not np.all(np.isfinite(columns)):
