@@ -37,6 +37,7 @@ from .held_out import (
     is_excited,
     worsens_simulation,
 )
+from .input_timing import with_input_timing
 from .recording_simulation import evaluate_held_out
 from .residual import is_white, rank_dependences
 from .result import IdentificationResult, RejectedEffect
@@ -113,8 +114,8 @@ def identify(
     search = partial(_search, machine, all_runs, criteria=criteria, log=log)
     checked = search(held_names)
     hint = () if checked.outcome.selected or held_out else _effects_of_differing_runs(checked, search, log)
-    agreeing = [run.name for run in checked.held_out.runs if run.name not in checked.differing]
-    outcome = _without_unconfirmed(checked.outcome, checked.held_out.with_runs(agreeing), log)
+    agreeing = checked.held_out.with_runs([r.name for r in checked.held_out.runs if r.name not in checked.differing])
+    outcome = with_input_timing(_without_unconfirmed(checked.outcome, agreeing, log), agreeing, criteria, log)
     messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     messages += (*map(_HELD_OUT_CONTRADICTION.format, checked.differing), *hint)
     if messages or outcome.verdict == "unexplained":
