@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import special
 
 from ..identification import MIN_ROWS, Dataset, PreparedRecording, default_free_parameters, fit
+from ..identification.belt_stretch import rigid_basis
 from ..identification.prediction import SEARCH_BANDWIDTH
-from ..identification.rest_measurement import rigid_basis
 from ..machine import Machine
 from ..recordings import GAP_PERIODS, Recording, repetitions
 from .findings import Finding, Severity

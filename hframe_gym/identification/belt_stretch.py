@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 
 from ..dynamics import effect_forces, stiffness_matrix
 from ..machine import Machine, pulley_names, rest_state
@@ -30,6 +31,23 @@ def linear_coordinates(machine: Machine) -> NDArray[np.bool_]:
         True for linear, False for rotary coordinates, shape (coordinates,).
     """
     return np.array([c.kind == "linear" for c in machine.coordinates])
+
+
+def rigid_basis(machine: Machine) -> Array:
+    """Return a basis of the rigid motions: displacements that stretch neither belts nor springs.
+
+    Args:
+        machine: Machine with coordinates and belts.
+
+    Returns:
+        Displacements of the coordinates, m or rad, one rigid motion per column, shape (coordinates, rigid motions).
+    """
+    if not machine.belts:
+        held = np.isin(machine.coordinate_names, machine.spring_loaded)
+        return np.eye(len(machine.coordinates))[:, ~held]
+    constraints = [machine.coefficients(b.extension) for b in machine.belts]
+    constraints += [machine.coefficients({name: 1.0}) for name in machine.spring_loaded]
+    return np.asarray(null_space(np.array(constraints)) / machine.travel_per_unit[:, None])
 
 
 def static_equilibrium(machine: Machine, positions: Array) -> Array:

@@ -35,7 +35,7 @@ from .free_parameters import FreeParameter, default_free_parameters
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION
 from .residual import channel_errors
 from .result import IdentificationResult
-from .start_uncertainty import refine_dataset
+from .start_estimation import refine_dataset
 
 Array = NDArray[np.float64]
 _NAME = "proposed"  # Name of a formula as an effect until the user chooses one.

@@ -25,6 +25,7 @@ from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain,
 from .prediction import SIMULATION, noise_floor
 from .rivals import close_rivals, compare_rivals, simplest_first
 from .significance import doubt_about_candidate, doubt_beside_others
+from .start_estimation import with_probable_starts
 from .trial_fits import (
     converge,
     replacement_fit,
@@ -105,10 +106,11 @@ class EffectSearch:
 
     Attributes:
         considered: Effects that reduced the error but failed a test, by label (name@site).
+        data: The recordings; `run` may replace the initial states of their runs by more probable ones.
     """
 
     def __init__(self, data: Dataset, plain: Machine, criteria: SelectionCriteria, log: Log) -> None:
-        self._data, self._plain, self._criteria, self._log = data, plain, criteria, log
+        self.data, self._plain, self._criteria, self._log = data, plain, criteria, log
         self.considered: dict[str, ConsideredEffect] = {}
         # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect passed.
         self._structures_failed = (math.nan, math.inf)
@@ -149,22 +151,24 @@ class EffectSearch:
             fit: Fit of the machine with all effects.
             selected: All selected effects with their fitted parameters.
         """
-        data, criteria = self._data, self._criteria
+        criteria = self._criteria
+        current, self.data = with_probable_starts(current, self.data, criteria)
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
             found = self._next_effect(current)
             extended = self._next_pair(current, selected) if found is None else self._extended(selected, *found)
             if extended is None:
                 break
             best, selected = extended
-            current, selected = self._exchange(fit_with_model_error(best, data), selected)
+            current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
+            current, self.data = with_probable_starts(current, self.data, criteria)
         for s in selected:
             self.considered.pop(s.effect.label, None)
         return current, tuple(s.with_values(current.machine) for s in selected)
 
     def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
         """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
-        effect, gain = trials[0].machine.effects[-1], (without.cost - trials[0].cost) / self._data.count
-        rivals = close_rivals(trials, without, self._data, self._criteria)
+        effect, gain = trials[0].machine.effects[-1], (without.cost - trials[0].cost) / self.data.count
+        rivals = close_rivals(trials, without, self.data, self._criteria)
         return trials[0], (*selected, SelectedEffect(effect, gain, without.machine, rivals))
 
     def _next_pair(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection | None:
@@ -174,7 +178,7 @@ class EffectSearch:
         unexplained, and the parameters of the machine may compensate for the larger one until the smaller one is there.
         None if there is no such pair, or if the error is so small that it may be that of a residue without a name.
         """
-        data, criteria, doubted = self._data, self._criteria, self._doubted
+        data, criteria, doubted = self.data, self._criteria, self._doubted
         if doubted is None or current.chi2 < criteria.explained_chi2 or len(selected) + 2 > criteria.max_effects:
             return None
         trial, extended = self._extended(selected, *doubted[1])
@@ -202,13 +206,13 @@ class EffectSearch:
         enough = minimum_gain(current, self._criteria)  # reduction of chi-squared per sample
         found = self._passing(current, enough, structures=True)
         if found is None and current.bandwidth != SIMULATION:
-            narrower = narrower_observer(current, self._data)
-            found = self._passing(narrower, enough + likelihood_deficit(narrower, current, self._data))
+            narrower = narrower_observer(current, self.data)
+            found = self._passing(narrower, enough + likelihood_deficit(narrower, current, self.data))
         return found
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
         """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
-        data, criteria = self._data, self._criteria
+        data, criteria = self.data, self._criteria
         trials = trial_fits(current, data, enough, criteria)
         structures = structures and self._worth_structures(current, trials)
         if structures:
@@ -240,7 +244,7 @@ class EffectSearch:
 
         The first effects are selected while others are still missing, and may represent a mixture of causes.
         """
-        data, criteria = self._data, self._criteria
+        data, criteria = self.data, self._criteria
         if current.chi2 <= criteria.noise_level:
             return current, selected
         for old in selected[:-1]:  # the last one has just won against all others
@@ -262,15 +266,15 @@ class EffectSearch:
     def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
         """Return the converged fit of the first trial that passes all tests, None if there is none."""
         for trial in trials:
-            if (current.cost - trial.cost) / self._data.count < self._criteria.min_trial_gain * enough:
+            if (current.cost - trial.cost) / self.data.count < self._criteria.min_trial_gain * enough:
                 return None
-            fitted = converge(trial, self._data, thorough=current.chi2 > self._criteria.explained_chi2)
-            effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self._data.count
+            fitted = converge(trial, self.data, thorough=current.chi2 > self._criteria.explained_chi2)
+            effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self.data.count
             self._log(f"  {effect.label} {describe_gain(current, fitted)}")
             if gain < enough:
                 self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
                 continue
-            doubt = doubt_about_candidate(current, fitted, self._data, self._criteria)
+            doubt = doubt_about_candidate(current, fitted, self.data, self._criteria)
             if not doubt:
                 return fitted
             self._log(f"  {effect.label} is not selected: it {doubt}")
@@ -300,7 +304,7 @@ class EffectSearch:
         """
         settled: tuple[SelectedEffect, ...] = ()
         for old in selected:
-            compared = compare_rivals(current, old.effect.label, old.rival_effects, self._data, self._criteria)
+            compared = compare_rivals(current, old.effect.label, old.rival_effects, self.data, self._criteria)
             if compared.better is not None:
                 effect = compared.better.machine.effects[-1]
                 self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
@@ -329,10 +333,10 @@ class EffectSearch:
             selected: The remaining effects with their fitted parameters.
         """
         for candidate in sorted(selected, key=lambda s: s.gain):
-            reduced = without_effect(current, candidate.effect.label, self._data, self._plain)
+            reduced = without_effect(current, candidate.effect.label, self.data, self._plain)
             if reduced is None:
                 continue
-            doubt = doubt_beside_others(reduced, current, candidate.effect, self._data, self._criteria)
+            doubt = doubt_beside_others(reduced, current, candidate.effect, self.data, self._criteria)
             if doubt:
                 self._log(f"  {candidate.effect.label} is removed: it {doubt}")
                 self.considered[candidate.effect.label] = ConsideredEffect(

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ..machine import Machine, rest_state
 from ..recordings import Recording
-from .belt_stretch import linear_coordinates, static_equilibrium
+from .belt_stretch import linear_coordinates, rigid_basis, static_equilibrium
 from .encoder_zeros import EncoderZeros, zero_tolerance
-from .rest_measurement import InitialState, estimate_initial_state, rigid_basis
+from .rest_measurement import InitialState, estimate_initial_state
 
 if TYPE_CHECKING:
     from .dataset import Dataset
@@ -137,8 +137,13 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
             _set_encoder_angles(machine, state, measured[i], positions[i])
     else:
         positions = np.array([np.pad(state.position, (0, added)) for state in initial])
-    states = (np.concatenate([q, np.pad(s.velocity, (0, added))]) for q, s in zip(positions, initial, strict=True))
-    return [dataclasses.replace(s, state=state).start(machine) for s, state in zip(initial, states, strict=True)]
+    states = []
+    for position, state in zip(positions, initial, strict=True):
+        start = np.concatenate([position, np.pad(state.velocity, (0, added))])
+        if len(state.start_offset):
+            start += np.concatenate([np.pad(half, (0, added)) for half in np.split(state.start_offset, 2)])
+        states.append(dataclasses.replace(state, state=start).start(machine))
+    return states
 
 
 def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array, positions: Array) -> None:
@@ -315,5 +320,14 @@ def _with_corrected_zeros(initial: InitialState, machine: Machine, errors: Array
         sensor = machine.sensors[j]
         i = machine.coordinate_names.index(sensor.coordinate)
         state[i] = initial.state[i] - errors[j] / sensor.row[sensor.coordinate]
-    zeros = initial.zeros + errors
-    return dataclasses.replace(initial, state=state, zeroed_measurement=zeroed, zeros=zeros, zeros_refined=True)
+    return dataclasses.replace(
+        initial,
+        state=state,
+        zeroed_measurement=zeroed,
+        zeros=initial.zeros + errors,
+        zeros_refined=True,
+        # The estimated start stays where it was, although the measured one moves.
+        start_offset=initial.start_offset + initial.state - state
+        if len(initial.start_offset)
+        else initial.start_offset,
+    )

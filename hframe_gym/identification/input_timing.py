@@ -27,7 +27,7 @@ from .rivals import close_rivals, simplest_first
 from .screening import screen
 from .search import SearchOutcome
 from .significance import long_run_variance
-from .start_uncertainty import refine_dataset
+from .start_estimation import refine_dataset
 from .trial_fits import converge, fit_with_candidate
 
 # Bandwidth times sampling period of the observer that judges. It is that of the search at the longest period.

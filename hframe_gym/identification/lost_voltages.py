@@ -22,6 +22,7 @@ from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import spsolve
 
 from ..machine import Machine
+from .belt_stretch import rigid_basis
 from .dataset import Dataset, PreparedRecording
 from .prediction import (
     LONGEST_OBSERVER_PERIOD,
@@ -32,7 +33,6 @@ from .prediction import (
     predict,
     residuals,
 )
-from .rest_measurement import rigid_basis
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

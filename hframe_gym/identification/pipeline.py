@@ -44,7 +44,7 @@ from .result import IdentificationResult, RejectedEffect
 from .run_differences import find_run_differences
 from .search import SearchOutcome, search_effects, with_lost_voltages
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
-from .start_uncertainty import refine_dataset
+from .start_estimation import refine_dataset
 from .trial_fits import without_effect
 
 _CONTRADICTION = (

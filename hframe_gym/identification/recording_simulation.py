@@ -34,7 +34,7 @@ from .rest_measurement import (
     sensor_zero_error,
 )
 from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
-from .start_uncertainty import most_probable_start, refine_dataset
+from .start_estimation import most_probable_start, refine_dataset
 
 Array = NDArray[np.float64]
 
@@ -185,7 +185,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
     declares its zero (measurement at position 0). The zero is not used if it contradicts the lasers (sensors with a
     fixed zero): the encoder was then switched on anew and counts from another zero. What remains uncertain (belt
     stretch, states of hysteresis and bristles) is estimated from the motion, see
-    `start_uncertainty.most_probable_start`.
+    `start_estimation.most_probable_start`.
 
     Args:
         machine: Machine, declared or identified.

@@ -28,7 +28,7 @@ from .prediction import (
     predict,
     prediction_error,
 )
-from .start_uncertainty import most_probable_initial_state
+from .start_estimation import most_probable_initial_state
 
 Array = NDArray[np.float64]
 

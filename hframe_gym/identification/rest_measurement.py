@@ -3,8 +3,7 @@
 A recording should begin at rest; the rows before the first input change measure the position there. If it begins in
 motion, its first row has a position and a velocity (`initial_rest`). The zero of a sensor is its measurement at
 position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The angles of the pulleys
-follow from unstretched belts or from encoders whose zero is known. An unknown zero is the measurement at rest minus the
-one that the model computes for the estimated state and a zero of 0.
+follow from unstretched belts or from encoders whose zero is known.
 """
 
 from __future__ import annotations
@@ -15,11 +14,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
 from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
+from .belt_stretch import rigid_basis
 from .encoder_zeros import EncoderZeros
 from .initial_rest import InitialVelocity, count_resting_rows, initial_velocity
 
@@ -41,6 +40,7 @@ class InitialState:
             `offset` of `simulate`.
         resting_rows: Number of rows at rest at the beginning of the run.
         resolves_stretch: Whether each encoder kept its zero in all runs and resolves belt stretch, shape (sensors,).
+        zero_spread: Standard deviation of each encoder's zero from run to run, m or rad, shape (sensors,), or 0.
         zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
@@ -53,6 +53,8 @@ class InitialState:
             instead of NaN), shape (coordinates, sensors).
         velocity_deviations: Independent errors of the velocities, one per row, each of the size of one standard
             deviation, m/s or rad/s, shape (errors, coordinates); no rows if the run begins at rest.
+        start_offset: What a fitted machine added to the positions (m, rad) and velocities (m/s, rad/s) from which it is
+            simulated, shape (2 * coordinates,): a stretch of the belts that the measurements at rest do not show.
         effect_states: States of the machine's effects (hysteresis, bristles) at the start, in their units, by label and
             component of the effect; an effect without an entry starts at zero.
         warnings: What could not be measured and what is assumed instead, one sentence each.
@@ -62,6 +64,7 @@ class InitialState:
     zeros: Array
     resting_rows: int
     resolves_stretch: NDArray[np.bool_]
+    zero_spread: Array
     zeros_refined: bool = False
     position_measured: bool = True
     lasers_measured: bool = True
@@ -70,6 +73,7 @@ class InitialState:
     measured_at_rest: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     position_matrix: Array = field(default_factory=lambda: np.zeros((0, 0)))
     velocity_deviations: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    start_offset: Array = field(default_factory=lambda: np.zeros(0))
     effect_states: Mapping[tuple[str, str], float] = field(default_factory=dict)
     warnings: tuple[str, ...] = field(default=())
 
@@ -175,6 +179,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         np.where(known, zeros.values, estimated),
         rows,
         zeros.resolves_stretch,
+        zeros.spread,
         position_measured=position_measured,
         lasers_measured=lasers_measured,
         position_known=position_measured or _rank(seen[(fixed | known) & usable]) == _rank(seen),
@@ -202,23 +207,6 @@ def _position_matrix(machine: Machine, zeros: EncoderZeros, usable: NDArray[np.b
     weight = np.where(usable, weight * [machine.coordinate(s.coordinate).travel_per_unit for s in machine.sensors], 0.0)
     rigid = rigid_basis(machine)
     return np.asarray(rigid @ np.linalg.pinv(weight[:, None] * (machine.sensor_matrix @ rigid), rcond=1e-12) * weight)
-
-
-def rigid_basis(machine: Machine) -> Array:
-    """Return a basis of the rigid motions: displacements that stretch neither belts nor springs.
-
-    Args:
-        machine: Machine with coordinates and belts.
-
-    Returns:
-        Displacements of the coordinates, m or rad, one rigid motion per column, shape (coordinates, rigid motions).
-    """
-    if not machine.belts:
-        held = np.isin(machine.coordinate_names, machine.spring_loaded)
-        return np.eye(len(machine.coordinates))[:, ~held]
-    constraints = [machine.coefficients(b.extension) for b in machine.belts]
-    constraints += [machine.coefficients({name: 1.0}) for name in machine.spring_loaded]
-    return np.asarray(null_space(np.array(constraints)) / machine.travel_per_unit[:, None])
 
 
 def _rank(rows: Array) -> int:

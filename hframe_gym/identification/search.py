@@ -29,7 +29,7 @@ from .nonparametric import add_tables
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
 from .run_differences import find_run_differences
-from .start_uncertainty import refine_dataset
+from .start_estimation import refine_dataset
 from .trial_fits import converge
 
 _AS_GOOD = 1.2  # ratio of chi-squared per sample of two explanations that are equally good
@@ -188,6 +188,7 @@ class _Search:
 
     def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
         self._data, self._criteria, self._log = data, criteria, log
+        self._data_after = data  # with what the search corrected in the runs, for the machine with effects
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
@@ -256,14 +257,14 @@ class _Search:
         before_explains, explained = self._explains(self.before), self._explains(after)
         before, after = self._refined(self.before), self._refined(after)
         selected = tuple(s.with_values(after.machine) for s in selected)
-        return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data)
+        return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data_after)
 
     def _refined(self, fitted: Fit) -> Fit:
         """Return a fit refined in simulation, with the encoders' zeros that follow from its effects."""
         for done, refined in self._refinements:
             if done is fitted:
                 return refined
-        data = self._data if fitted is self.before else refine_dataset(self._data, fitted.machine)
+        data = self._data if fitted is self.before else refine_dataset(self._data_after, fitted.machine)
         self._refinements.append((fitted, refined_in_simulation(fitted, data)))
         return self._refinements[-1][1]
 
@@ -278,7 +279,7 @@ class _Search:
             self._log("searching for further effects")
             search = EffectSearch(data, self.before.machine, criteria, self._log)
             current, effects = search.run(*start)
-        refined = refine_dataset(data, current.machine)
+        data, refined = search.data, refine_dataset(search.data, current.machine)
         if refined is not data:
             # With the effects, the encoders' zeros are more accurate, which may reveal further effects.
             found_at, data, search = current, refined, search.with_data(refined)
@@ -286,6 +287,9 @@ class _Search:
             lower = current.chi2 < found_at.chi2 - minimum_gain(found_at, criteria)
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)
+        self._data_after = data = search.data
+        if not effects and start is None:
+            self.before, self._data = current, data
         if effects:
             current, effects = search.settle_rivals(current, effects)
             current, effects = search.prune(polish(current, data), effects)

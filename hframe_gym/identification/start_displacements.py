@@ -16,9 +16,9 @@ from scipy.linalg import null_space
 
 from ..dynamics import Equations
 from ..machine import Machine
-from .belt_stretch import linear_coordinates, stretch_angles, vibration_speeds
+from .belt_stretch import linear_coordinates, rigid_basis, stretch_angles, vibration_speeds
 from .initial_state import model_initial_states
-from .rest_measurement import InitialState, rigid_basis
+from .rest_measurement import InitialState
 
 if TYPE_CHECKING:
     from .dataset import PreparedRecording
@@ -103,10 +103,17 @@ def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> li
 
 
 def _position_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
-    """Return the uncertain positions of a run, each of the size of its error, shape (k, coordinates)."""
+    """Return the uncertain positions of a run, each of the size of its error, shape (k, coordinates).
+
+    Zeros that scatter from run to run show the stretch that friction holds on this rig; a zero is then uncertain, too.
+    """
+    spreads = {
+        sensor.coordinate: spread / abs(sensor.row[sensor.coordinate])
+        for sensor, spread in zip(machine.sensors, initial.zero_spread, strict=True)
+    }
     stretches = np.zeros((len(held_angles), len(machine.coordinates)))
     for k, (name, angle) in enumerate(held_angles.items()):
-        stretches[k, machine.coordinate_names.index(name)] = angle
+        stretches[k, machine.coordinate_names.index(name)] = max(angle, spreads.get(name, 0.0))
     if not held_angles or initial.lasers_measured:
         return stretches
     return np.vstack([stretches, _rigid_displacements(machine, initial, held_angles)])

@@ -69,6 +69,7 @@ class Scripted:
             "validation_fault": lambda machine: self.fault,
             "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: fitted,
+            "with_probable_starts": lambda current, data, criteria: (current, data),
             "narrower_observer": lambda fitted, data: fitted,
             "likelihood_deficit": lambda fitted, reference, data: math.inf,
             "converge": lambda fitted, data, thorough: fitted,

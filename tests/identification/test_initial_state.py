@@ -57,7 +57,7 @@ def test_belts_carry_what_static_friction_does_not(hframe: Machine, force: float
 def initial_at(position: np.ndarray, encoders: np.ndarray, known: bool) -> InitialState:
     """Return the initial state that sensors without noise measure."""
     state = np.concatenate([position, encoders, np.zeros(4)])
-    return InitialState(state, np.zeros(4), 50, np.array([known] * 2 + [False] * 2))
+    return InitialState(state, np.zeros(4), 50, np.array([known] * 2 + [False] * 2), np.zeros(4))
 
 
 def prepared(initial: InitialState, name: str) -> PreparedRecording:

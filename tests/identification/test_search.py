@@ -34,7 +34,7 @@ class ScriptedSearch:
 
         class FakeEffectSearch:
             def __init__(self, data: Any, plain: Machine, criteria: SelectionCriteria, log: Any) -> None:
-                self.considered: dict[str, Any] = {}
+                self.data, self.considered = data, dict[str, Any]()
 
             def run(self, current: Fit, chosen: tuple[SelectedEffect, ...] = ()) -> Any:
                 found = script.effects or chosen

@@ -11,11 +11,11 @@ from hframe_gym.identification import Dataset, prepare, simulate_recording
 from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.identification.prediction import SIMULATION, residuals
 from hframe_gym.identification.start_displacements import uncertain_starts
+from hframe_gym.identification.start_estimation import refine_dataset
 from hframe_gym.identification.start_uncertainty import (
     InitialStateProjection,
     predict_with_displaced_starts,
     projected,
-    refine_dataset,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
