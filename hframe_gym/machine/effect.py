@@ -95,10 +95,11 @@ class Effect:
     initial_spread      standard deviation of the state when a recording begins,     level
                         after motion that was not recorded (default: it is zero)
 
-    - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; m: mass, kg or kg m^2; per_radius: 1/radius of a
-      pulley, 1/m; b: viscous coefficient without the effect, Ns/m or Nms; direction: sign of the motion; level: Coulomb
-      friction force with the effects on it, N or Nm; drive: force of its drives, N or Nm. If `structure` adds a
-      coordinate: net, friction: net force and friction (dry and viscous) on the coordinate at the site, N or Nm.
+    - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
+      coefficient without the effect, Ns/m or Nms; direction: sign of the motion; level: Coulomb friction force with the
+      effects on it, N or Nm; drive: force of its drives, N or Nm. For a force on a coordinate that `structure` adds, if
+      it has the argument net: net, friction: net force and friction (dry and viscous) on the coordinate at the site, N
+      or Nm; m: mass of the added coordinate, kg or kg m^2.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
       was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad.
     - Drive: V: voltage, V; i: current by Ohm's law, A. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m.
