@@ -64,7 +64,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """Structure without parameter values: components, coefficients, effects; equal shapes use one compiled kernel."""
+        """Structure without parameter values: components, coefficients, effects; equal shapes use one compiled code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
