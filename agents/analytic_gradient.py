@@ -61,9 +61,10 @@ class AnalyticPolicyGradient:
         policy_kwargs: Keyword arguments of the policy class.
         periods: Control periods of an episode.
         skipped: Largest number of periods at the beginning that are not differentiated.
-        discount: Factor by which the derivative with respect to the state is multiplied in every period, 0 to 1.
-        limit: Largest norm of this derivative of an episode's cost, dimensionless, with travel in units of 1 mm and
-            velocity in units of 50 mm/s.
+        discount: Factor, 0 to 1, by which backpropagation multiplies the derivative of the cost with respect to the
+            state in every period.
+        limit: Largest norm of this derivative, for the cost of one episode, dimensionless, with travel in units of 1 mm
+            and velocity in units of 50 mm/s. A longer derivative is scaled to this norm.
         averaging: Factor of the exponential moving average of the weights per update, 0 to below 1.
 
     Attributes:

@@ -255,13 +255,14 @@ class FeedbackLaws(NamedTuple):
 class TransferBank:
     """First voltages of K minimum-energy transfers (motions to rest at the goal) of several durations and designs.
 
-    The transfers are designed for the declared machine, the first five (`VARIANT_TRANSFERS`) also for each machine of
-    `VARIANTS`. There, durations count from the variant's shortest transfer and are limited to its longest.
+    Every transfer is designed for `machine`; the first five (`VARIANT_TRANSFERS`) are also designed for each of four
+    variants with other belt stiffness and masses (`VARIANTS`). The durations of a variant count from its shortest
+    transfer and are limited to its longest one.
 
     Args:
-        machine: Machine for which the transfers are designed.
+        machine: Machine with its declared parameters.
         period: Control period, s.
-        transfers: Durations in periods beyond the shortest possible transfer, ascending.
+        transfers: Durations in control periods beyond the shortest possible transfer, ascending; 0: the shortest.
 
     Attributes:
         size: Number K of transfers.

@@ -97,17 +97,17 @@ class ResidualAction:
         machine: Machine for which the base controller is designed.
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
-        estimates: Whether to estimate friction, masses and belts without a base, for the observation `estimates`.
-        transfers: Durations of transfers (motions to rest at the goal) whose voltages the policy weights; empty: none.
-        plans: Durations, in periods, of transfers that are designed for the estimated machine instead; empty: none.
+        estimates: Whether to add estimates of friction, masses and belts to the observation also without a base.
+        transfers: Durations, in periods beyond the shortest, of motions to rest at the goal that the policy weights.
+        plans: Durations, in periods, of such motions that are designed for the estimated machine instead.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
         authority: Fractions of the rated voltage and of the last action, by distance and speed.
         period: As given, s.
-        tool_speeds: Columns of `observation` with the tool velocity along its axes.
+        tool_speeds: Columns of the array `observation` that hold the tool velocity along its axes, m/s.
         base: Controller whose action the policy corrects, or None.
-        bank: Transfers whose voltages the policy weights, or None.
+        bank: Motions to rest at the goal (`transfers` or `plans`) whose voltages the policy weights, or None.
         laws: Voltages of the bank in this period and their derivatives by the observation; None without a bank.
 
     Raises:

@@ -115,7 +115,8 @@ class JointReplayBuffer(DictReplayBuffer):
 class TrainingCallback(BaseCallback):
     """Callback of a training run that calls one function after each step and another one before each rollout.
 
-    Before a rollout, the algorithm has learned from all steps so far: a checkpoint then needs no steps of a rollout.
+    A rollout is the sequence of steps between two updates of the policy. Before a rollout, the algorithm has learned
+    from all steps so far, so that a checkpoint at this point need not contain the steps of a rollout.
 
     Args:
         after_step: Called after each step of the environments.
@@ -185,9 +186,9 @@ class ResidualActionVecEnv(VecEnvWrapper):
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Finish the step that `step_async` started; environments whose episode has ended are reset.
 
-        The base controller, whose action the policy corrects, must be called once per control period. In the last
-        observation of an episode, the arrays that `ResidualAction` adds, except `last_action`, are therefore those of
-        the period before. This hardly matters, because the machine is usually at rest by then.
+        In the last observation of an episode (`terminal_observation`), the arrays that `ResidualAction` adds are those
+        of the period before, except `last_action`. To compute them again, the base controller (whose action the policy
+        corrects) would be called twice in a period. The machine is usually at rest by then, so they hardly differ.
 
         Returns:
             observations: Arrays by key, SI, each of shape (num_envs, entries of the key); the first ones of a new

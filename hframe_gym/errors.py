@@ -40,27 +40,27 @@ def is_integer(value: object) -> bool:
 
 
 def name_runs(names: Iterable[str]) -> str:
-    """Name several runs in short.
+    """Shorten a list of run names to one phrase for a message.
 
     Args:
-        names: Names of runs, at least one; repeated names count once.
+        names: Names of runs (recordings), at least one; repeated names count once.
 
     Returns:
-        The first name and the number of further names, such as "run_01 and 2 more runs".
+        The first name and the number of further names, such as "run_01 and 2 more runs"; a single name alone.
     """
     first, *others = dict.fromkeys(names)
     return f"{first} and {len(others)} more run{'s' if len(others) > 1 else ''}" if others else first
 
 
 def merge_run_warnings(warnings: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Merge equal warnings about several runs.
+    """Merge warnings about several runs (recordings) that have the same text.
 
     Args:
-        warnings: Name of a run and sentence about it, each.
+        warnings: Pairs (name of a run, text of a warning about this run).
 
     Returns:
-        Lines of text such as "run_01 and 2 more runs: no laser measures.", one for each different sentence, in the
-        order of first occurrence.
+        One line for each different text, in the order of first occurrence, for example "run_01 and 2 more runs: x_m
+        has no measurements.".
     """
     runs: dict[str, list[str]] = {}
     for run, text in warnings:

@@ -27,7 +27,7 @@ class RunFormats(StrEnum):
 
 
 class CommandGroup(TyperGroup):
-    """Group of commands that runs its command `list`, if it has one, where none is given.
+    """Group of commands, such as `hframe machines`; without a command, it runs its command `list` if it has one.
 
     Paragraphs of the help pages fill the width of the terminal; Typer alone would keep the line breaks of docstrings.
     """

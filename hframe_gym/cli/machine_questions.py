@@ -130,7 +130,7 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
 
 
 def file_obstacle(path: Path, force: bool) -> str:
-    """Return why a new machine cannot be written to a file.
+    """Return the reason why a new machine cannot be written to a file: wrong ending, or the file exists.
 
     Args:
         path: File that the user has named.
@@ -162,9 +162,9 @@ def motion_lines(machine: Machine) -> list[str]:
 
 
 def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False) -> MachineAnswers:
-    """Ask on the terminal for the values of a new machine.json and for its file, each if it is not given.
+    """Ask on the terminal for each option of `hframe machines new` that is not given, including the file to write.
 
-    Enter accepts the value of the template. An answer that cannot be used is asked for again.
+    Enter accepts the value of the template. After an invalid answer, the question is repeated.
 
     Args:
         answers: Values of the command's options, empty or None where not given.

@@ -111,13 +111,13 @@ def task_with_path(name: str, path: str | None) -> Any:
 
 
 def option_words(**values: str | None) -> str:
-    """Write options as the words of a command that a message proposes.
+    """Format options as the end of a command line that a message proposes.
 
     Args:
         **values: Value by name of the option; None for an option that is left out.
 
     Returns:
-        Options, quoted for a shell, for example " --machine axis --task reach".
+        Options with a blank before each, quoted for a shell, for example " --machine axis --task reach".
     """
     return "".join(f" --{name} {shlex.quote(value)}" for name, value in values.items() if value is not None)
 
@@ -274,7 +274,8 @@ def check_recordings_before_fit(
 def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Callable[[str], None]) -> None:
     """Estimate the duration of an identification and print it if it exceeds one minute.
 
-    The estimate is the measured time of one simulation of all runs, times 1500, a usual number of simulations.
+    All runs are simulated once. The estimate is the duration of this simulation times 1500
+    (`SIMULATIONS_PER_IDENTIFICATION`), a typical number of simulations in an identification.
 
     Args:
         recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).

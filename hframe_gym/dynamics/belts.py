@@ -18,7 +18,7 @@ class BeltState(NamedTuple):
         rate: Rate ds/dt, m/s.
         stiffness: Stiffness k = EA / l, N/m, with the length l, m.
         tension: Tension T beyond the pretension, N.
-        stiffness_force: Force e = -(1/2) s^2 dk/dl, N, due to the change of stiffness with length; or 0.
+        stiffness_force: Force e = -(1/2) s^2 dk/dl, N, due to the change of stiffness with length; 0 for constant k.
         net_tension: T - e, N: force of the belt on a coordinate that changes extension and length by equal amounts.
     """
 

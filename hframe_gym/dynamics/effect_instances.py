@@ -19,8 +19,10 @@ class EffectInstance:
     Attributes:
         effect: The effect as the machine has it; its label gives the names of its parameters.
         component: Name of the coordinate, drive, belt or sensor channel, or "machine" for a structural effect.
-        coordinate: Index of the coordinate on which the effect acts; -1 for none (belts, sensors).
-        state_coordinate: Index of the coordinate whose motion changes the state of the effect; -1 for none.
+        coordinate: Index of the coordinate on which the effect acts; for an effect on a drive, index of the coordinate
+            that the drive moves; -1 for effects on belts and sensors.
+        state_coordinate: Index of the coordinate whose motion changes the state of the effect, if it has one: usually
+            `coordinate`, but for a table over the path of another coordinate, that one. -1 for belts and sensors.
     """
 
     effect: AppliedEffect

@@ -39,8 +39,8 @@ class ForceBalance(NamedTuple):
         forces: Sum of all forces on each coordinate except viscous and Coulomb friction. The integrator keeps it
             constant over a step.
         coulomb: Coulomb friction force F (magnitude) of each coordinate; zero where an effect replaces it.
-        arguments: By index in `instances`, the arguments that the formula `next_state` of an effect takes there:
-            "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
+        arguments: Arguments of the formula `next_state` of effects, by index in `instances`, then by name: "level", the
+            Coulomb friction force, N or Nm, or "i", the current of the drive, A.
     """
 
     forces: list[Value]

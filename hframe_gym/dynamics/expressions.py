@@ -27,8 +27,8 @@ class Expression:
     Attributes:
         trace: Record of the function to which the expression belongs.
         operation: "number", "variable", "load" (row of an array), an operator such as "+", or the name of a function.
-        operands: Operands; of a number its text, of a load its text, of a variable its name and its version. Every
-            assignment to a variable makes a new version.
+        operands: Operands of an operation. A number or load has its source text here; a variable has its name and a
+            version number, which every assignment to the variable increases.
         invariant: Whether the value is the same in all steps of the loop.
         variables: Reassigned variables on which the value depends.
     """

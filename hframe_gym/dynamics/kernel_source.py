@@ -52,7 +52,8 @@ class KernelSource:
         states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
         delayed: Whether a drive has a delay.
         lagged: Whether a sensor has a delay.
-        nonlinear_belts: Whether the force of a belt is not linear around a point, so that a step evaluates it twice.
+        nonlinear_belts: Whether an effect makes the force of a belt nonlinear. A step then evaluates the belts at both
+            of its points; otherwise it extrapolates the force from the first point with constant stiffness.
         uses_time: Whether an effect depends on time.
         text: Source of the functions prepare (constants of a step), voltage_delays, advance (the integrator),
             read_sensors and measurement_delays.

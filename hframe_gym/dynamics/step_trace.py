@@ -49,7 +49,7 @@ class _PreparedEquations(Equations):
     """Equations that take from `derived` what `prepare` has computed.
 
     Args:
-        source: The kernel.
+        source: Kernel to which the generated function belongs.
         trace: Trace of the function `advance`.
     """
 
@@ -81,7 +81,7 @@ class StepTrace:
     """Trace of the generated function `advance`, in the order of the algorithm at the top of this module.
 
     Args:
-        source: The kernel.
+        source: Kernel to which the generated function belongs.
 
     Attributes:
         trace: Statements of the function.

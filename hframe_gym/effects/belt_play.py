@@ -15,7 +15,7 @@ def tension(s, k, d):  # type: ignore[no-untyped-def]
 
 
 def energy_slope(s, d):  # type: ignore[no-untyped-def]
-    """Return the derivative of the belt's energy by its stiffness, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
+    """Return dE/dk of the belt energy E(s, k) at constant extension s, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
     stretch = _beyond_play(s, d)
     return 0.5 * stretch * stretch
 

@@ -10,7 +10,7 @@ def tension(s, k, T0):  # type: ignore[no-untyped-def]
 
 
 def energy_slope(s, k, T0):  # type: ignore[no-untyped-def]
-    """Return the derivative of the belt's energy by its stiffness, max(s, -T0/k)^2 / 2, m^2; s: m, k: N/m, T0: N."""
+    """Return dE/dk of the belt energy E(s, k) at constant s, max(s, -T0/k)^2 / 2, m^2; s: m, k: N/m, T0: N."""
     taut = maximum(s, -T0 / k)
     return 0.5 * taut * taut
 

@@ -11,15 +11,15 @@ from .dahl_hysteresis import PARAMETERS, force, initial_spread
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Compute the state after the distance dq without reversal.
+    """Compute the state after a motion without reversal: the exact solution of dz/dt over the distance dq.
 
     Args:
-        z: State before, from -1 to 1.
-        dq: Distance moved, m or rad.
+        z: State before the motion, from -1 to 1.
+        dq: Distance moved, with sign, m or rad.
         L: Characteristic distance, m or rad.
 
     Returns:
-        State after, from -1 to 1.
+        State after the motion, from -1 to 1.
     """
     direction = copysign(1.0, dq)
     against, distance = z * direction, absolute(dq) / L  # `against` is negative after a reversal

@@ -10,15 +10,15 @@ from ..machine import Effect, EffectParameter
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Compute the state after the distance dq without reversal: it approaches the sign of dq as exp(-|dq|/L).
+    """Compute the state after a motion without reversal, s + (z - s) exp(-|dq|/L) with the direction s = sign(dq).
 
     Args:
-        z: State before, from -1 to 1.
-        dq: Distance moved, m or rad.
+        z: State before the motion, from -1 to 1.
+        dq: Distance moved, with sign, m or rad.
         L: Characteristic distance, m or rad.
 
     Returns:
-        State after, from -1 to 1.
+        State after the motion, from -1 to 1.
     """
     final = copysign(1.0, dq)
     return final + (z - final) * exp(-absolute(dq) / L)
@@ -30,7 +30,7 @@ def force(z, F):  # type: ignore[no-untyped-def]
 
 
 def initial_spread():  # type: ignore[no-untyped-def]
-    """Return the standard deviation of the state z after unrecorded motion; it is uniform in [-1, 1]."""
+    """Return 0.58, the standard deviation of the state z after unrecorded motion: of a uniform z in [-1, 1]."""
     return 0.58
 
 

@@ -1,7 +1,7 @@
 """An eccentric pulley: belt travel r phi + e sin(phi + p), lever arm r + e cos(phi + p).
 
-A run starts with belts that no eccentricity stretches. There the pulley is at the angle at which its belt travel equals
-that of a round pulley: it lags by e sin(phi + p) / r.
+At the start of a run, the eccentricity stretches no belt: the pulley has the angle at which its belt travel equals that
+of a round pulley. This angle is smaller than that of the round pulley by lag = e sin(phi + p) / r.
 """
 
 from ..dynamics.elementwise import cos, sin
@@ -39,6 +39,8 @@ def rest_angle_offset(q, e, p, per_radius):  # type: ignore[no-untyped-def]
 def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
     """Compute the belt travel that the eccentricity adds, e (sin(phi + p - lag) - sin(phi_0 + p - lag)).
 
+    phi_0 is the angle at the start of the run, and lag = e sin(phi_0 + p) / r (`rest_angle_offset`).
+
     Args:
         q: Angle phi of the pulley, rad.
         z: Rotation since the start of the run, rad; phi_0 = q - z is the angle at the start.
@@ -55,7 +57,9 @@ def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
 
 
 def lever_arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Compute the lever arm that the eccentricity adds, e cos(phi + p - lag), with the lag at the start of the run.
+    """Compute the lever arm that the eccentricity adds, e cos(phi + p - lag).
+
+    lag = e sin(phi_0 + p) / r (`rest_angle_offset`), with the angle phi_0 at the start of the run.
 
     Args:
         q: Angle phi of the pulley, rad.

@@ -18,13 +18,13 @@ def force(q, v, m, net, friction, f0, zeta, r, s):  # type: ignore[no-untyped-de
 
     Args:
         q: Displacement f of the frame, m.
-        v: Its rate, m/s.
+        v: Speed f' of the frame, m/s.
         m: Mass of the carriage, kg.
         net: Net force on the carriage, its mass times its acceleration x'', N.
         friction: Friction force on the carriage, N, positive against positive motion.
         f0: Natural frequency of the frame, Hz.
         zeta: Damping ratio of the frame.
-        r: Ratio of the masses of carriage and frame.
+        r: Mass of the carriage / mass of the frame; negative for a sensor on the frame, positive for one beside it.
         s: Fraction of the friction that the ground bears, 0 to 1.
 
     Returns:

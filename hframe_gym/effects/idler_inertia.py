@@ -77,7 +77,8 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
 
     Args:
         machine: Machine with the belts of the 8th-order model.
-        effect: This effect with the inertia J, kg m^2, and the viscous friction B, Nms, of an idler, per side.
+        effect: This effect with the inertia of one idler, J_left and J_right, kg m^2, and its viscous friction, B_left
+            and B_right, Nms.
 
     Returns:
         The machine of 20th order; the parameters of idlers and sections are tied to the effect and the belts.

@@ -11,16 +11,16 @@ _LOWEST_LEVEL = 1e-12  # N or Nm; avoids a division by zero without Coulomb fric
 
 
 def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
-    """Compute the deflection of the bristle after the distance dq at constant speed.
+    """Compute the deflection after a motion at constant speed, e + (z - e) exp(-|dq| s0/F) with e = sign(dq) F/s0.
 
     Args:
-        z: Deflection before, m or rad.
-        dq: Distance moved, m or rad.
+        z: Deflection of the bristle before the motion, m or rad.
+        dq: Distance moved, with sign, m or rad.
         level: Coulomb friction force F, including the Stribeck effect, N or Nm.
         s0: Stiffness of the bristle, N/m or Nm/rad.
 
     Returns:
-        Deflection after, m or rad.
+        Deflection of the bristle after the motion, m or rad.
     """
     limit = maximum(level, _LOWEST_LEVEL) / s0
     final = copysign(limit, dq)

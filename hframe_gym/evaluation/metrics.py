@@ -295,7 +295,7 @@ class StoredBounds(NamedTuple):
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
     """Compute a hash of the machine, start and goal of each episode, by which stored settling times are looked up.
 
-    Numbers enter it with nine significant digits; seed, control period and sensors do not.
+    Before hashing, numbers are rounded to nine significant digits. Seed, control period and sensors are not hashed.
 
     Args:
         conditions: Machine, sampled parameters, start and goal of B episodes.
@@ -327,8 +327,8 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
         scenario: Machine, task, randomization and seeds of the episodes.
 
     Returns:
-        times_s: Shortest possible settling times of B episodes to 0.2 mm, s, shape (B,), NaN where missing; or None.
-        reason: Why bounds are missing, one sentence; None if none is missing.
+        times_s: Shortest possible settling times (0.2 mm) of B episodes, s, shape (B,), NaN where missing; None if all.
+        reason: Sentence that says why bounds are missing; None if none is missing.
 
     Raises:
         ValueError: If the environment rejects the scenario's options.

@@ -132,7 +132,7 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
     Returns:
         B recorded episodes with m control periods and n = 10 m + 1 samples: tool positions and goals, m, shape (B, n,
         axes), voltages, V, shape (B, m, drives), energy, J, and largest belt force, N, shape (B,). Energy and force
-        follow from motion and voltages by the laws of Ohm and Hooke, without effects of the machine on them.
+        are computed from motion and voltages by the laws of Ohm and Hooke, without effects on currents and tensions.
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.

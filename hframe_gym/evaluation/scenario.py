@@ -105,9 +105,9 @@ class Scenario:
 
     @property
     def controller_task(self) -> Task:
-        """Copy of the task for controllers, which preview the goals at the ends of the next control periods.
+        """Copy of the task in which a controller previews one future goal per control period.
 
-        The length of the preview, s, stays the same. A task without a preview is returned unchanged.
+        The preview extends as far, s, as that of the task. A task without preview is returned unchanged.
         """
         task = as_task(self.task)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):

@@ -37,14 +37,14 @@ NO_SLACK_N = 1e5  # N, a pretension that no belt force reaches
 @DISTRIBUTIONS.register("sometimes")
 @dataclass(frozen=True)
 class Sometimes(Distribution):
-    """A log-uniform number on [low, high] with a given probability, and otherwise a constant.
+    """Distribution of a number that is log-uniform on [low, high] with a given probability, otherwise a constant.
 
     Args:
         probability: Probability of the log-uniform number, above 0 and at most 1.
-        low: Lower end, positive.
-        high: Upper end, finite, not below `low`.
-        otherwise: The constant, outside (low, high).
-        signed: Whether the number is negative in half of the cases; `otherwise` must then be 0.
+        low: Lower end of the log-uniform distribution, positive.
+        high: Its upper end, finite, not below `low`.
+        otherwise: The constant, at most `low` or at least `high`.
+        signed: Whether the log-uniform number gets a negative sign with probability 1/2; `otherwise` must then be 0.
 
     Raises:
         InputError: If an argument is invalid.
@@ -64,16 +64,16 @@ class Sometimes(Distribution):
             raise InputError(f"randomize: the distribution {self} has an invalid probability, constant or sign")
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles: the values below which a sample lies with the probabilities u.
+        """Compute quantiles (inverse of the cumulative distribution function); for uniform u they are samples.
 
-        As quantiles, they increase with u. With increasing u, samples are:
+        From u = 0 to u = 1, the quantiles pass through:
 
-        - `signed` is set: negative log-uniform numbers, 0, positive log-uniform numbers;
-        - the constant `otherwise` exceeds the log-uniform numbers: these numbers, then the constant;
-        - in all other cases: the constant, then the log-uniform numbers.
+        - with `signed`: negative log-uniform numbers, 0, positive log-uniform numbers;
+        - with `otherwise` >= `high`: the log-uniform numbers, then the constant;
+        - else: the constant, then the log-uniform numbers.
 
         Args:
-            u: Probabilities in (0, 1), shape (k,).
+            u: Probabilities in (0, 1), dimensionless, shape (k,).
 
         Returns:
             Quantiles, in the unit of `low`, shape (k,).
@@ -98,10 +98,10 @@ class EffectFamily:
 
     Attributes:
         name: Name of the effect in the library.
-        size: Name of the parameter that is the effect's size.
-        ranges: Smallest and largest size of an effect that is on, SI, by site.
-        signed: Whether the size is negative in half of the cases.
-        absent: Size without influence, SI.
+        size: Name of the parameter that sets the strength of the effect, for example an amplitude or a limit.
+        ranges: Smallest and largest absolute value of this parameter, SI, where the effect is on, by site.
+        signed: Whether it is negative in half of the cases.
+        absent: Its value where the effect is off, SI: one that has no influence.
         others: Distributions of the other parameters, by name; `rotary` has those of the sites phi1 and phi2.
         rotary: Distributions of the other parameters at the sites phi1 and phi2, if they differ.
         fixed: Values of parameters that do not vary, SI, by name.

@@ -191,7 +191,7 @@ class Drive:
 
 
 class SensorKind:
-    """Base class of sensor kinds. A kind converts the ideal (noise-free, continuous) reading to the sensor's output.
+    """Base class of sensor kinds, such as encoders: how an ideal (noise-free, continuous) reading is measured.
 
     A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
 
@@ -249,8 +249,8 @@ class Sensor:
         kind: Name in `SENSOR_KINDS`: "encoder" (incremental), "laser" (fixed zero) or a kind that a user registered.
         zero: Measurement of an incremental sensor at position 0, in the channel's unit, if it was the same in all
             recordings from which the machine was identified. None: unknown.
-        zero_std: Standard deviation of the measured zero from recording to recording, in the channel's unit; friction
-            can hold the belts stretched at rest, which shifts it. None: less than the sensor resolves.
+        zero_std: Standard deviation of `zero` from recording to recording, in the channel's unit; its cause are belts
+            that friction holds stretched at rest. None: `zero` is unknown, or no variation was found.
     """
 
     channel: str

@@ -41,15 +41,14 @@ class EffectParameter:
         unit: Unit, or a key of `machine.UNITS` ("force", "position", ...) if it follows the kind of the coordinate.
         lower: Lower bound, SI.
         upper: Upper bound, SI.
-        scale: Typical size of the parameter, relative to the typical value of its unit on the machine (for example the
-            Coulomb friction for N).
-        grid: Initial values of a search, relative to the same typical value.
-        largest: Largest value that a search may give the parameter, relative to the same typical value. A larger one
-            would make the effect act as another: hysteresis over a longer distance than the motion is a spring.
-        role: "amplitude": with the value zero the effect is absent. "phase" shifts the sine of the amplitude, so that
-            both are linear. "period" (m or rad) and "rate" (rad per position) are searched on a grid that follows from
-            the distance traveled. On a "switch", measurements may depend in steps. "fixed" is not fitted.
-        above: Name of the parameter of the effect that this one must not be smaller than; empty if there is none.
+        scale: Typical size, as a multiple of the typical value of its unit at the site (N: the Coulomb friction force).
+        grid: Starting values of a search, as multiples of the same typical value.
+        largest: Largest value that a search may give the parameter, as such a multiple. Beyond it, the effect would act
+            like another one: hysteresis over a longer distance than the motion is a spring.
+        role: "amplitude": the effect is absent where it is 0. "phase": phase of a sine that the amplitude multiplies.
+            "period" (m or rad), "rate" (rad per m or rad): of such a sine over the position; a search finds starting
+            values. "switch": a threshold; predictions change in steps with it. "fixed": not fitted. "shape": any other.
+        above: Name of another parameter of the effect, which is a lower bound of this one; empty if there is none.
     """
 
     name: str
@@ -72,8 +71,8 @@ class EffectParameter:
 class Effect:
     """Definition of an effect: physics (friction, delay, ...) that may act at some site of a machine.
 
-    A definition gives one or more hooks: functions, each a formula, that name what they need as arguments. Arguments
-    are the effect's parameters and the quantities of the table's last column:
+    A definition gives one or more hooks: functions, one for each formula. The names of its arguments tell what a hook
+    receives: parameters of the effect, by their names, and quantities of the last column, by their symbols:
 
     hook                returns                                                      arguments
     force               force added to the coordinate, N or Nm                       q, v, t, z, u, m, net, friction
@@ -96,23 +95,24 @@ class Effect:
     initial_spread      standard deviation of the state when a recording begins,     level
                         after motion that was not recorded (default: it is zero)
 
-    Symbols: q, v: position and speed of the coordinate in its unit; t: time since the machine was switched on, s; u:
-    the variable that `against` names; z: the effect's state, zero when the simulation starts; b: viscous coefficient
-    without the effect, Ns/m or Nms; direction: sign of the motion; V: voltage, V; level: Coulomb friction force of the
-    coordinate with the effects on it, N or Nm; drive: force or torque of the drive on its coordinate; i: current by
-    Ohm's law, A; s, rate, k: extension (m), its rate (m/s) and stiffness (N/m) of a belt; r: ideal measurement; across:
-    position of the other linear coordinate, m; m: mass of the coordinate, kg or kg m^2; net, friction: net force and
-    friction force (dry and viscous) of the coordinate at the site, where `structure` has added another one, N or Nm;
-    dt: length of a step, s; dq: distance that the coordinate moves in dt; per_radius: 1/radius of the pulley, 1/m.
+    - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
+      coefficient without the effect, Ns/m or Nms; direction: sign of the motion; level: Coulomb friction force with the
+      effects on it, N or Nm; drive: force of its drives, N or Nm. For a force on a coordinate that `structure` adds, if
+      it has the argument net: net, friction: net force and friction (dry and viscous) on the coordinate at the site, N
+      or Nm; m: mass of the added coordinate, kg or kg m^2.
+    - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
+      was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad.
+    - Drive: V: voltage, V; i: current by Ohm's law, A. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m.
+      Sensor: r: ideal reading, m or rad; across: position of the other linear coordinate, m.
 
     Attributes:
         name: Unique name.
         family: Name of the group of effects with the same physical cause that reports treat as one effect.
-        site: Kind of site at which the effect can act. "motor" is the coordinate of a drive, "drive" and "drives" its
-            amplifier and winding: one of them or, at the site "drives", all at once. "belts" are all belts at once or
-            one of them. "machine" is every coordinate at once, or the structure that `structure` changes. With several
-            components, the parameters are common and the states separate.
-        parameters: Parameters, in the order of the full parameter vector.
+        site: Kind of site at which the effect can act. "motor": the coordinate of a drive. "drive", "drives":
+            amplifier and winding of one drive, or of all at once ("drives" where this is the usual case). "belts": all
+            belts or one. "machine": all coordinates, or the structure that `structure` changes. On several components,
+            the effect has the same parameter values, but a separate state for each.
+        parameters: Parameters, in the order in which `Machine.parameters` lists them.
         formula: The equation, for tables and reports.
         source: Reference of the formula.
         structure: Function (machine, applied effect) -> machine that changes the machine itself: it adds coordinates,
@@ -121,10 +121,10 @@ class Effect:
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
         equivalent: Causes that no recording can distinguish from the effect, in words.
         shared: Whether a search also tries an effect of the kind "drive" on all drives at once.
-        refitted: Whether changed parameters of the machine can represent the effect, so that no search tests it.
-        against: Variable `u` of a tabulated effect ("position of y", "velocity of y", "path of y", "time").
-        coordinate: Name of the coordinate that `structure` adds, on which the force acts.
-        requires: Name of an effect that must be identified at the same site before this one, and removed after it.
+        refitted: Whether other parameter values of the machine have the same influence; a search then omits the effect.
+        against: Variable `u` of a tabulated effect: "position of y", "velocity of y", "path of y" or "time".
+        coordinate: Name of the coordinate that `structure` adds, on which `force` acts; empty if none.
+        requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
     """
 
@@ -204,7 +204,7 @@ class Effect:
 
     @property
     def replaces_model_part(self) -> bool:
-        """Whether the effect adds coordinates or replaces dry friction, so that no small amplitude of it exists."""
+        """Whether the effect adds coordinates or replaces dry friction. It then cannot be faded in by an amplitude."""
         return bool(self.structure or self.friction)
 
     @property

@@ -64,7 +64,7 @@ class Machine:
 
     @cached_property
     def shape(self) -> tuple[object, ...]:
-        """Components, coefficients and effects, without parameter values; equal shapes share compiled code."""
+        """Structure without parameter values: components, coefficients, effects; equal shapes use one compiled code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
@@ -176,7 +176,7 @@ class Machine:
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
-        """Names of the coordinates beyond the declared ones, such as bridge yaw; a spring centers each at zero."""
+        """Names of the coordinates that effects add, such as bridge yaw; a spring centers each of them at zero."""
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:

@@ -38,12 +38,13 @@ class StageGeometry:
         bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y). None: a single axis along x without a bridge.
 
     Attributes:
-        left, right, low, high: Ends of the workspace along x and along y, m.
-        x0, x1, y0, y1: Positions of the rails and of the corner pulleys, m.
+        left, right, low, high: Ends of the workspace, m: `left` and `right` along x, `low` and `high` along y.
+        x0, x1, y0, y1: Smallest and largest x and y of the rails and of the corner pulleys, m.
         radius: Radius of the pulleys, m.
-        motors: For each drive, index of its pulley in `pulleys` and its direction of rotation for a positive angle,
-            1 counterclockwise and -1 clockwise.
-        belts: Name of the machine's belt by name of the drawn section; sections of no single belt have no entry.
+        motors: For each drive, index of its pulley in the result of `pulleys`, and the direction in which a positive
+            angle turns it: 1 counterclockwise, -1 clockwise.
+        belts: Name of the belt of the machine that each drawn section belongs to, by name of the section (`sections`).
+            Sections that cannot be assigned to one belt have no entry.
     """
 
     radius = PULLEY_RADIUS
@@ -128,13 +129,13 @@ class StageGeometry:
 class BeltGeometry(StageGeometry):
     """Plan view of an H-frame: where the pulleys are, and the path of the belt around them.
 
-    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010): from the cart down the
-    left side of the bridge, out along the frame, around two corner pulleys (the right one is the motor), back to the
-    right side of the bridge, up, and the same above.
+    The path follows the sections of the 20th-order model (eq. 25-34 of Sollmann et al. 2010). From the cart, the belt
+    runs down the left side of the bridge, out to the left corner pulley, along the frame to the right one (a motor),
+    back to the bridge, and up its right side. The upper half is the mirror image.
 
     Args:
         workspace: Rows x and y, columns low and high, m, shape (2, 2).
-        machine: Machine whose belts color the sections. None: none is known.
+        machine: Machine whose belts are assigned to the drawn sections (attribute `belts`). None: none is assigned.
         bridge_axis: Axis along which the bridge moves, 0 (x) or 1 (y).
     """
 

@@ -44,15 +44,15 @@ _EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sam
 def fill_gaps(recording: Recording) -> Recording:
     """Copy a recording and insert rows into each gap, a time step of more than 1.5 median sampling periods.
 
-    A simulation holds each voltage until the next row, hence over a complete gap. The inserted rows avoid this: their
-    voltages are linearly interpolated, and their measurements are NaN.
+    Without inserted rows, a simulation would hold the last voltage before a gap over the complete gap. The inserted
+    rows have linearly interpolated voltages, and NaN (not measured) for all measurements.
 
     Args:
         recording: Run with or without gaps (times, s; voltages, V; measurements, m or rad).
 
     Returns:
-        Copy with rows at equal time steps in the gaps (measurements of shape (n, sensors)); the same object if there
-        are no gaps.
+        Copy (measurements of shape (n, sensors)) in which each gap is divided into equal time steps of about the median
+        sampling period; the same object if there are no gaps.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)
@@ -71,16 +71,16 @@ def fill_gaps(recording: Recording) -> Recording:
 
 
 def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
-    """Return a time over which the motion of all channels can be compared, at least an interval between measurements.
+    """Return the length of a time window in which usually every channel, even a slow one, has a measurement.
 
     Args:
         outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
-        shortest: Window for sensors that measure in every row, s.
+        shortest: Smallest length of the window, s; it is returned if all sensors measure often enough.
 
     Returns:
-        Window, s, which spans the intervals of the slowest channel. Channels that measure less often than every 0.25 s
-        do not extend it.
+        Length, s: the largest of `shortest` and the typical measuring intervals of the channels. An interval of more
+        than 0.25 s is ignored; windows then need not contain a measurement of that channel.
     """
     window = shortest
     for values in outputs.T:
@@ -152,9 +152,9 @@ def without_repetitions(recording: Recording) -> Recording:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad), with n rows.
 
     Returns:
-        Copy with measurements, m or rad, shape (n, sensors). A slow sensor keeps each row in which its measurement
-        changes and, from two measuring intervals after a change on, one row per interval. The same object if no
-        sensor is slow.
+        Copy with measurements, m or rad, shape (n, sensors); the same object if no sensor is slow. Each row in which
+        the value of a slow sensor changes is kept. While the value is constant (machine at rest), one row per measuring
+        interval is kept, from the second interval after the last change on.
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:
@@ -173,13 +173,13 @@ def without_repetitions(recording: Recording) -> Recording:
 def quantum_of(values: Array) -> float:
     """Estimate the quantization step (quantum) of one channel from one run.
 
-    The quantum is the smallest change of which nearly all changes are multiples.
+    The quantum is the small change of which nearly all changes from row to row are integer multiples.
 
     Args:
         values: Measurements, m or rad, shape (n,), NaN where not measured.
 
     Returns:
-        Quantum, m or rad; 0 if the channel shows none.
+        Quantum, m or rad; 0 if the changes are not multiples of a quantum, or too few.
     """
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     steps = steps[steps > 0]
@@ -193,16 +193,16 @@ def quantum_of(values: Array) -> float:
 def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
 
-    The departure of such samples is their smallest distance from three straight lines: between their neighbors, and
-    through the two samples before and the two after them. Kinks and steps of a real motion (a shock at an end stop, a
-    stop by Coulomb friction) agree with one of these lines, so they are kept. For an outlier, the departure must exceed
-    12 times the median and 4 times the 98th percentile of the sensor's departures in this run, 8 times the declared
-    noise, 4 times the resolution, and the distance that a change of speed at this time explains. The first and the last
-    measurement are outliers if their step exceeds 5 times the largest other step, and noise and resolution.
+    The departure of a group of samples is its smallest distance from three straight lines: through the two samples
+    before it, through the two after it, and between its neighbors. A kink or step of a real motion (end stop, Coulomb
+    friction) lies on one of these lines, so it is kept. The departure of an outlier exceeds all of these: 12 times the
+    median and 4 times the 98th percentile of the sensor's departures in this run; 8 times the noise; 4 times the
+    resolution; and the distance that a change of speed explains. The first and the last measurement are outliers if
+    the step to their neighbor exceeds 5 times the largest other step, 8 times the noise and 4 times the resolution.
 
     Args:
         recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
-        machine: Machine that was recorded; its sensors declare noise and resolution. A coarser one in the run counts.
+        machine: Machine that was recorded; declares noise and resolution. A coarser resolution in the run replaces it.
 
     Returns:
         True where a measurement is an outlier, shape (n, sensors); False at empty cells and for a sensor with fewer

@@ -57,9 +57,9 @@ class LogConverter:
     ) -> tuple[Recording, list[str]]:
         """Read a log and convert its channels to SI units in one recording.
 
-        Channels may have different sampling rates, each with its column of time; their rows are merged. Where a row has
-        no value, a voltage keeps its last value and a measurement is NaN. Speeds are integrated from 0 to positions.
-        Time stamps count from midnight before the first time stamp of the session.
+        Channels may have different sampling rates, each rate with its column of time; rows are merged by time. Where a
+        channel has no value in a row, a voltage keeps its last value and a measurement is NaN. A column of speeds is
+        integrated to positions, from 0 on. Time stamps count from midnight before the session's first time stamp.
 
         Args:
             log: Opened log.
@@ -202,9 +202,9 @@ def _common_length(log: Log, by_header: Values) -> int:
 def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> tuple[list[Recording], list[str]]:
     """Cut a recording into runs that begin at rest and, except perhaps the last one, end at rest.
 
-    The machine rests where no input and no output changes by more than its noise and resolution for at least
-    `min_rest`. A rest between two motions is cut in the middle, but a run keeps at most `min_rest` of it. What precedes
-    the first rest is left out.
+    The machine rests where no voltage and no measurement changes by more than noise and resolution for `min_rest` or
+    longer. A rest between two motions is cut in the middle; each of the two runs keeps at most `min_rest` of it. Rows
+    before the first rest are left out.
 
     Args:
         recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).
@@ -213,7 +213,7 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
 
     Returns:
         runs: One recording per motion (measurements of shape (n, sensors)), named NAME_01, NAME_02, ...; their times
-            are those of the recording.
+            are unchanged, so they need not begin at 0.
         remarks: Sentences for the user about what was left out.
 
     Raises:

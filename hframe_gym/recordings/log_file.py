@@ -95,8 +95,9 @@ class Log:
             reference: "#3" for the third column, a header, or a name without its unit.
 
         Returns:
-            Columns by the first criterion that any column meets: the reference is its number; its header; its header in
-            upper or lower case; its name without unit, in upper or lower case. Empty if no column meets any of these.
+            All columns that meet the first of these criteria that is met at all: number equal to the reference; equal
+            header; equal header but for upper and lower case; equal name without unit but for upper and lower case.
+            Empty if no column meets any of them.
         """
         if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
             return [self.columns[int(reference[1:]) - 1]]

@@ -44,8 +44,8 @@ class ImportSettings:
         split: Whether to cut each log into runs where the machine rests.
         min_rest: Shortest rest at which a log is cut, s.
         run_format: Ending of the recordings' files, which selects their format.
-        every: About how long the runs are into which each log is cut, s, whether the machine rests there or not; None
-            to leave logs whole.
+        every: Approximate length of the runs into which each log is cut, s, also where the machine moves. None: logs
+            are not cut into equal pieces.
     """
 
     mapping: MappingOptions = field(default_factory=MappingOptions)
@@ -112,8 +112,9 @@ def import_logs(
 def read_mapping_file(path: str | Path) -> MappingOptions:
     """Read a mapping file, which assigns a column of a log and its unit to each channel of the machine.
 
-    It has up to three tables, each by channel: `map` (name of the column in the log), `unit` (unit of the values there)
-    and `scale` (factor; the values, converted from `unit` where it is given, are multiplied by it).
+    It has up to three tables with entries CHANNEL = VALUE: `map` (name of the column in the log), `unit` (unit of the
+    column) and `scale` (factor, applied after the conversion from `unit`). In TOML, for example: map.v1_V = "U1",
+    unit.phi1_rad = "deg", scale.x_m = 0.001.
 
     Args:
         path: File ending in .toml or .json.

@@ -65,7 +65,7 @@ class ChannelSource:
         remark: What is converted or assumed, in words; "" if the values are used unchanged.
         unit_is_assumed: Whether neither the log nor the user states the unit, so that SI is assumed.
         integrate: Whether the column is a speed, whose integral over time is the channel.
-        set_by_user: Whether the user stated the unit or a factor.
+        set_by_user: Whether the user stated the unit or a factor (options --unit, --scale, or a mapping file).
     """
 
     channel: str

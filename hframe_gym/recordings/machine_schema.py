@@ -92,8 +92,9 @@ class CoordinateEntry(Table):
             behind a gear counts gear_ratio^2 times its inertia.
         viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
         coulomb: Coulomb friction, N or Nm.
-        radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one. Without
-            belts (a servo with an arm) any length serves, such as the arm's: some messages state torques divided by it.
+        radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one. If no
+            belt runs on it (a servo with an arm), any length will do, such as that of the arm. It then has no influence
+            on the motion, but some messages state torques divided by it.
         range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
             of the linear coordinates, which are its workspace.
     """
@@ -181,8 +182,9 @@ class SensorEntry(Table):
         range: Lowest and highest measurement [low, high], m or rad (declares the effect sensor_range). Default:
             unlimited.
         delay: Delay of the measurement, s (declares the effect sensor_delay). Default: no delay.
-        zero: Measurement of an encoder at position 0 in the runs from which the machine was identified, if it kept this
-            zero; its `std` is the scatter from run to run, where belts stretched at rest caused one. Default: unknown.
+        zero: Measurement of an encoder at position 0, if it was (nearly) the same in all runs from which the machine
+            was identified. `std`, if given, is its standard deviation from run to run, caused by belts that friction
+            holds stretched at rest. Default: unknown.
     """
 
     channel: str

@@ -70,10 +70,12 @@ class MachineOptions:
     Attributes:
         travel: Length of the workspace along x and y (an axis: along x only), m.
         mass: Moving masses along x and y (an axis: along x only), kg.
-        pulley_radius: Pitch radius of the motors' pulleys, m. For an axis: the gear ratio becomes gear_ratio / radius.
-        gear_ratio: Turns of the motor per turn of the pulley; for an axis without `pulley_radius` rad/m.
-        rotor_inertia: Moment of inertia of a motor's rotor, kg m^2. It replaces the pulleys' moment of inertia, or is
-            added to the mass of an axis, times gear_ratio^2.
+        pulley_radius: Pitch radius of the motors' pulleys, m. With the template "axis", the gear ratio of the drive
+            (rad of the motor per m) becomes gear_ratio / pulley_radius, where a `gear_ratio` of None counts as 1.
+        gear_ratio: Turns of the motor per turn of the pulley. With the template "axis" and without `pulley_radius`:
+            angle of the motor per travel of the carriage, rad/m.
+        rotor_inertia: Moment of inertia of a motor's rotor, kg m^2. gear_ratio^2 * rotor_inertia replaces the moment of
+            inertia of the driven pulleys; with the template "axis", it is added to the mass of the carriage.
         Kt: Torque constant of the motors, Nm/A; Ke becomes the same, in Vs/rad.
         resistance: Resistance of the motors, ohm.
         rated_voltage: Rated voltage of the motors, V.

@@ -74,7 +74,7 @@ _SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./
 
 @dataclass(frozen=True)
 class Conversion:
-    """Conversion of a column: times numerator, divided by denominator.
+    """Conversion of the values of a column to another unit: value * numerator / denominator.
 
     Attributes:
         numerator: Factor, dimensionless.
@@ -280,8 +280,8 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
         unit: Unit of the column, which the channel cannot have.
 
     Returns:
-        Message without file and column. It proposes the options --unit, with the possible units, and --scale; for the
-        unit counts also the factor of the encoder's declared resolution.
+        Message that does not name file and column. It proposes the options --unit, with the possible units, and
+        --scale. If `unit` is encoder counts, it also proposes a factor: the declared resolution of the sensor.
     """
     factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
@@ -302,7 +302,7 @@ def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
         unit: Unit of the speed in the log.
 
     Returns:
-        Message without file and column. It proposes the option --unit with which the speed is integrated.
+        Message that does not name file and column. It proposes the option --unit with which the speed is integrated.
     """
     dimension = channel_dimension(machine, channel)
     problem = f"{unit} is a speed, not {'a length' if dimension == 'length' else 'an angle'}"

@@ -57,7 +57,11 @@ class Curve:
 
     @cached_property
     def error_covariance(self) -> Array:
-        """Covariance of the ordinates, plus a small error of each and large errors along `absorbed`, shape (k, k)."""
+        """Covariance of the ordinates with which formulas are fitted, (N or Nm)^2, shape (k, k).
+
+        It is the sum of `covariance`, a small variance of every ordinate, and a large variance along each curve in
+        `absorbed`, so that a deviation in the direction of these curves does not count as an error.
+        """
         deviation = float(np.std(self.values)) or 1.0
         floor = (_ERROR_FLOOR * deviation) ** 2 * np.eye(len(self.values))
         free = self.absorbed / np.maximum(np.abs(self.absorbed).max(axis=0, initial=0.0), 1e-300)
@@ -65,15 +69,16 @@ class Curve:
 
     @cached_property
     def fine(self) -> Array:
-        """Closely spaced values of the variable from the first knot to the last, shape (m,)."""
+        """Closely spaced values of the variable from the first knot to the last, in its unit, shape (points,)."""
         pieces = np.linspace(self.knots[:-1], self.knots[1:], _FINE_POINTS, endpoint=False, axis=1)
         return np.append(pieces.ravel(), self.knots[-1])
 
     @cached_property
     def projection(self) -> Array:
-        """Matrix that converts values of a function at `fine` to ordinates at the knots, shape (k, m).
+        """Matrix that converts values of a function at `fine` to ordinates at the knots, shape (k, points).
 
-        The table with these ordinates, linear between the knots, has the smallest squared distance from the function.
+        Among all curves that are linear between the knots, the one with these ordinates has the smallest squared
+        distance from the function.
         """
         # Basis functions of linear interpolation: 1 at one knot and 0 at the others.
         hats = np.stack([np.interp(self.fine, self.knots, row) for row in np.eye(len(self.knots))], axis=1)
@@ -135,8 +140,8 @@ class Formula:
         """Return a copy with other parameters.
 
         Args:
-            values: Amplitudes, then shape parameters (centers, widths, periods), of one term after the other, SI, in
-                the order of the parameters of its effect.
+            values: Parameters, SI, term by term: for each term in `terms`, first its amplitudes, then its shape
+                parameters (centers, widths, periods).
 
         Returns:
             The formula with these parameters and the same error.

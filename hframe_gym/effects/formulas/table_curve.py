@@ -34,8 +34,8 @@ def curve_of_table(table: AppliedEffect, machine: Machine) -> Curve:
         machine: Machine with the table, and with the uncertainty of its parameters where it is known.
 
     Returns:
-        Ordinates at the k knots, N or Nm, shape (k,), with their covariance, shape (k, k); it is zero if the machine
-        does not have it.
+        Ordinates at the k knots, N or Nm, shape (k,), and their covariance, shape (k, k), which is zero if the machine
+        has no uncertainty for them.
     """
     knots = np.array([table.parameters[f"k{i:02d}"] for i in range(KNOTS)])
     values = np.array([table.parameters[f"f{i:02d}"] for i in range(KNOTS)])

@@ -25,25 +25,25 @@ _HARMONICS = 3
 
 
 def bump(u, center, width):  # type: ignore[no-untyped-def]
-    """Return a Gaussian bump of height 1; u, center and width have the same unit."""
+    """Return the Gaussian bump exp(-z^2 / 2) with z = (u - center) / width, of height 1."""
     z = (u - center) / width
     return exp(-0.5 * z * z)
 
 
 def catch(u, center, width):  # type: ignore[no-untyped-def]
-    """Return a pull toward the center, the slope of a Gaussian well: +1 at center - width, -1 at center + width."""
+    """Return a pull toward the center, -z exp((1 - z^2) / 2) with z = (u - center) / width; its extremes are +-1."""
     z = (u - center) / width
     return -z * exp(0.5 - 0.5 * z * z)
 
 
 def resonance(u, center, width):  # type: ignore[no-untyped-def]
-    """Return a bump with wide flanks (Lorentz curve) of height 1; width: half the width at half the height."""
+    """Return the Lorentz curve 1 / (1 + z^2) with z = (u - center) / width, a bump of height 1 with wide flanks."""
     z = (u - center) / width
     return 1.0 / (1.0 + z * z)
 
 
 def wide_catch(u, center, width):  # type: ignore[no-untyped-def]
-    """Return a pull toward the center with wide flanks: +1 at center - width, -1 at center + width."""
+    """Return a pull toward the center, -2 z / (1 + z^2) with z = (u - center) / width; its extremes are +-1."""
     z = (u - center) / width
     return -2.0 * z / (1.0 + z * z)
 
@@ -60,22 +60,22 @@ def slow_step(u, center, width):  # type: ignore[no-untyped-def]
 
 
 def ramp_above(u, center):  # type: ignore[no-untyped-def]
-    """Return the distance beyond a contact at the center, zero before it."""
+    """Return max(u - center, 0): the compression of a contact that begins at the center, for larger u."""
     return maximum(u - center, 0.0)
 
 
 def ramp_below(u, center):  # type: ignore[no-untyped-def]
-    """Return the distance before a contact at the center, zero beyond it."""
+    """Return max(center - u, 0): the compression of a contact that begins at the center, for smaller u."""
     return maximum(center - u, 0.0)
 
 
 def parabola(u, center):  # type: ignore[no-untyped-def]
-    """Return the square of the distance from the center."""
+    """Return (u - center)^2."""
     return (u - center) * (u - center)
 
 
 def decay(u, width):  # type: ignore[no-untyped-def]
-    """Return an exponential decay from 1 at u = 0; width: time or path constant."""
+    """Return the exponential decay exp(-|u| / width)."""
     return exp(-absolute(u) / width)
 
 
