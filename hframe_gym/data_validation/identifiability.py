@@ -78,7 +78,7 @@ def _relative_information(data: Dataset, machine: Machine, names: Sequence[str])
     """Return the parameters that are not zero, and the information matrix (k, k) of their relative changes."""
     # Derivatives are with respect to relative changes of the parameters, which do not exist for a value of zero.
     names = [name for name in names if machine.parameters[name] != 0.0]
-    data = dataclasses.replace(data, runs=tuple(_first_rows(run, _MAX_ROWS) for run in data.runs))
+    data = dataclasses.replace(data, runs=tuple(run.first_rows(_MAX_ROWS) for run in data.runs))
     at_declared = np.zeros(len(names))
     forward, backward = (_residual_model(data, machine, names, sign).at(at_declared) for sign in (1.0, -1.0))
 
@@ -147,12 +147,6 @@ def _inseparable_damping(bounds: Sequence[CramerRaoBound], machine: Machine) -> 
             friction = machine.parameters[viscous]
             sums[ke] = (viscous, friction / (friction + back_emf))
     return sums
-
-
-def _first_rows(run: PreparedRecording, count: int) -> PreparedRecording:
-    """Return a run without the rows after the first ones."""
-    by_row = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
-    return dataclasses.replace(run, **{name: getattr(run, name)[:count] for name in by_row})
 
 
 def _residual_model(data: Dataset, machine: Machine, names: Sequence[str], direction: float) -> ResidualModel:

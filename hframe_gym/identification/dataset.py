@@ -58,6 +58,18 @@ class PreparedRecording:
         """Effective number of measured values in the fit, dimensionless; N repeats of a rounded value count as one."""
         return float(self.weights.sum())
 
+    def first_rows(self, count: int) -> PreparedRecording:
+        """Return the beginning of the run.
+
+        Args:
+            count: Number of rows to keep.
+
+        Returns:
+            Copy with the first rows: measurements of shape (count, sensors).
+        """
+        series = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
+        return dataclasses.replace(self, **{name: getattr(self, name)[:count] for name in series})
+
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.
 

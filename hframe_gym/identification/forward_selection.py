@@ -6,8 +6,7 @@ passes the tests of `significance`; the search continues from there. At the end,
 others are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared per sample. A rival
 is another effect that explains the same data equally well.
 
-Predictions are corrected by an observer, which feeds the measurements back. An observer with a wide bandwidth tolerates
-a model that is still wrong, but hides slow errors, see `model_error`.
+Predictions are corrected by an observer, which feeds the measurements back (`model_error`).
 """
 
 from __future__ import annotations
@@ -121,8 +120,7 @@ class EffectSearch:
         """Return a copy of this search that uses other data but remembers which effects have failed a test.
 
         Args:
-            data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros of
-                the encoders.
+            data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros.
 
         Returns:
             Search with the same machine, thresholds and log. Its `considered` is a copy, and it does not try structural

@@ -320,14 +320,5 @@ def _with_corrected_zeros(initial: InitialState, machine: Machine, errors: Array
         sensor = machine.sensors[j]
         i = machine.coordinate_names.index(sensor.coordinate)
         state[i] = initial.state[i] - errors[j] / sensor.row[sensor.coordinate]
-    return dataclasses.replace(
-        initial,
-        state=state,
-        zeroed_measurement=zeroed,
-        zeros=initial.zeros + errors,
-        zeros_refined=True,
-        # The estimated start stays where it was, although the measured one moves.
-        start_offset=initial.start_offset + initial.state - state
-        if len(initial.start_offset)
-        else initial.start_offset,
-    )
+    zeros = initial.zeros + errors
+    return dataclasses.replace(initial, state=state, zeroed_measurement=zeroed, zeros=zeros, zeros_refined=True)

@@ -239,19 +239,18 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     measured = np.isfinite(usable.outputs)
 
     def errors(states: Array, outputs: Array) -> Array:
-        """Return measured minus simulated values, 0 where not measured, shape (B, n, sensors)."""
-        readings = simulate_batch(
-            machine, recording.time_s, recording.inputs, start=states, states=False, longest_step=POLISH_STEP
-        ).readings
-        return np.where(np.isfinite(outputs), outputs - readings, 0.0)
+        """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""
+        time_s, inputs = recording.time_s[: len(outputs)], recording.inputs[: len(outputs)]
+        motion = simulate_batch(machine, time_s, inputs, start=states, states=False, longest_step=POLISH_STEP)
+        return np.where(np.isfinite(outputs), outputs - motion.readings, 0.0)
 
-    def weighted_errors(states: Array) -> Array:
-        """Return errors without those of the zeros, in units of the noise, shape (B, n * sensors)."""
-        error = errors(states, usable.outputs)
-        error = np.where(measured, error - sensor_zero_error(error, measured, rows, max_means, quanta), 0.0)
+    def weighted_errors(states: Array, count: int) -> Array:
+        """Return errors without those of the zeros, in units of the noise, shape (B, count * sensors)."""
+        error, valid = errors(states, usable.outputs[:count]), measured[:count]
+        error = np.where(valid, error - sensor_zero_error(error, valid, rows, max_means, quanta), 0.0)
         return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
 
-    start = most_probable_start(machine, initial, state, weighted_errors)
+    start = most_probable_start(machine, initial, state, weighted_errors, recording.time_s)
     initial = initial.with_start(machine, start)
     error = errors(start, recording.outputs)
     if not np.isfinite(error).all():

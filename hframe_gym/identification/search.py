@@ -187,8 +187,8 @@ class _Search:
     """
 
     def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
-        self._data, self._criteria, self._log = data, criteria, log
-        self._data_after = data  # with what the search corrected in the runs, for the machine with effects
+        self._criteria, self._log = criteria, log
+        self._data = self._data_after = data  # of the machine with effects, the search corrects initial states and zeros
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
@@ -236,10 +236,9 @@ class _Search:
 
     @cached_property
     def runs_differ(self) -> bool:
-        """Whether a parameter with a value of its own in every run explains the runs, as no effect or table can.
+        """Whether a parameter that differs from run to run explains the runs, as no effect or table can.
 
-        A parameter that drifts over time may be explained by a table over time. If a single run differs, the others
-        may have effects.
+        A table over time may explain a parameter that drifts. If a single run differs, the others may have effects.
         """
         difference = find_run_differences(self.before, self._data, self._criteria)
         if difference is not None:

@@ -29,8 +29,10 @@ Array = NDArray[np.float64]
 _ITERATIONS, _FRACTIONS, _DIFFERENCE = 6, np.array([1.0, 0.5, 0.25, 0.1]), 0.3
 _SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which a descent ends
 _NOISE_ONLY = 1.2  # mean square error in units of the noise, above which other minima are looked for
-# Random displacements from which the search is repeated: their number, standard deviation, and how many are followed.
-_DRAWS, _DRAW_SPREAD, _DESCENTS = 63, 1.5, 3
+# Random displacements from which the search is repeated: their number, standard deviation, and how many of them are
+# followed over the first motion, then over the complete run, where the error is a more rugged function of the start.
+_DRAWS, _DRAW_SPREAD, _FIRST_DESCENTS, _DESCENTS = 127, 1.5, 8, 3
+_FIRST_MOTION = 0.3  # s after the rows at rest; several periods of the belts' vibration
 
 
 def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
@@ -50,13 +52,14 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
         states,).
     """
 
-    def errors(states: Array) -> Array:
-        motion = predict(machine, run, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP)
-        return residuals(run, data, motion.readings, fitted=False)  # as `recording_simulation` does for a single run
+    def errors(states: Array, rows: int) -> Array:
+        first = run.first_rows(rows)
+        motion = predict(machine, first, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP)
+        return residuals(first, data, motion.readings, fitted=False)  # as `recording_simulation` does for a single run
 
     # Only positions and velocities are passed: the effects' states are estimated anew, starting from 0.
     state = run.initial_state(machine)[: 2 * len(machine.coordinates)]
-    return most_probable_start(machine, run.initial, state, errors)
+    return most_probable_start(machine, run.initial, state, errors, run.time_s)
 
 
 def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
@@ -64,6 +67,7 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
 
     - Zeros of encoders (measurements at position 0): forces that stretch the belts at rest falsify their estimate.
     - Voltages in rows that the logger dropped, which were interpolated: see `estimate_lost_voltages`.
+    - Initial states, if they were estimated (`refine_starts`) with another machine.
     - Initial states of effects that remember motion before the recording, such as hysteresis. They must be close to the
       true ones, because a fit linearizes the influence of their uncertainty.
 
@@ -77,7 +81,9 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
         Copy with corrected initial states, voltages, V, shape (n, drives), and measurements minus the corrected zeros,
         m or rad, shape (n, sensors), of each run; `data` itself if there is nothing to correct.
     """
+    estimated = any(len(run.initial.start_offset) for run in data.runs)  # by another machine
     data = estimate_lost_voltages(refine_encoder_zeros(data, machine, reference), machine)
+    data = refine_starts(data, machine) if estimated else data
     if not np.any(effect_state_spreads(machine) > 0.0):
         return data
 
@@ -139,7 +145,7 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
 
 
 def most_probable_start(
-    machine: Machine, initial: InitialState, state: Array, errors: Callable[[Array], Array]
+    machine: Machine, initial: InitialState, state: Array, errors: Callable[[Array, int], Array], time_s: Array
 ) -> Array:
     """Return the state from which a run most probably began, given all of its measurements.
 
@@ -147,17 +153,19 @@ def most_probable_start(
     noise plus the sum of squared displacements from the measured state in units of their standard deviations. The
     squared errors of an inaccurate model are first divided by their mean if it exceeds 1.
 
-    Friction makes the sum of squares a function with several minima: the held stretch of a belt is released in one
-    and not in another. If the minimum next to the measured state leaves more than noise, the search is repeated from
-    the best of 63 random states (fixed seed).
+    Friction makes the sum of squares a function with many minima: the held stretch of a belt is released in one and not
+    in another. If the minimum next to the measured state leaves more than noise, 127 random states (fixed seed) are
+    compared over the first motion, where minima are fewer, and the best of them are followed over the complete run.
 
     Args:
         machine: Machine to simulate. Its effects (deviations from the nominal model) may have states that remember
             earlier motion, such as hysteresis.
         initial: Measured initial state of the run.
         state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest, shape (2 * coordinates,).
-        errors: Function that simulates from states, shape (B, 2 * coordinates + effect states), and returns measured
-            minus simulated values in units of the noise, shape (B, values), not finite where the simulation diverges.
+        errors: Function that simulates the first rows of the run from states, shape (B, 2 * coordinates + effect
+            states), and returns measured minus simulated values in units of the noise, shape (B, values), not finite
+            where the simulation diverges. Its second argument is the number of rows.
+        time_s: Sample times of the run, s, shape (n,).
 
     Returns:
         Positions (m, rad), velocities (m/s, rad/s) and effect states (SI), shape (2 * coordinates + effect
@@ -172,18 +180,25 @@ def most_probable_start(
     if not count:
         return state
 
-    def errors_at(amounts: Array) -> Array:
-        return errors(state + amounts @ displacements)
+    def errors_over(rows: int) -> _Errors:
+        return lambda amounts: errors(state + amounts @ displacements, rows)
 
-    nearest = _descend(errors_at, np.zeros(count))
-    if not nearest.mean_square > _NOISE_ONLY:
-        return np.asarray(state + nearest.amounts @ displacements)
-    draws = _DRAW_SPREAD * np.random.default_rng(0).normal(size=(_DRAWS, count))
-    with np.errstate(invalid="ignore", over="ignore"):
-        drawn = [_Minimum(a, float(e @ e), len(e)) for a, e in zip(draws, errors_at(draws), strict=True)]
-    followed = _most_probable_first([nearest, *drawn])[:_DESCENTS]
-    minima = [nearest, *(_descend(errors_at, m.amounts) for m in followed if m is not nearest)]
+    complete = errors_over(len(time_s))
+    minima = [_descend(complete, np.zeros(count))]
+    if minima[0].mean_square > _NOISE_ONLY:
+        end = time_s[initial.resting_rows - 1] + _FIRST_MOTION
+        first_motion = errors_over(int(np.searchsorted(time_s, end, "right")))
+        draws = _DRAW_SPREAD * np.random.default_rng(0).normal(size=(_DRAWS, count))
+        best = _most_probable_first(_evaluate(first_motion, np.vstack([minima[0].amounts, draws])))
+        followed = [_descend(first_motion, minimum.amounts).amounts for minimum in best[:_FIRST_DESCENTS]]
+        best = _most_probable_first(_evaluate(complete, np.array(followed)))
+        minima += [_descend(complete, minimum.amounts) for minimum in best[:_DESCENTS]]
     return np.asarray(state + _most_probable_first(minima)[0].amounts @ displacements)
+
+
+# Function from displacements of a start in units of their standard deviations, shape (B, displacements), to simulation
+# errors in units of the noise, shape (B, values).
+_Errors = Callable[[Array], Array]
 
 
 class _Minimum(NamedTuple):
@@ -205,6 +220,12 @@ class _Minimum(NamedTuple):
         return self.squares / self.size
 
 
+def _evaluate(errors_at: _Errors, amounts: Array) -> list[_Minimum]:
+    """Compute the squared errors from several displaced starts, shape (B, displacements)."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return [_Minimum(a, float(e @ e), len(e)) for a, e in zip(amounts, errors_at(amounts), strict=True)]
+
+
 def _most_probable_first(minima: list[_Minimum]) -> list[_Minimum]:
     """Return starts in the order of their posterior density, with one scale of the errors for all of them."""
     finite = [m for m in minima if np.isfinite(m.squares)] or minima[:1]
@@ -212,14 +233,8 @@ def _most_probable_first(minima: list[_Minimum]) -> list[_Minimum]:
     return sorted(finite, key=lambda m: m.squares / excess + float(m.amounts @ m.amounts))
 
 
-def _descend(errors_at: Callable[[Array], Array], amounts: Array) -> _Minimum:
-    """Find the minimum next to a start by Gauss-Newton steps with a line search.
-
-    Args:
-        errors_at: Function from displacements in units of their standard deviations, shape (B, displacements), to
-            simulation errors in units of the noise, shape (B, values).
-        amounts: Displacements at which the search begins, shape (displacements,).
-    """
+def _descend(errors_at: _Errors, amounts: Array) -> _Minimum:
+    """Find the minimum next to displacements, shape (displacements,), by Gauss-Newton steps with a line search."""
     best, squares, size, count = amounts, np.inf, 1, len(amounts)
     differences = _DIFFERENCE * np.vstack([np.zeros((1, count)), np.eye(count), -np.eye(count)])
     for _ in range(_ITERATIONS):
