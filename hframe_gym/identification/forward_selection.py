@@ -123,8 +123,7 @@ class EffectSearch:
             data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros.
 
         Returns:
-            Search with the same machine, thresholds and log. Its `considered` is a copy, and it does not try structural
-            effects again until the error is clearly smaller than when they last failed.
+            Search with a copy of `considered`; structural effects are tried again once the error is clearly smaller.
         """
         search = EffectSearch(data, self._plain, self._criteria, self._log)
         search.considered, search._structures_failed = dict(self.considered), self._structures_failed

@@ -141,8 +141,8 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
     Returns:
-        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings about what is not measured. A
-        run that begins in motion has the velocity and the positions of its first row.
+        Positions at rest, m or rad, zeros of the sensors, shape (sensors,), and warnings. A run that begins in motion
+        has the velocity and the positions of its first row.
     """
     rows = count_resting_rows(recording, machine)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
@@ -150,8 +150,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
     measurement = np.array([np.nanmean(c) if finite else np.nan for c, finite in zip(at_rest.T, measured, strict=True)])
     site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]  # coordinate of each sensor
-    fixed = np.array([not s.incremental for s in machine.sensors])  # lasers
-    known = zeros.known  # encoders with a known zero
+    fixed, known = np.array([not s.incremental for s in machine.sensors]), zeros.known  # lasers; encoders with a zero
     rigid = rigid_basis(machine)  # (coordinates, motions that stretch no belt)
     seen = machine.sensor_matrix @ rigid  # measurement per unit of each such motion, (sensors, motions)
     lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()

@@ -188,7 +188,7 @@ class _Search:
 
     def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
         self._criteria, self._log = criteria, log
-        self._data = self._data_after = data  # of the machine with effects, the search corrects initial states and zeros
+        self._data = self._data_after = data  # the second one with initial states by the machine with effects
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
@@ -278,11 +278,10 @@ class _Search:
             self._log("searching for further effects")
             search = EffectSearch(data, self.before.machine, criteria, self._log)
             current, effects = search.run(*start)
-        data, refined = search.data, refine_dataset(search.data, current.machine)
-        if refined is not data:
-            # With the effects, the encoders' zeros are more accurate, which may reveal further effects.
-            found_at, data, search = current, refined, search.with_data(refined)
-            current = fit_with_model_error(polish(current, data), data)
+        refined = refine_dataset(search.data, current.machine)
+        if refined is not search.data:
+            found_at, search = current, search.with_data(refined)  # More accurate zeros may reveal further effects.
+            current = fit_with_model_error(polish(current, refined), refined)
             lower = current.chi2 < found_at.chi2 - minimum_gain(found_at, criteria)
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)

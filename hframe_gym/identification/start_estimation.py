@@ -131,7 +131,8 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
         criteria: Decision thresholds: `noise_level`, and the limits of `model_error.minimum_gain`.
 
     Returns:
-        fit: New fit to runs that start from their most probable states; `current` if these explain little.
+        fit: New fit, theta of shape (k,), to runs that start from their most probable states; `current` if these
+            explain little.
         data: Data set with these initial states; `data` if they explain little.
     """
     uncertain = any(len(start.displacements) for start in uncertain_starts(current.machine, data.runs).values())

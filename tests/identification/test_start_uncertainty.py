@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, prepare, simulate_recording
-from hframe_gym.identification.estimation import prediction_cost
+from hframe_gym.identification import Dataset, SelectionCriteria, prepare, simulate_recording
+from hframe_gym.identification.estimation import fit, prediction_cost
+from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.prediction import SIMULATION, residuals
-from hframe_gym.identification.start_displacements import uncertain_starts
-from hframe_gym.identification.start_estimation import refine_dataset
+from hframe_gym.identification.start_displacements import start_displacements, uncertain_starts
+from hframe_gym.identification.start_estimation import most_probable_start, refine_dataset, with_probable_starts
 from hframe_gym.identification.start_uncertainty import (
     InitialStateProjection,
     predict_with_displaced_starts,
@@ -89,6 +92,40 @@ def test_a_run_that_began_with_stretched_belts_is_simulated_from_that_stretch(hf
     simulated = simulate_recording(hframe, run)
     np.testing.assert_allclose(simulated.initial.state[2:4] - rest_state(hframe)[2:4], stretch, atol=3e-5)
     assert np.abs(simulated.error).max() < 2e-5
+
+
+def test_a_start_behind_another_minimum_of_the_error_is_found(hframe: Machine) -> None:
+    """The error of 600 rows has a local minimum of 3 beside the measured start, and is 0.4 two deviations away."""
+    run = prepare([moving_run(hframe, rest_state(hframe))], hframe).runs[0]
+    (displacements,) = start_displacements(hframe, [run.initial])
+    state = run.initial_state(hframe)
+
+    def errors(states: np.ndarray, rows: int) -> np.ndarray:
+        amounts = np.linalg.lstsq(displacements.T, (states - state).T, rcond=None)[0]  # (displacements, batch)
+        distance = np.hypot(*(amounts - [[2.0], [0.0]]))
+        return np.repeat(3.0 * np.minimum(distance, 1.0)[:, None] + 0.1 * amounts[0][:, None] ** 2, rows, axis=1)
+
+    start = most_probable_start(hframe, run.initial, state, errors, run.time_s)
+    expected = state + np.array([2.0, 0.0]) @ displacements
+    np.testing.assert_allclose(start, expected, atol=0.1 * np.abs(displacements).max())
+
+
+def test_starts_that_explain_the_error_are_adopted(hframe: Machine) -> None:
+    """Three runs that began with different stretches; their encoders were switched on anew."""
+    recordings = []
+    for name, size in (("a", 2e-3), ("b", -1.5e-3), ("c", 1e-3)):
+        started = rest_state(hframe)
+        started[2:4] += [size, -0.7 * size]
+        run = moving_run(hframe, started)
+        recordings.append(dataclasses.replace(run, name=name, outputs=run.outputs - [*run.outputs[0, :2], 0.0, 0.0]))
+    data = prepare(recordings, hframe)
+    fitted = fit(hframe, default_free_parameters(hframe)[:2], data, SIMULATION)
+    better, refined = with_probable_starts(fitted, data, SelectionCriteria())
+    assert refined is not data
+    assert better.cost < 0.5 * fitted.cost
+    kept, same = with_probable_starts(dataclasses.replace(better, cost=better.count), refined, SelectionCriteria())
+    assert same is refined
+    assert kept.cost == better.count
 
 
 @pytest.mark.parametrize("name", ["dahl_hysteresis", "bouc_wen_hysteresis"])
