@@ -2,7 +2,8 @@
 
 They are the fallback for a residual that no effect of the library explains. For every coordinate, the missing force
 (the force that the model lacks) is averaged over bins of every variable; the variables that explain most of it become
-candidates. A table describes the residual but not its physical cause.
+candidates. A table describes the residual but not its physical cause. For the report, `rank_dependences` names the
+variables on which the missing force depends.
 """
 
 from __future__ import annotations
@@ -14,15 +15,17 @@ from numpy.typing import NDArray
 
 from ..effects.smooth_table import KNOTS, definition
 from ..machine import Machine
+from ..machine.motion import rigid_motions
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, describe_gain
 from .force_sizes import TypicalScales, typical_scales
 from .forward_selection import Log, SelectedEffect, Selection
+from .free_parameters import typical_force
 from .model_error import continue_fit, left_out_cost
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
-from .residual import missing_force
+from .residual import Dependence, comparable_forces, dependence_variables, missing_force, white_sensors
 from .screening import screen
 from .trial_fits import fit_with_candidate
 
@@ -30,6 +33,10 @@ Array = NDArray[np.float64]
 _BINS = 4 * KNOTS  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
 _BASE_KNOT_DENSITY = 0.15  # Relative density of knots where the curve is straight; the sharpest bend adds 1.
 _MIN_BIN_SAMPLES = 21  # The mean of a bin with fewer samples is too noisy to be used.
+_DEPENDENCE_BINS = 16  # Bins of a variable on which the missing force may depend.
+_MINIMUM_DEPENDENCE = 0.05  # Fraction of the variance.
+_SIGNIFICANT = 1.5  # Variance of a force that is larger than noise, in units of the variance that noise causes.
+_ROUNDING_FORCE = 1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
 
 
 class Table(NamedTuple):
@@ -230,3 +237,65 @@ def _left_out_cost(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> f
     """
     pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
     return left_out_cost(fitted, data, pieces)
+
+
+def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
+    """Rank the variables on which the force that the model lacks depends, as a hint to its cause.
+
+    For each coordinate and each variable (position, velocity, voltage, time), the mean of the force
+    (`comparable_forces`) over bins of the variable is computed. What the noise of the sensors causes is subtracted from
+    the variance of the force and from that of the bin means.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs (times, voltages, measurements, SI).
+
+    Returns:
+        Pairs of coordinate and variable whose bin means explain more than 5 % of the variance beyond noise, with this
+        fraction, sorted by the explained variance, largest first. A coordinate has none if the force on it is not
+        significantly larger than what noise causes, if its sensors show only white noise in a simulation, or if it
+        never moves.
+    """
+    force, noise = comparable_forces(machine, data)
+    by_run = [dependence_variables(machine, run, data) for run in data.runs]
+    variables = {name: np.concatenate([variables[name] for variables in by_run]) for name in by_run[0]}
+    total, by_noise = np.var(force, axis=0), np.var(noise, axis=0)
+    least = np.maximum(_SIGNIFICANT * by_noise, (_ROUNDING_FORCE * typical_force(machine)) ** 2)
+    ranked: list[tuple[float, Dependence]] = []
+    for i in np.flatnonzero((total > least) & _deviating(machine, data)):
+        for name, values in variables.items():
+            explained = total[i] * _correlation_ratio(force[:, i], values)
+            explained -= by_noise[i] * _correlation_ratio(noise[:, i], values)
+            share = min(float(explained / (total[i] - by_noise[i])), 1.0)
+            if share > _MINIMUM_DEPENDENCE:
+                ranked.append((explained, Dependence(name, machine.coordinate_names[i], share)))
+    return [dependence for _, dependence in sorted(ranked, key=lambda entry: -entry[0])]
+
+
+def _deviating(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
+    """Mark the coordinates whose sensors show more than white noise in a simulation, shape (coordinates,).
+
+    For a coordinate without a sensor, the sensors of the coordinates that move with it count.
+    """
+    names = machine.coordinate_names
+    own = np.array([[sensor.coordinate == name for sensor in machine.sensors] for name in names])
+    related = own.copy()
+    for motion in rigid_motions(machine).values():
+        related |= np.outer(motion != 0.0, own[motion != 0.0].any(axis=0))
+    related[own.any(axis=1)] = own[own.any(axis=1)]
+    return np.asarray((related & ~white_sensors(machine, data)).any(axis=1))
+
+
+def _correlation_ratio(values: Array, variable: Array) -> float:
+    """Return the fraction of the variance of values (n,) that bins of a variable explain (Fisher 1925).
+
+    The bins have about the same number of samples; equal values of the variable are in one bin.
+    """
+    total = float(np.var(values))
+    if total == 0.0 or np.ptp(variable) == 0.0:
+        return 0.0
+    ranks = np.searchsorted(np.sort(variable), variable)
+    bins = ranks * _DEPENDENCE_BINS // len(variable)
+    counts = np.maximum(np.bincount(bins, minlength=_DEPENDENCE_BINS), 1)
+    means = np.bincount(bins, values, _DEPENDENCE_BINS) / counts
+    return float(np.var(means[bins]) / total)

@@ -38,8 +38,9 @@ from .held_out import (
     worsens_simulation,
 )
 from .input_timing import with_input_timing
+from .nonparametric import rank_dependences
 from .recording_simulation import evaluate_held_out
-from .residual import is_white, rank_dependences
+from .residual import white_sensors
 from .result import IdentificationResult, RejectedEffect
 from .run_differences import find_run_differences
 from .search import SearchOutcome, search_effects, with_lost_voltages
@@ -314,7 +315,7 @@ def _result(
         considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in outcome.considered),
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
         dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
-        white=is_white(corrected, validation),
+        white=bool(white_sensors(corrected, validation).all()),
         fitted=data,
         held_out=validation,
         seconds=0.0,

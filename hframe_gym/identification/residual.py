@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ..machine import Machine
-from ..machine.motion import rigid_motions
+from ..machine.motion import pulley_names, rigid_motions
 from .dataset import Dataset, PreparedRecording
-from .free_parameters import typical_force
 from .prediction import (
     POLISH_STEP,
     SEARCH_BANDWIDTH,
@@ -35,9 +34,6 @@ Array = NDArray[np.float64]
 # Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
 _RESIDUAL_CUTOFF = 30.0
 MISSING_FORCE_CUTOFF = 40.0
-_DEPENDENCE_BINS = 16
-_MINIMUM_DEPENDENCE = 0.05  # fraction of the variance
-_ROUNDING_FORCE = 1e-9  # of the typical force; a smaller missing force is a rounding error, as on an axis at rest
 _WHITENESS_BLOCK_S = 0.02
 _WHITE = 0.6  # standard deviation of block means, in units of the noise
 
@@ -146,15 +142,23 @@ def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> A
     Returns:
         Force on every coordinate, N or Nm, shape (n, coordinates).
     """
-    start = run.initial_state(machine)
-    predicted = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start).readings[0]
-    innovation = np.nan_to_num(measurements_from(start, machine, run) - predicted)  # (n, sensors)
     velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]  # (coordinates, sensors)
     mass = np.array([c.mass for c in machine.coordinates])
-    force = innovation @ velocity_gains.T / data.period * mass
+    force = _innovations(machine, run, data, run.initial_state(machine))[0] @ velocity_gains.T / data.period * mass
     for i, motion in _motions_of_unmeasured(machine).items():
         force[:, i] = force @ motion  # virtual work along the motion of the carriage with its pulleys
     return force
+
+
+def _innovations(
+    machine: Machine, run: PreparedRecording, data: Dataset, start: Array, noise: Array | None = None
+) -> Array:
+    """Return measured minus predicted values, 0 where not measured, and their change by noise, (1 or 2, n, sensors)."""
+    added = None if noise is None else np.stack([np.zeros_like(noise), -noise])
+    motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, extra_measurement=added)
+    innovation = measurements_from(start, machine, run) - motion.readings
+    innovation[1:] -= innovation[:1]
+    return np.nan_to_num(innovation)
 
 
 def _motions_of_unmeasured(machine: Machine) -> dict[int, Array]:
@@ -174,7 +178,12 @@ def _measured(machine: Machine) -> NDArray[np.bool_]:
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Estimate the force that the model lacks in a run (`force_residual`), low-pass filtered at 30 Hz without lag.
+    """Estimate the force that the model lacks in a run, on each coordinate alone, low-pass filtered at 30 Hz.
+
+    The observer divides this force among a carriage and its pulleys in the ratio of its gains, wherever the force acts.
+    Its corrections are therefore added along the motions that stretch no belt: the force on a carriage does the same
+    virtual work as all corrections if only carriages have forces; that on a pulley, if only pulleys do. Corrections of
+    positions count too: the predicted velocity, on which viscous friction and back-EMF act, lacks them.
 
     Args:
         machine: Machine that predicts.
@@ -182,9 +191,66 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
         data: Data set of the run, for the sampling period.
 
     Returns:
-        Force on every coordinate, N or Nm, shape (n, coordinates).
+        Force on every coordinate, N or Nm, without phase lag, shape (n, coordinates).
     """
-    return _low_pass(force_residual(machine, run, data), _RESIDUAL_CUTOFF, data.period)
+    start = most_probable_initial_state(machine, run, data)
+    force = _innovations(machine, run, data, start)[0] @ _rigid_force_gains(machine, data.period)
+    return _low_pass(force, _RESIDUAL_CUTOFF, data.period)
+
+
+def comparable_forces(machine: Machine, data: Dataset) -> tuple[Array, Array]:
+    """Estimate the force that the model lacks along all runs and the part that the noise of the sensors causes.
+
+    Forces on different coordinates are scaled: each counts as the root of the sum of squares of the forces at the belt,
+    on its pulleys alone, that do the same work. One pulley is thus preferred to carriages, a carriage to two pulleys.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs with n rows in total (times, voltages, measurements, SI).
+
+    Returns:
+        force: Force on every coordinate as in `smooth_force_residual`, scaled, N, shape (n, coordinates).
+        noise: Change of this force by synthetic noise (fixed seed) in the measurements, N, shape (n, coordinates).
+    """
+    pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
+    travel, scales = machine.travel_per_unit, np.array(machine.travel_per_unit)
+    for name, motion in rigid_motions(machine).items():
+        scales[machine.coordinate_names.index(name)] *= np.linalg.norm((motion * travel)[pulleys]) or 1.0
+    rng, gains, by_run = np.random.default_rng(0), _rigid_force_gains(machine, data.period) / scales, []
+    for run in data.runs:
+        start = most_probable_initial_state(machine, run, data)
+        innovations = _innovations(machine, run, data, start, _synthetic_noise(machine, run, data, rng))
+        by_run.append([_low_pass(values @ gains, _RESIDUAL_CUTOFF, data.period) for values in innovations])
+    force, noise = np.concatenate(by_run, axis=1)
+    return force, noise
+
+
+def _synthetic_noise(machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator) -> Array:
+    """Return noise of the measurements of a run, m or rad, shape (n, sensors); quantized sensors round the motion."""
+    noise = rng.normal(size=run.outputs.shape) * np.sqrt(np.maximum(run.noise**2 - data.quantum**2 / 12, 0.0))
+    exact = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
+    for j in np.flatnonzero(data.quantum > 0.0):
+        offset, quantum = rng.random(), data.quantum[j]
+        noise[:, j] = (np.round((exact[:, j] + noise[:, j]) / quantum + offset) - offset) * quantum - exact[:, j]
+        noise[:, j] -= noise[: max(run.initial.resting_rows, 1), j].mean()  # as the zero of the sensor does
+    return noise
+
+
+def _rigid_force_gains(machine: Machine, period: float) -> Array:
+    """Return the force on each coordinate per innovation, N or Nm per m or rad, shape (sensors, coordinates)."""
+    names, motions = machine.coordinate_names, rigid_motions(machine)
+    damping = np.array([c.viscous for c in machine.coordinates], float)
+    for drive in machine.drives:
+        damping[names.index(drive.coordinate)] += drive.gain * drive.emf_constant
+    sums = np.eye(len(names))  # column i sums the forces on all coordinates to one on coordinate i
+    for name, motion in motions.items():
+        sums[:, names.index(name)] = motion
+    if machine.belts and motions:
+        modes, pulleys = np.array(list(motions.values())), [names.index(name) for name in pulley_names(machine)]
+        sums[:, pulleys] = modes.T @ np.linalg.pinv(modes[:, pulleys].T)  # modes: (motions, coordinates)
+    position_gains, velocity_gains = np.split(observer_gains(machine, period), 2)  # (coordinates, sensors) each
+    mass = np.array([c.mass for c in machine.coordinates])
+    return np.asarray((velocity_gains.T * mass + position_gains.T * damping) / period @ sums)
 
 
 def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
@@ -252,75 +318,31 @@ def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset
     return variables | {"time": run.time_s}
 
 
-def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
-    """Rank the variables on which the force that the model lacks depends, as a hint to its cause.
+def white_sensors(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
+    """Test for each sensor whether its simulation error is white noise with the standard deviation of its noise.
 
-    For each coordinate and each variable (position, velocity, voltage, time), the mean of the force over bins of the
-    variable is computed.
-
-    Args:
-        machine: Machine that predicts.
-        data: Measured runs (times, voltages, measurements, SI).
-
-    Returns:
-        Pairs of coordinate and variable whose bin means explain more than 5 % of the variance of the force, with this
-        fraction, sorted by the explained variance of the force (torque / pulley radius), largest first. A coordinate on
-        which the machine lacks no force, because it never moves or the machine is exact, has none.
-    """
-    force = np.concatenate([smooth_force_residual(machine, run, data) for run in data.runs])
-    by_run = [dependence_variables(machine, run, data) for run in data.runs]
-    variables = {name: np.concatenate([variables[name] for variables in by_run]) for name in by_run[0]}
-    # Fraction of the variance that a curve over the variable explains, for each coordinate and variable.
-    dependences = [
-        Dependence(name, coordinate, _correlation_ratio(force[:, i], values))
-        for i, coordinate in enumerate(machine.coordinate_names)
-        for name, values in variables.items()
-    ]
-    variance = dict(zip(machine.coordinate_names, np.var(force / machine.travel_per_unit, axis=0), strict=True))  # N^2
-    least = (_ROUNDING_FORCE * typical_force(machine)) ** 2
-    noticeable = (d for d in dependences if d.explained > _MINIMUM_DEPENDENCE and variance[d.coordinate] > least)
-    return sorted(noticeable, key=lambda d: -d.explained * variance[d.coordinate])
-
-
-def _correlation_ratio(values: Array, variable: Array) -> float:
-    """Return the fraction of the variance of values (n,) that bins of a variable explain (Fisher 1925).
-
-    The bins have about the same number of samples; equal values of the variable are in one bin.
-    """
-    total = float(np.var(values))
-    if total == 0.0 or np.ptp(variable) == 0.0:
-        return 0.0
-    ranks = np.searchsorted(np.sort(variable), variable)
-    bins = ranks * _DEPENDENCE_BINS // len(variable)
-    counts = np.maximum(np.bincount(bins, minlength=_DEPENDENCE_BINS), 1)
-    means = np.bincount(bins, values, _DEPENDENCE_BINS) / counts
-    return float(np.var(means[bins]) / total)
-
-
-def is_white(machine: Machine, data: Dataset) -> bool:
-    """Test whether the simulation error is white noise with the standard deviation of the sensors' noise.
-
-    The test evaluates means over blocks of 20 ms, minus the mean over the run. For n samples per block, the standard
-    deviation of such a mean is 1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller if it is
-    correlated in time.
+    The test evaluates means over blocks of n measurements (20 ms if none is missing), minus the mean over the run. The
+    standard deviation of such a mean is 1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller
+    if it is correlated in time. The repeated rounding error of a sensor at rest counts once (`run.weights`).
 
     Args:
         machine: Machine to simulate.
         data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        True if the standard deviation of the block means of every channel is at most 0.6 times that of its noise.
-        Blocks with missing measurements do not count.
+        True where the standard deviation of the block means is at most 0.6 times that of the noise, shape (sensors,);
+        False where the simulation diverges.
     """
     rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
-    errors = [simulation_error(machine, run, data) for run in data.runs]
-    for j in range(len(machine.sensors)):
-        means = []
-        for error in errors:
-            blocks = error[: len(error) // rows * rows, j].reshape(-1, rows)
-            blocks = blocks[np.isfinite(blocks).all(axis=1)]
-            means.append(blocks.mean(axis=1) - blocks.mean() if len(blocks) else np.zeros(0))
-        spread = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if any(map(len, means)) else 0.0
-        if spread > _WHITE * data.noise[j]:
-            return False
-    return True
+    squares, count = np.zeros(len(machine.sensors)), np.zeros(len(machine.sensors))
+    for run in data.runs:
+        measured, error = np.isfinite(run.outputs), simulation_error(machine, run, data)
+        for j in range(len(machine.sensors)):
+            values, weights = error[measured[:, j], j], run.weights[measured[:, j], j]
+            if not np.isfinite(values).all():
+                squares[j] = np.inf
+            elif len(values) >= rows:
+                means, weights = (v[: len(v) // rows * rows].reshape(-1, rows).mean(axis=1) for v in (values, weights))
+                squares[j] += np.sum(weights * (means - np.average(means, weights=weights)) ** 2)
+                count[j] += weights.sum()
+    return np.asarray(np.sqrt(squares / np.where(count > 0.0, count, 1.0)) <= _WHITE * data.noise)

@@ -1,4 +1,4 @@
-"""Tests of the missing force: on carriages that no sensor measures, and the variables on which it depends."""
+"""Tests of the missing force: how large it is on a carriage, and the coordinate and variables on which it depends."""
 
 from __future__ import annotations
 
@@ -10,9 +10,16 @@ import pytest
 from hframe_gym.dynamics.simulation import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.dataset import prepare
+from hframe_gym.identification.nonparametric import _correlation_ratio, rank_dependences
 from hframe_gym.identification.periodogram import periodogram_peaks
-from hframe_gym.identification.residual import _correlation_ratio, missing_force
-from hframe_gym.machine import Machine
+from hframe_gym.identification.residual import (
+    comparable_forces,
+    dependence_variables,
+    missing_force,
+    smooth_force_residual,
+    white_sensors,
+)
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
@@ -37,3 +44,96 @@ def test_an_input_at_rest_does_not_stand_for_time() -> None:
     drift = np.linspace(-1.0, 1.0, 1600)
     assert _correlation_ratio(drift, np.where(drift < 0.9, 0.0, drift)) < 0.2
     assert _correlation_ratio(drift, drift) > 0.95
+
+
+def excited_runs(machine: Machine, *, noise: float = 1.0, count: int = 2) -> list[Recording]:
+    """Return runs of 2 s with noise as a multiple of the declared one (encoders: rounding to 0.5 mrad)."""
+    rng = np.random.default_rng(3)
+    time_s = np.arange(2000) * 1e-3
+    runs = []
+    for k in range(count):
+        inputs = 5.0 * np.sin(2 * np.pi * np.outer(time_s, [0.7 + 0.4 * k, 1.1 - 0.3 * k]) + k)
+        inputs[:200] = 0.0
+        readings = simulate_batch(machine, time_s, inputs, longest_step=0.125e-3).readings[0]
+        readings[:, :2] = np.round(readings[:, :2] / 0.5e-3) * 0.5e-3
+        readings[:, 2:] += rng.normal(0.0, 20e-6 * noise, readings[:, 2:].shape)
+        runs.append(Recording(f"run_{k}", time_s, inputs, readings))
+    return runs
+
+
+@pytest.mark.parametrize(
+    ("effect", "coordinate", "variable"),
+    [
+        (EFFECTS["quadratic_drag"].at("x", c=20.0), "x", "velocity of x"),
+        (EFFECTS["quadratic_drag"].at("y", c=20.0), "y", "velocity of y"),
+        (EFFECTS["cogging"].at("motor1", A=0.01, n=3.0, p=0.0), "phi1", "position of phi1"),
+    ],
+)
+def test_the_coordinate_on_which_a_force_acts_is_named(
+    hframe: Machine, effect: AppliedEffect, coordinate: str, variable: str
+) -> None:
+    """The observer attributes most of a force on y to the pulleys, whose encoders it follows faster."""
+    data = prepare(excited_runs(hframe.with_effects(effect)), hframe)
+    strongest = rank_dependences(hframe, data)[0]
+    assert (strongest.coordinate, strongest.variable) == (coordinate, variable)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_noise_alone_depends_on_nothing(hframe: Machine, count: int) -> None:
+    """In a short recording, chance correlates the noise with every variable."""
+    data = prepare(excited_runs(hframe, count=count), hframe)
+    assert rank_dependences(hframe, data) == []
+
+
+def test_the_force_that_noise_causes_is_predicted(hframe: Machine) -> None:
+    """Also that of encoders, whose rounding error is constant at rest."""
+    force, noise = comparable_forces(hframe, prepare(excited_runs(hframe, count=4), hframe))
+    assert force.std(axis=0) == pytest.approx(noise.std(axis=0), rel=0.25)
+
+
+def test_an_axis_that_lacks_no_force_depends_on_nothing(hframe: Machine) -> None:
+    dragged = hframe.with_effects(EFFECTS["quadratic_drag"].at("y", c=20.0))
+    data = prepare(excited_runs(dragged, noise=5.0), hframe)
+    named = {d.coordinate for d in rank_dependences(hframe, data)}
+    assert "y" in named
+    assert "x" not in named
+
+
+def test_the_noise_of_a_sensor_does_not_reduce_the_share_of_a_variable() -> None:
+    """The noise of 0.4 mm causes a sixth of the variance of the estimated force."""
+    axis = BUILTIN_MACHINES["axis"]()
+    time_s = np.arange(2000) * 1e-3
+    inputs = np.where(time_s < 0.2, 0.0, 6.0 * np.sin(2 * np.pi * time_s))[:, None]
+    readings = simulate_batch(axis.with_effects(EFFECTS["quadratic_drag"].at("x", c=1.0)), time_s, inputs).readings[0]
+    for noise in (1e-6, 0.4e-3):
+        noisy = readings + np.random.default_rng(2).normal(0.0, noise, readings.shape)
+        ranked = rank_dependences(axis, prepare([Recording("run", time_s, inputs, noisy)], axis))
+        share = next(d.explained for d in ranked if d.variable == "velocity of x")
+        assert share == pytest.approx(0.95, abs=0.1)
+
+
+@pytest.mark.parametrize("sensors", [2, 4])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_the_residual_force_on_a_carriage_is_complete(hframe: Machine, axis: str, sensors: int) -> None:
+    """The observer corrects the pulleys as well; what they take must not be missing on the carriage."""
+    runs = excited_runs(hframe.with_effects(EFFECTS["quadratic_drag"].at(axis, c=20.0)), noise=0.1)
+    hframe = dataclasses.replace(hframe, sensors=hframe.sensors[:sensors])
+    data = prepare([dataclasses.replace(run, outputs=run.outputs[:, :sensors]) for run in runs], hframe)
+    [force, velocity] = (
+        np.concatenate([of_run(hframe, run, data) for run in data.runs])
+        for of_run in (smooth_force_residual, lambda *run: dependence_variables(*run)[f"velocity of {axis}"])
+    )
+    drag = -20.0 * np.abs(velocity) * velocity
+    amount = force[:, hframe.coordinate_names.index(axis)] @ drag / (drag @ drag)
+    assert amount == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_sensor_with_a_slow_error_is_not_white(hframe: Machine) -> None:
+    """Also one that measures in every tenth row only."""
+    [run] = excited_runs(hframe, count=1)
+    outputs = run.outputs.copy()
+    assert white_sensors(hframe, prepare([run], hframe)).all()
+    outputs[:, 3] += 50e-6 * np.sin(5.0 * run.time_s)
+    outputs[np.arange(len(outputs)) % 10 > 0, 3] = np.nan
+    data = prepare([dataclasses.replace(run, outputs=outputs)], hframe)
+    assert white_sensors(hframe, data).tolist() == [True, True, True, False]
