@@ -2,25 +2,28 @@
 
 They are the fallback for a residual that no effect of the library explains. For every coordinate, the missing force
 (the force that the model lacks) is averaged over bins of every variable; the variables that explain most of it become
-candidates. A table describes the residual but not its physical cause.
+candidates. The knots of an accepted table then move to where its fitted curve bends. A table describes the residual but
+not its physical cause.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.smooth_table import KNOTS, definition
-from ..machine import Machine
+from ..effects.smooth_table import KNOTS, TABLE_FAMILY, definition
+from ..machine import AppliedEffect, Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, describe_gain
 from .force_sizes import TypicalScales, typical_scales
 from .forward_selection import Log, SelectedEffect, Selection
-from .model_error import continue_fit, left_out_cost
+from .free_parameters import prior_precision
+from .model_error import continue_fit, left_out_cost, minimum_gain
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import screen
@@ -30,6 +33,10 @@ Array = NDArray[np.float64]
 _BINS = 4 * KNOTS  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
 _BASE_KNOT_DENSITY = 0.15  # Relative density of knots where the curve is straight; the sharpest bend adds 1.
 _MIN_BIN_SAMPLES = 21  # The mean of a bin with fewer samples is too noisy to be used.
+_CURVATURE_POWER = 0.4  # Knots at a density of this power of the curvature leave the smallest mean squared error.
+_EVEN_KNOTS = 1.0 / 6.0  # Fraction of the knots that are spread evenly, so that bends between the others are seen.
+_SIGNIFICANT = 2.0  # Standard deviations by which the curvature of a fitted table must exceed zero.
+_KNOT_MOVES = 6  # Largest number of times that the knots of a table move; two or three suffice.
 
 
 class Table(NamedTuple):
@@ -211,7 +218,7 @@ def add_tables(
         trial = next((t for t in trials if _left_out_cost(t, data, criteria) < limit), None)
         if trial is None:
             break
-        converged = continue_fit(trial, data, current.bandwidth)
+        converged = fit_with_moved_knots(trial, data, criteria)
         effect = converged.machine.effects[-1]
         gain = (current.cost - converged.cost) / data.count
         log(f"  {effect.label} {describe_gain(current, converged)}")
@@ -220,6 +227,80 @@ def add_tables(
         selected = (*selected, SelectedEffect(effect, gain, current.machine))
         current = converged
     return current, tuple(s.with_values(current.machine) for s in selected)
+
+
+def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Fit:
+    """Fit a machine again, and move the knots of its tables to where their curves bend while this reduces the error.
+
+    The missing force that proposes a table is smooth in time. Over a narrow bend it is therefore too wide and too low,
+    and its knots are too far apart there. The fitted values resolve the bend better. The number of knots, and their
+    first and last value, do not change.
+
+    Args:
+        fitted: Fit of the machine with its tables (forces or Coulomb friction forces over one variable); the new fit
+            has the same observer bandwidth.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        criteria: Decision thresholds. A move must reduce chi-squared per sample by as much as an effect must, and also
+            reduce it in cross-validation.
+
+    Returns:
+        Fit of the same k parameters (theta, dimensionless, shape (k,)), with the knots of the last confirmed move.
+    """
+    fitted = continue_fit(fitted, data, fitted.bandwidth)
+    for label in [e.label for e in fitted.machine.effects if e.definition.family == TABLE_FAMILY]:
+        for _ in range(_KNOT_MOVES):
+            moved = continue_fit(_knots_moved(fitted, label), data, fitted.bandwidth)
+            # The error at the ends, where few runs come, may change by cross-validation alone.
+            if fitted.cost - moved.cost < minimum_gain(fitted, criteria) * data.count:
+                break
+            if not _left_out_cost(moved, data, criteria) < _left_out_cost(fitted, data, criteria):
+                break
+            fitted = moved
+    return fitted
+
+
+def _knots_moved(fitted: Fit, label: str) -> Fit:
+    """Return the fit with other knots of one table, whose values are interpolated; its cost is not computed again."""
+    machine = fitted.machine
+    table = next(e for e in machine.effects if e.label == label)
+    knots, values = (np.array([table.parameters[f"{key}{i:02d}"] for i in range(KNOTS)]) for key in "kf")
+    own = np.array([f.along == label for f in fitted.free])
+    scale = np.array([f.scale or 1.0 for f in fitted.free])[own]
+    precision = fitted.information / max(1.0, fitted.chi2) + prior_precision(fitted.free)
+    covariance = np.linalg.inv(precision)[np.ix_(own, own)] * np.outer(scale, scale)
+    moved = knots_at_bends(knots, values, covariance)
+    parameters = {f"k{i:02d}": float(knot) for i, knot in enumerate(moved)}
+    parameters |= {f"f{i:02d}": float(value) for i, value in enumerate(np.interp(moved, knots, values))}
+    changed = AppliedEffect(table.definition, table.site, parameters)
+    machine = machine.replace(effects=tuple(changed if e is table else e for e in machine.effects))
+    theta = np.array([f.theta(machine.parameters[f.name]) for f in fitted.free])
+    return dataclasses.replace(fitted, machine=machine, theta=theta)
+
+
+def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
+    """Return knots whose density follows the significant curvature of a table, from the same first to the same last.
+
+    Args:
+        knots: Increasing knots, shape (KNOTS,).
+        values: Values of the table at the knots, shape (KNOTS,).
+        covariance: Covariance of the values, shape (KNOTS, KNOTS).
+
+    Returns:
+        Increasing knots, shape (KNOTS,); `knots` if no curvature is significant.
+    """
+    spacing = np.diff(knots)
+    slopes = np.diff(np.eye(KNOTS), axis=0) / spacing[:, None]
+    operator = np.diff(slopes, axis=0) / (0.5 * (spacing[1:] + spacing[:-1]))[:, None]  # second derivative of values
+    variance = np.einsum("ij,jk,ik->i", operator, covariance, operator)
+    curvature = np.sqrt(np.maximum((operator @ values) ** 2 - _SIGNIFICANT**2 * variance, 0.0))
+    if not np.any(curvature):
+        return knots
+    # Each piece between two knots has the larger curvature of its ends.
+    curvature = np.maximum(np.append(curvature[0], curvature), np.append(curvature, curvature[-1]))
+    at_bends = curvature**_CURVATURE_POWER * spacing
+    share = (1.0 - _EVEN_KNOTS) * at_bends / at_bends.sum() + _EVEN_KNOTS * spacing / spacing.sum()
+    cumulative = np.concatenate([[0.0], np.cumsum(share)])
+    return np.asarray(np.interp(np.linspace(0.0, cumulative[-1], KNOTS), cumulative, knots))
 
 
 def _left_out_cost(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> float:

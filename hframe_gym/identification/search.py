@@ -25,7 +25,7 @@ from .model_error import (
     polish,
     refined_in_simulation,
 )
-from .nonparametric import add_tables
+from .nonparametric import add_tables, fit_with_moved_knots
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
 from .run_differences import find_run_differences
@@ -298,13 +298,15 @@ class _Search:
 
     def _with_tables(self, selected: Selection) -> Selection | None:
         """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
-        criteria, data, log = self._criteria, self._data, self._log
+        criteria, log = self._criteria, self._log
         log("no known effect explains the residual; searching for a table of force or friction")
         after, effects = selected
-        wide = continue_fit(after, data, SEARCH_BANDWIDTH) if effects else self.base
+        wide = continue_fit(after, self._data, SEARCH_BANDWIDTH) if effects else self.base
         for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
-            fitted, more = add_tables(start, known, data, criteria=criteria, max_tables=count, log=log)
+            fitted, more = add_tables(start, known, self._data, criteria=criteria, max_tables=count, log=log)
             if len(more) > len(known):
+                data = refine_dataset(self._data, fitted.machine)  # more accurate with the table, and then it is, too
+                fitted = fit_with_moved_knots(fitted, data, criteria)
                 # No further search beside a table: many small effects resemble the error of its straight pieces.
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
