@@ -199,9 +199,8 @@ def identify(
         if jobs:
             os.environ["HFRAME_THREADS"] = str(jobs)
         result, findings = fit(runs_dir, _load_runs(runs_dir, declared, max_rows), log)
-        problem = _write_rig(result, findings, out, out, log)
-        contents, channels = result.as_json(), list(declared.output_channels)
-        console.print(identification_table(contents, channels))
+        contents, problem = _write_rig(result, findings, out, out, log)
+        console.print(identification_table(contents, channels := list(declared.output_channels)))
         log(verdict_sentence(contents, channels))
     if problem is not None and not isinstance(problem, ImportError):
         raise problem
@@ -240,19 +239,20 @@ def _fit_rig(
 
 def _write_rig(
     result: IdentificationResult, findings: list[str], folder: Path, out: Path, log: _Log
-) -> Exception | None:
-    """Write the files of a result to a folder, for `out`; return the error of the report, which loses no result."""
+) -> tuple[dict[str, Any], Exception | None]:
+    """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
     from ..identification import write_result
     from ..identification.report import build_report
 
     with output_batch(folder):
-        write_result(result, folder, findings, proposed_formulas(result, log))
+        write_result(result, folder, findings, comparisons := proposed_formulas(result, log))
+        contents = result.as_json() | {"proposed_formulas": [c.as_json() for c in comparisons]}
         try:
             build_report(folder, out)
         except Exception as error:
             remove_file(folder / "report.html")  # of an older result
-            return error
-    return None
+            return contents, error
+    return contents, None
 
 
 class _Rig(NamedTuple):
@@ -312,10 +312,10 @@ def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _Identifie
         if isinstance(rig.recordings, InputError):
             raise rig.recordings
         result, findings = fit(rig.runs_dir, rig.recordings, log)
-        problem, files = files_of(lambda folder: _write_rig(result, findings, folder, rig.out, log))
+        (contents, problem), files = files_of(lambda folder: _write_rig(result, findings, folder, rig.out, log))
         if problem is not None and not isinstance(problem, ImportError):
             return _IdentifiedRig(describe_failure(problem)[1], files, INTERNAL_ERROR)
-        verdict = verdict_sentence(result.as_json(), list(result.declared.machine.output_channels))
+        verdict = verdict_sentence(contents, list(result.declared.machine.output_channels))
         return _IdentifiedRig(verdict if problem is None else f"{verdict} No report.html: {problem}", files)
     except Exception as error:  # the other rigs must not be lost
         code, line = describe_failure(error)

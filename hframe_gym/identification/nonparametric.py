@@ -2,30 +2,30 @@
 
 They are the fallback for a residual that no effect of the library explains. For every coordinate, the missing force
 (the force that the model lacks) is averaged over bins of every variable; the variables that explain most of it become
-candidates. A table describes the residual but not its physical cause. For the report, `rank_dependences` names the
-variables on which the missing force depends.
+candidates. The knots of an accepted table then move to where its fitted curve bends. A table describes the residual but
+not its physical cause.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.smooth_table import KNOTS, definition
-from ..machine import Machine
-from ..machine.motion import rigid_motions
+from ..effects.smooth_table import KNOTS, TABLE_FAMILY, definition
+from ..machine import AppliedEffect, Machine
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit, describe_gain
 from .force_sizes import TypicalScales, typical_scales
 from .forward_selection import Log, SelectedEffect, Selection
-from .free_parameters import typical_force
-from .model_error import continue_fit, left_out_cost
+from .free_parameters import prior_precision
+from .model_error import continue_fit, left_out_cost, minimum_gain
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
-from .residual import Dependence, comparable_forces, dependence_variables, missing_force, white_sensors
+from .residual import missing_force
 from .screening import screen
 from .trial_fits import fit_with_candidate
 
@@ -33,10 +33,10 @@ Array = NDArray[np.float64]
 _BINS = 4 * KNOTS  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
 _BASE_KNOT_DENSITY = 0.15  # Relative density of knots where the curve is straight; the sharpest bend adds 1.
 _MIN_BIN_SAMPLES = 21  # The mean of a bin with fewer samples is too noisy to be used.
-_DEPENDENCE_BINS = 16  # Bins of a variable on which the missing force may depend.
-_MINIMUM_DEPENDENCE = 0.05  # Fraction of the variance.
-_SIGNIFICANT = 1.5  # Variance of a force that is larger than noise, in units of the variance that noise causes.
-_ROUNDING_FORCE = 1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
+_CURVATURE_POWER = 0.4  # Knots at a density of this power of the curvature leave the smallest mean squared error.
+_EVEN_KNOTS = 1.0 / 6.0  # Fraction of the knots that are spread evenly, so that bends between the others are seen.
+_SIGNIFICANT = 2.0  # Standard deviations by which the curvature of a fitted table must exceed zero.
+_KNOT_MOVES = 6  # Largest number of times that the knots of a table move; two or three suffice.
 
 
 class Table(NamedTuple):
@@ -218,7 +218,7 @@ def add_tables(
         trial = next((t for t in trials if _left_out_cost(t, data, criteria) < limit), None)
         if trial is None:
             break
-        converged = continue_fit(trial, data, current.bandwidth)
+        converged = fit_with_moved_knots(trial, data, criteria)
         effect = converged.machine.effects[-1]
         gain = (current.cost - converged.cost) / data.count
         log(f"  {effect.label} {describe_gain(current, converged)}")
@@ -229,6 +229,80 @@ def add_tables(
     return current, tuple(s.with_values(current.machine) for s in selected)
 
 
+def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Fit:
+    """Fit a machine again, and move the knots of its tables to where their curves bend while this reduces the error.
+
+    The missing force that proposes a table is smooth in time. Over a narrow bend it is therefore too wide and too low,
+    and its knots are too far apart there. The fitted values resolve the bend better. The number of knots, and their
+    first and last value, do not change.
+
+    Args:
+        fitted: Fit of the machine with its tables (forces or Coulomb friction forces over one variable); the new fit
+            has the same observer bandwidth.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        criteria: Decision thresholds. A move must reduce chi-squared per sample by as much as an effect must, and also
+            reduce it in cross-validation.
+
+    Returns:
+        Fit of the same k parameters (theta, dimensionless, shape (k,)), with the knots of the last confirmed move.
+    """
+    fitted = continue_fit(fitted, data, fitted.bandwidth)
+    for label in [e.label for e in fitted.machine.effects if e.definition.family == TABLE_FAMILY]:
+        for _ in range(_KNOT_MOVES):
+            moved = continue_fit(_knots_moved(fitted, label), data, fitted.bandwidth)
+            # The error at the ends, where few runs come, may change by cross-validation alone.
+            if fitted.cost - moved.cost < minimum_gain(fitted, criteria) * data.count:
+                break
+            if not _left_out_cost(moved, data, criteria) < _left_out_cost(fitted, data, criteria):
+                break
+            fitted = moved
+    return fitted
+
+
+def _knots_moved(fitted: Fit, label: str) -> Fit:
+    """Return the fit with other knots of one table, whose values are interpolated; its cost is not computed again."""
+    machine = fitted.machine
+    table = next(e for e in machine.effects if e.label == label)
+    knots, values = (np.array([table.parameters[f"{key}{i:02d}"] for i in range(KNOTS)]) for key in "kf")
+    own = np.array([f.along == label for f in fitted.free])
+    scale = np.array([f.scale or 1.0 for f in fitted.free])[own]
+    precision = fitted.information / max(1.0, fitted.chi2) + prior_precision(fitted.free)
+    covariance = np.linalg.inv(precision)[np.ix_(own, own)] * np.outer(scale, scale)
+    moved = knots_at_bends(knots, values, covariance)
+    parameters = {f"k{i:02d}": float(knot) for i, knot in enumerate(moved)}
+    parameters |= {f"f{i:02d}": float(value) for i, value in enumerate(np.interp(moved, knots, values))}
+    changed = AppliedEffect(table.definition, table.site, parameters)
+    machine = machine.replace(effects=tuple(changed if e is table else e for e in machine.effects))
+    theta = np.array([f.theta(machine.parameters[f.name]) for f in fitted.free])
+    return dataclasses.replace(fitted, machine=machine, theta=theta)
+
+
+def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
+    """Return knots whose density follows the significant curvature of a table, from the same first to the same last.
+
+    Args:
+        knots: Increasing knots, shape (KNOTS,).
+        values: Values of the table at the knots, shape (KNOTS,).
+        covariance: Covariance of the values, shape (KNOTS, KNOTS).
+
+    Returns:
+        Increasing knots, shape (KNOTS,); `knots` if no curvature is significant.
+    """
+    spacing = np.diff(knots)
+    slopes = np.diff(np.eye(KNOTS), axis=0) / spacing[:, None]
+    operator = np.diff(slopes, axis=0) / (0.5 * (spacing[1:] + spacing[:-1]))[:, None]  # second derivative of values
+    variance = np.einsum("ij,jk,ik->i", operator, covariance, operator)
+    curvature = np.sqrt(np.maximum((operator @ values) ** 2 - _SIGNIFICANT**2 * variance, 0.0))
+    if not np.any(curvature):
+        return knots
+    # Each piece between two knots has the larger curvature of its ends.
+    curvature = np.maximum(np.append(curvature[0], curvature), np.append(curvature, curvature[-1]))
+    at_bends = curvature**_CURVATURE_POWER * spacing
+    share = (1.0 - _EVEN_KNOTS) * at_bends / at_bends.sum() + _EVEN_KNOTS * spacing / spacing.sum()
+    cumulative = np.concatenate([[0.0], np.cumsum(share)])
+    return np.asarray(np.interp(np.linspace(0.0, cumulative[-1], KNOTS), cumulative, knots))
+
+
 def _left_out_cost(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> float:
     """Return the cost of all runs, each half of a run with the parameters that the other halves determine.
 
@@ -237,65 +311,3 @@ def _left_out_cost(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> f
     """
     pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
     return left_out_cost(fitted, data, pieces)
-
-
-def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
-    """Rank the variables on which the force that the model lacks depends, as a hint to its cause.
-
-    For each coordinate and each variable (position, velocity, voltage, time), the mean of the force
-    (`comparable_forces`) over bins of the variable is computed. What the noise of the sensors causes is subtracted from
-    the variance of the force and from that of the bin means.
-
-    Args:
-        machine: Machine that predicts.
-        data: Measured runs (times, voltages, measurements, SI).
-
-    Returns:
-        Pairs of coordinate and variable whose bin means explain more than 5 % of the variance beyond noise, with this
-        fraction, sorted by the explained variance, largest first. A coordinate has none if the force on it is not
-        significantly larger than what noise causes, if its sensors show only white noise in a simulation, or if it
-        never moves.
-    """
-    force, noise = comparable_forces(machine, data)
-    by_run = [dependence_variables(machine, run, data) for run in data.runs]
-    variables = {name: np.concatenate([variables[name] for variables in by_run]) for name in by_run[0]}
-    total, by_noise = np.var(force, axis=0), np.var(noise, axis=0)
-    least = np.maximum(_SIGNIFICANT * by_noise, (_ROUNDING_FORCE * typical_force(machine)) ** 2)
-    ranked: list[tuple[float, Dependence]] = []
-    for i in np.flatnonzero((total > least) & _deviating(machine, data)):
-        for name, values in variables.items():
-            explained = total[i] * _correlation_ratio(force[:, i], values)
-            explained -= by_noise[i] * _correlation_ratio(noise[:, i], values)
-            share = min(float(explained / (total[i] - by_noise[i])), 1.0)
-            if share > _MINIMUM_DEPENDENCE:
-                ranked.append((explained, Dependence(name, machine.coordinate_names[i], share)))
-    return [dependence for _, dependence in sorted(ranked, key=lambda entry: -entry[0])]
-
-
-def _deviating(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
-    """Mark the coordinates whose sensors show more than white noise in a simulation, shape (coordinates,).
-
-    For a coordinate without a sensor, the sensors of the coordinates that move with it count.
-    """
-    names = machine.coordinate_names
-    own = np.array([[sensor.coordinate == name for sensor in machine.sensors] for name in names])
-    related = own.copy()
-    for motion in rigid_motions(machine).values():
-        related |= np.outer(motion != 0.0, own[motion != 0.0].any(axis=0))
-    related[own.any(axis=1)] = own[own.any(axis=1)]
-    return np.asarray((related & ~white_sensors(machine, data)).any(axis=1))
-
-
-def _correlation_ratio(values: Array, variable: Array) -> float:
-    """Return the fraction of the variance of values (n,) that bins of a variable explain (Fisher 1925).
-
-    The bins have about the same number of samples; equal values of the variable are in one bin.
-    """
-    total = float(np.var(values))
-    if total == 0.0 or np.ptp(variable) == 0.0:
-        return 0.0
-    ranks = np.searchsorted(np.sort(variable), variable)
-    bins = ranks * _DEPENDENCE_BINS // len(variable)
-    counts = np.maximum(np.bincount(bins, minlength=_DEPENDENCE_BINS), 1)
-    means = np.bincount(bins, values, _DEPENDENCE_BINS) / counts
-    return float(np.var(means[bins]) / total)

@@ -25,6 +25,7 @@ from .dataset import (
     with_all_measurements,
     with_known_positions,
 )
+from .dependences import rank_dependences
 from .estimation import Fit
 from .experiment_design import design_discriminating_experiment
 from .force_sizes import drive_force, effect_force
@@ -38,7 +39,6 @@ from .held_out import (
     worsens_simulation,
 )
 from .input_timing import with_input_timing
-from .nonparametric import rank_dependences
 from .recording_simulation import evaluate_held_out
 from .residual import white_sensors
 from .result import IdentificationResult, RejectedEffect

@@ -16,7 +16,7 @@ from ..machine import Machine
 from ..web_page import number, write_page
 from .parameter_diagnostics import parameter_doubts, sum_text
 from .plots import readable_unit, report_panels, save_plots, slow_fractions
-from .result import STAGES
+from .result import STAGES, reason_of_remainder
 from .saved_result import SavedResult, load_result, next_command
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def _remainder(report: Mapping[str, Any]) -> str:
         return ""
     error = f"{number(left)} times the sensors' noise ({_largest_position_error(report['after']['held_out'])})"
     if not (runs := report.get("contradicting", [])):
-        return f" An error of {error} is left, whose cause was not found."
+        return f" An error of {error} is left{reason_of_remainder(report)}."
     subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
     others = report.get("left_in_others")
     elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."

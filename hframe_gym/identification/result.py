@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, output_batch, remove_file, write_text
+from ..effects.smooth_table import HOOK_OF_KIND
 from ..errors import merge_run_warnings
 from ..machine import AppliedEffect
 from ..recordings import save_machine
+from ..web_page import number
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .experiment_design import FILE, ExperimentDesign
@@ -31,6 +33,7 @@ Array = NDArray[np.float64]
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 SCHEMA = 1
 STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
+_CLEARLY_LESS = 0.9  # Fraction of a table's error below which that of a formula is mentioned.
 _MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
 
 
@@ -253,6 +256,29 @@ def write_result(
         else:
             remove_file(folder / FILE)
         write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
+
+
+def reason_of_remainder(report: Mapping[str, Any]) -> str:
+    """Return a clause about the error that the machine of the verdict leaves on the held-out runs.
+
+    Args:
+        report: Content of report.json, with the error `left`.
+
+    Returns:
+        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
+        describe, for another machine with a table; or that the cause is not known.
+    """
+    tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
+    formulas = {
+        math.sqrt(sum(error**2 for error in f["held_out"].values()) / len(f["held_out"])): " + ".join(f["terms"])
+        for table in report.get("proposed_formulas", ())
+        for f in table["formulas"]
+        if f["recommended"] and f["held_out"]
+    }
+    error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
+    if error < _CLEARLY_LESS * report["left"]:
+        return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
+    return ". A table has straight pieces and names no cause" if tables else ", whose cause was not found"
 
 
 def plot_data(result: IdentificationResult) -> dict[str, Array]:

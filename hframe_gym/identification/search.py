@@ -25,7 +25,7 @@ from .model_error import (
     polish,
     refined_in_simulation,
 )
-from .nonparametric import add_tables
+from .nonparametric import add_tables, fit_with_moved_knots
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
 from .run_differences import find_run_differences
@@ -41,8 +41,7 @@ class SearchOutcome(NamedTuple):
 
     Attributes:
         before: Fit of the refitted machine, without effects.
-        before_explains: Whether that machine explains the data.
-        explained: Whether the machine with the effects explains the data.
+        before_explains, explained: Whether the machine without and that with the effects explain the data.
         verdict: "effect_found", "no_effect" or "unexplained".
         after: Fit of the machine with the effects.
         selected: The selected effects.
@@ -300,13 +299,15 @@ class _Search:
 
     def _with_tables(self, selected: Selection) -> Selection | None:
         """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
-        criteria, data, log = self._criteria, self._data, self._log
+        criteria, log = self._criteria, self._log
         log("no known effect explains the residual; searching for a table of force or friction")
         after, effects = selected
-        wide = continue_fit(after, data, SEARCH_BANDWIDTH) if effects else self.base
+        wide = continue_fit(after, self._data, SEARCH_BANDWIDTH) if effects else self.base
         for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
-            fitted, more = add_tables(start, known, data, criteria=criteria, max_tables=count, log=log)
+            fitted, more = add_tables(start, known, self._data, criteria=criteria, max_tables=count, log=log)
             if len(more) > len(known):
+                data = refine_dataset(self._data, fitted.machine)  # starts are more accurate with the table
+                fitted = fit_with_moved_knots(fitted, data, criteria)
                 # No further search beside a table: many small effects resemble the error of its straight pieces.
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
@@ -325,8 +326,7 @@ class _Search:
     def _reduces_error(self, after: Fit) -> bool:
         """Return whether effects remove most of the error that goes beyond the noise, although they leave some.
 
-        Compared are chi-squared per sample with the widest observer, which hides slow errors, and the root mean square
-        error of the simulation, which sums them up.
+        Compared are chi-squared with the widest observer, which hides slow errors, and the error of the simulation.
         """
         limit, data = self._criteria.max_partial_excess, self._data
         wide, wide_before = (

@@ -10,7 +10,7 @@ import pytest
 from hframe_gym.dynamics.simulation import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.dataset import prepare
-from hframe_gym.identification.nonparametric import _correlation_ratio, rank_dependences
+from hframe_gym.identification.dependences import _correlation_ratio, rank_dependences
 from hframe_gym.identification.periodogram import periodogram_peaks
 from hframe_gym.identification.residual import (
     comparable_forces,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
+from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
-from hframe_gym.identification.nonparametric import add_tables
+from hframe_gym.identification.nonparametric import add_tables, knots_at_bends
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -61,3 +62,50 @@ def test_no_table_for_a_force_that_differs_between_runs(axis: Machine) -> None:
     unchanged, tables = add_tables(fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None)
     assert tables == ()
     assert unchanged is fitted
+
+
+CENTER, WIDTH = 0.03, 0.006  # m
+
+
+def catch(q: np.ndarray) -> np.ndarray:
+    """Return the force of a magnetic catch much narrower than the travel, N."""
+    z = (q - CENTER) / WIDTH
+    return -3.0 * z * np.exp(0.5 - 0.5 * z * z)
+
+
+def test_the_knots_of_a_table_move_to_a_narrow_bend(axis: Machine) -> None:
+    """Evenly spaced knots are further apart than the catch is wide; moved ones describe it to a few percent."""
+    dense = CENTER + WIDTH * np.linspace(-4.0, 4.0, KNOTS)
+    truth = {f"k{i:02d}": k for i, k in enumerate(dense)} | {f"f{i:02d}": f for i, f in enumerate(catch(dense))}
+    rig = axis.with_effects(definition("smooth_force[position of x]").at("x", **truth))
+    time_s = np.arange(2000) * 1e-3
+    random = np.random.default_rng(0)
+    recordings = []
+    for k in range(5):
+        swing = 3.0 * np.sin((6 + k) * time_s) + 1.5 * np.sin(2.0 * time_s + k)
+        inputs = np.where(time_s > 0.1, swing, 0.0)[:, None]
+        measured = rig.simulate(time_s, inputs).outputs + random.normal(0.0, NOISE, (2000, 1))
+        recordings.append(Recording(f"run_{k}", time_s, inputs, measured))
+    data = prepare(recordings, axis)
+    fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    with_table, tables = add_tables(fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None)
+    assert [s.effect.label for s in tables] == ["smooth_force[position of x]@x"]
+    assert with_table.chi2 < 1.3
+    p = tables[0].effect.parameters
+    knots, values = (np.array([p[f"{key}{i:02d}"] for i in range(KNOTS)]) for key in "kf")
+    q = np.linspace(CENTER - 0.05, CENTER + 0.05, 500)
+    assert np.std(np.interp(q, knots, values) - catch(q)) < 0.1 * np.std(catch(q))
+
+
+@pytest.mark.parametrize("bend", [0.0, 1.0])
+def test_knots_are_dense_only_at_a_bend_that_noise_does_not_explain(bend: float) -> None:
+    """A curve that is straight within its standard deviations keeps its knots."""
+    knots = np.linspace(-1.0, 1.0, KNOTS)
+    noise = 0.01 * np.cos(3.0 * np.arange(KNOTS))
+    moved = knots_at_bends(knots, 2.0 + knots + noise + bend * np.abs(knots - 0.3), 0.02**2 * np.eye(KNOTS))
+    assert (moved[0], moved[-1]) == pytest.approx((-1.0, 1.0))
+    assert np.all(np.diff(moved) > 0.0)
+    if bend:
+        assert np.sum(np.abs(moved - 0.3) < 0.1) > KNOTS / 2
+    else:
+        np.testing.assert_array_equal(moved, knots)

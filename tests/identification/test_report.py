@@ -211,6 +211,31 @@ def test_several_effects_are_separated_by_commas() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("held_out", "last"),
+    [
+        (
+            {"x_m": 3.0, "phi": 3.0},
+            "; with the proposed formula (magnetic catch) in place of the table, it is 3 times.",
+        ),
+        ({"x_m": 4.9, "phi": 4.9}, ". A table has straight pieces and names no cause."),
+        ({}, ". A table has straight pieces and names no cause."),  # the formula was not compared
+    ],
+)
+def test_what_a_table_leaves_is_compared_with_the_formula(held_out: dict[str, float], last: str) -> None:
+    errors = {"held_out": {"x_m": {"rmse": 2e-5, "noise_ratio": 5.0}}}
+    formula = {"terms": ["magnetic catch"], "held_out": held_out, "recommended": True}
+    better = formula | {"terms": ["periodic"], "held_out": {"x_m": 0.9}, "recommended": False}
+    report = {
+        "verdict": "effect_found",
+        "effects": [{"name": "smooth_force[position of x]", "site": "x"}],
+        "left": 5.0,
+        "proposed_formulas": [{"formulas": [formula, better]}],
+    }
+    sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
+    assert sentence.endswith(f" An error of 5 times the sensors' noise (20 µm rms at x_m) is left{last}")
+
+
 def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machine() -> None:
     ratios = {"declared": 20.0, "before": 40.0, "after": 10.0}
     stages = {stage: {"held_out": {"x_m": {"rmse": 1e-3, "noise_ratio": ratio}}} for stage, ratio in ratios.items()}

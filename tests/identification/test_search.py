@@ -67,6 +67,7 @@ class ScriptedSearch:
             "add_tables": lambda start, known, data, criteria, max_tables, log: (
                 script.tables.pop(0) if script.tables else (start, known)
             ),
+            "fit_with_moved_knots": lambda fitted, data, criteria: fitted,
             "contradicting_run": lambda fitted, data: script.suspect,
             "find_run_differences": lambda fitted, data, criteria: script.differences,
             "EffectSearch": FakeEffectSearch,
