@@ -46,9 +46,10 @@ class StepState:
 def reference_step(equations: Equations, state: StepState, voltages: Sequence[float], h: float) -> StepState:
     """Advance a machine by one step of the integrator, in plain Python, as a reference for the compiled code.
 
-    The forces are evaluated at the half-way point of the step, and again at this point displaced by h^2/12 times the
-    acceleration, which raises the accuracy (Takahashi and Imada 1984; Chin 1997). The second force is held constant.
-    The motion of each coordinate under it and under viscous and Coulomb friction is computed in closed form.
+    With belt travel p and speed v before the step, the forces are evaluated at p + h/2 v, which gives the acceleration
+    a, and again at p + h/2 v + h^2/12 a with the speed v + h/2 a. The displacement h^2/12 a raises the accuracy
+    (Takahashi and Imada 1984; Chin 1997). The forces of the second evaluation are held constant over the step. The
+    motion of each coordinate from p and v under them and under viscous and Coulomb friction is computed in closed form.
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.

@@ -35,13 +35,14 @@ _MAX_RATES = 7
 
 
 def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) -> Array:
-    """Find the periods over the position at which a missing force varies most (least-squares periodogram).
+    """Find the spatial rates (2 pi / period) at which the missing force varies most with the position.
 
-    The missing force is the force that the model lacks. At each spatial rate (2 pi / period), a sine and a cosine of
-    the position are fitted to it by least squares, together with a constant, viscous and dry friction. Rates from 1
-    (friction: 0.5) to 1000 periods over the range of the positions are tried. Only slow rows are used: at their speed,
-    the motion takes at least four rows and at least 1 / `MISSING_FORCE_CUTOFF` (25 ms) to pass one period. The strength
-    of a rate is the sum of squares of the force that sine and cosine explain in these rows.
+    The missing force is the force that the model lacks. At each spatial rate, a sine and a cosine of the position (for
+    friction: times the sign of the velocity) are fitted to it by least squares, together with a constant, viscous and
+    dry friction: a least-squares periodogram. Rates from 1 (friction: 0.5) to 1000 periods over the range of the
+    positions are tried. The fit at a rate uses only rows of slow motion, except near standstill: at their speed, one
+    period takes at least four rows and at least 1 / `MISSING_FORCE_CUTOFF` (25 ms). The strength of a rate is the sum
+    of squares of the force that sine and cosine explain in these rows.
 
     Args:
         motion: Columns position, velocity and missing force of one coordinate, m, m/s, N or rad, rad/s, Nm, shape

@@ -302,7 +302,8 @@ def blank_saturated(
     """Copy a recording, with NaN in place of saturated measurements.
 
     A measurement is saturated if it lies beyond an end of the sensor's range, or inside the range but closer to an end
-    than 4 standard deviations of the noise (half of `criteria.saturation_band`).
+    than 4 standard deviations of the noise (half of `criteria.saturation_band`). Beside a saturated row, 8 count
+    instead of 4: of many saturated measurements, noise puts some further inside the range.
 
     Args:
         recording: One run (times, s; voltages, V; measurements, m or rad).
@@ -317,8 +318,11 @@ def blank_saturated(
     outputs = recording.outputs.copy()
     for channel, (low, high) in ranges.items():
         j = machine.output_channels.index(channel)
-        margin = criteria.saturation_band / 2 * noise[j]
-        outputs[(outputs[:, j] > high - margin) | (outputs[:, j] < low + margin), j] = np.nan
+        band = criteria.saturation_band * noise[j]
+        inside = np.minimum(high - outputs[:, j], outputs[:, j] - low)  # distance from the nearer end, m; NaN: missing
+        saturated = inside < band / 2
+        beside = np.append(saturated[1:], False) | np.insert(saturated[:-1], 0, False)
+        outputs[saturated | (beside & (inside < band)), j] = np.nan
     return dataclasses.replace(recording, outputs=outputs)
 
 

@@ -136,6 +136,15 @@ def test_a_saturated_laser_is_recognized_and_blanked(hframe: Machine) -> None:
     assert effect.parameters["high"] == high
 
 
+def test_a_saturated_measurement_with_unusual_noise_is_blanked_as_well(hframe: Machine) -> None:
+    """Of 20,000 saturated measurements, one is expected beyond 4 standard deviations of the noise."""
+    outputs = np.zeros((6, 4))
+    outputs[:, 2] = [0.0999, 0.1, 0.1 - 5 * 2e-5, 0.1, 0.1 - 9 * 2e-5, 0.1 - 5 * 2e-5]
+    run = Recording("run", np.arange(6) * 1e-3, np.zeros((6, 2)), outputs)
+    blanked = blank_saturated(run, {"x_m": (-1.0, 0.1)}, hframe, NOISE, SelectionCriteria())
+    np.testing.assert_array_equal(np.isnan(blanked.outputs[:, 2]), [True, True, True, True, False, False])
+
+
 def test_a_coordinate_that_rests_is_not_saturated(hframe: Machine) -> None:
     """One motor that rests while the other drives the stage is normal."""
     assert saturation_ranges(moving_runs(limit=1.0), hframe, NOISE, SelectionCriteria()) == {}

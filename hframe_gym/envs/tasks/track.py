@@ -171,12 +171,12 @@ class Track(Task):
     ) -> tuple[Array, Array]:
         """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
 
-        Center, direction and phase are random if the attribute of this name is None. The path is chosen at random if
-        `path` is a tuple of names. A path from a file is followed as it is, from its first point.
+        The center is random if the attribute `centre` is None; direction and phase, if `direction` and `phase` are. The
+        path is chosen at random if `path` is a tuple of names. A path from a file is followed from its first point.
 
         Args:
             workspace: Rows x and y, columns low and high, m, shape (2, 2).
-            uniforms: Uniform random numbers in (0, 1), shape (k, 5).
+            uniforms: Uniform random numbers in (0, 1) for path, center x and y, direction, phase, shape (k, 5).
             parameters: Values of "speed" in each episode, m/s, shape (k,). Default: the nominal speed.
 
         Returns:
