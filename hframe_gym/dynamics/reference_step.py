@@ -47,9 +47,8 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
     """Advance a machine by one step of the integrator, in plain Python, as a reference for the compiled code.
 
     With belt travel p and speed v before the step, the forces are evaluated at p + h/2 v, which gives the acceleration
-    a, and again at p + h/2 v + h^2/12 a with the speed v + h/2 a. The displacement h^2/12 a raises the accuracy
-    (Takahashi and Imada 1984; Chin 1997). The forces of the second evaluation are held constant over the step. The
-    motion of each coordinate from p and v under them and under viscous and Coulomb friction is computed in closed form.
+    a, and again at p + h/2 v + h^2/12 a (the last term raises the accuracy, Takahashi and Imada 1984; Chin 1997) and
+    v + h/2 a. The motion from p and v under the second forces and under friction is computed in closed form.
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.

@@ -7,6 +7,8 @@ beyond that differs from run to run, and only its typical size is known.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
@@ -68,7 +70,7 @@ def static_equilibrium(machine: Machine, positions: Array) -> Array:
     names = machine.coordinate_names
     linear, pulleys = linear_coordinates(machine), np.isin(names, pulley_names(machine))
     carriages = positions[..., : len(names)][..., linear[: positions.shape[-1]]]
-    flat = carriages.reshape(-1, carriages.shape[-1])  # (runs, carriages)
+    flat = carriages.reshape(math.prod(carriages.shape[:-1]), carriages.shape[-1])  # (runs, carriages)
     at_rest = np.array([rest_state(machine, carriage)[: len(names)] for carriage in flat])
     if any(e.definition.force for e in machine.effects):
         forces = _forces_at_rest(machine, at_rest)[:, linear]  # N, (runs, carriages)

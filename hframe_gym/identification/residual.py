@@ -27,7 +27,7 @@ from .prediction import (
     predict,
     prediction_error,
 )
-from .start_estimation import most_probable_initial_state
+from .start_estimation import most_probable_initial_state, start_for_observer
 
 Array = NDArray[np.float64]
 
@@ -193,7 +193,7 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
     Returns:
         Force on every coordinate, N or Nm, without phase lag, shape (n, coordinates).
     """
-    start = most_probable_initial_state(machine, run, data)
+    start = start_for_observer(machine, run, data)
     force = _innovations(machine, run, data, start)[0] @ _rigid_force_gains(machine, data.period)
     return _low_pass(force, _RESIDUAL_CUTOFF, data.period)
 
@@ -218,7 +218,7 @@ def comparable_forces(machine: Machine, data: Dataset) -> tuple[Array, Array]:
         scales[machine.coordinate_names.index(name)] *= np.linalg.norm((motion * travel)[pulleys]) or 1.0
     rng, gains, by_run = np.random.default_rng(0), _rigid_force_gains(machine, data.period) / scales, []
     for run in data.runs:
-        start = most_probable_initial_state(machine, run, data)
+        start = start_for_observer(machine, run, data)
         innovations = _innovations(machine, run, data, start, _synthetic_noise(machine, run, data, rng))
         by_run.append([_low_pass(values @ gains, _RESIDUAL_CUTOFF, data.period) for values in innovations])
     force, noise = np.concatenate(by_run, axis=1)

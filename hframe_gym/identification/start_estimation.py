@@ -20,7 +20,7 @@ from .estimation import Fit, prediction_cost
 from .initial_state import refine_encoder_zeros
 from .lost_voltages import estimate_lost_voltages
 from .model_error import continue_fit, fit_with_model_error, minimum_gain
-from .prediction import POLISH_STEP, SIMULATION, map_runs, predict, residuals
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState
 from .start_displacements import effect_state_spreads, start_displacements, uncertain_starts
 
@@ -60,6 +60,29 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
     # Only positions and velocities are passed: the effects' states are estimated anew, starting from 0.
     state = run.initial_state(machine)[: 2 * len(machine.coordinates)]
     return most_probable_start(machine, run.initial, state, errors, run.time_s)
+
+
+def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
+    """Return the state from which the prediction by an observer (60 rad/s) needs the smaller corrections.
+
+    The most probable start follows from a simulation. If the machine lacks much, the simulation drifts, and that start
+    can be worse than the measured one.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict, n samples.
+        data: Data set of the run, for the sampling period and the sensors' quantization steps.
+
+    Returns:
+        The most probable or the measured state: positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape
+        (2 * coordinates + effect states,).
+    """
+
+    def cost(start: Array) -> float:
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start)
+        return float(np.sum(residuals(run, data, motion.readings) ** 2))
+
+    return min(run.initial_state(machine), most_probable_initial_state(machine, run, data), key=cost)
 
 
 def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:

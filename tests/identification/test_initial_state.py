@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +19,12 @@ from hframe_gym.identification.initial_state import (
 )
 from hframe_gym.identification.residual import channel_errors
 from hframe_gym.machine import Machine, rest_state
-from hframe_gym.recordings import Recording
+from hframe_gym.recordings import Recording, load_machine
 from tests import reference_simulator as reference
 
 pytestmark = pytest.mark.oracle
 RADIUS = 0.0194
+REPOSITORY = Path(__file__).resolve().parents[2]
 QUANTUM = 5.2e-4  # rad
 POSITIONS = np.random.default_rng(8).uniform(-0.1, 0.1, (7, 2)) * [1.0, 0.5]
 
@@ -52,6 +54,13 @@ def test_belts_carry_what_static_friction_does_not(hframe: Machine, force: float
     # Friction can hold 0.4 N more or less, 17 um of the two belts' 24 kN/m; half of that may remain.
     assert np.abs(error).max() < 8e-6
     np.testing.assert_allclose(equilibrium[:2], true[:2], atol=1e-12)
+
+
+def test_equilibrium_of_a_machine_without_carriages() -> None:
+    """Two coupled motors: a belt, but no linear coordinate."""
+    machine = load_machine(REPOSITORY / "benchmarks" / "machines" / "ced.json")
+    np.testing.assert_array_equal(static_equilibrium(machine, np.zeros((3, 2)))[:, 0], 0.0)
+    assert static_equilibrium(machine, np.zeros(2)).shape == (2,)
 
 
 def initial_at(position: np.ndarray, encoders: np.ndarray, known: bool) -> InitialState:
