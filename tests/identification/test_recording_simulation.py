@@ -147,7 +147,9 @@ def test_a_recording_with_gaps_is_prepared_once(
     [[unsaturated]] = prepared
     noise = prepare([damaged], machine).noise
     np.testing.assert_array_equal(_rest_and_noise(fill_gaps(damaged), machine)[2], noise)
-    expected = np.abs(damaged.outputs[:, 2, None] - limits).min(axis=1) < 4 * noise[2]
+    distance = np.abs(damaged.outputs[:, 2, None] - limits).min(axis=1) / noise[2]
+    saturated = distance < 4
+    expected = saturated | (np.convolve(saturated, [1, 0, 1], "same") > 0) & (distance < 8)
     assert 0 < expected.sum() < len(expected)
     np.testing.assert_array_equal(np.isnan(unsaturated.outputs[:, 2]), expected)
 
