@@ -19,6 +19,7 @@ from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
 from tests.rigs.euler_rig import euler_parameters
 from tests.rigs.random_excitation import play
 
+pytestmark = pytest.mark.integration  # complete fits and an identification; seconds each
 HFRAME = BUILTIN_MACHINES["hframe"]()
 KINDS = ("steps", "moves", "triangle", "telegraph", "steps")
 
