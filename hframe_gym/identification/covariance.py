@@ -19,8 +19,7 @@ from .estimation import SWITCH_CHANGES, Fit, with_changed_switch
 from .free_parameters import parameter_table, prior_precision
 from .linearization import ResidualModel, has_impacts
 from .prediction import POLISH_STEP, block_size, map_runs, predict, residuals
-from .start_displacements import UncertainStart, uncertain_starts
-from .start_uncertainty import InitialStateProjection, predict_with_displaced_starts
+from .start_uncertainty import InitialStateProjection, UncertainStart, predict_with_displaced_starts, uncertain_starts
 
 Array = NDArray[np.float64]
 

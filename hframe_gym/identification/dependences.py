@@ -45,9 +45,9 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         for name, values in variables.items():
             explained = total[i] * _correlation_ratio(force[:, i], values)
             explained -= by_noise[i] * _correlation_ratio(noise[:, i], values)
-            share = min(float(explained / (total[i] - by_noise[i])), 1.0)
-            if share > _MINIMUM_DEPENDENCE:
-                ranked.append((explained, Dependence(name, machine.coordinate_names[i], share)))
+            fraction = min(float(explained / (total[i] - by_noise[i])), 1.0)
+            if fraction > _MINIMUM_DEPENDENCE:
+                ranked.append((explained, Dependence(name, machine.coordinate_names[i], fraction)))
     return [dependence for _, dependence in sorted(ranked, key=lambda entry: -entry[0])]
 
 

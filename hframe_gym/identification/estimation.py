@@ -23,8 +23,7 @@ from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from .linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
 from .prediction import SEARCH_STEP, map_runs
-from .start_displacements import uncertain_starts
-from .start_uncertainty import prediction_residuals
+from .start_uncertainty import prediction_residuals, uncertain_starts
 
 Array = NDArray[np.float64]
 

@@ -86,7 +86,8 @@ def with_input_timing(
         log(f"  {effect.label} is not selected: it {doubt}")
         entry = ConsideredEffect(added.effect, extended.machine, after.machine, doubt)
         return outcome._replace(considered=(*outcome.considered, entry))
-    log(f"  {effect.label} removes {100 * _share(current, best):.2g} % of the error (observer of {wide:.0f} rad/s)")
+    percent = 100 * _removed_fraction(current, best)
+    log(f"  {effect.label} removes {percent:.2g} % of the error (observer of {wide:.0f} rad/s)")
     chosen = tuple(s.with_values(extended.machine) for s in (*selected, added))
     return outcome._replace(after=extended, selected=chosen)
 
@@ -107,7 +108,7 @@ def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:
             yield fit_with_candidate(current, scored, scales, data)
 
 
-def _share(without: Fit, with_effect: Fit) -> float:
+def _removed_fraction(without: Fit, with_effect: Fit) -> float:
     """Return the fraction of the cost that an effect removes."""
     return 1.0 - with_effect.cost / without.cost
 
@@ -122,7 +123,7 @@ def _doubt(search: tuple[Fit, Fit], wide: tuple[Fit, Fit], data: Dataset, criter
         criteria: Decision thresholds.
     """
     gain = wide[0].cost - wide[1].cost
-    if _share(*wide) <= max(_share(*search), 0.0):
+    if _removed_fraction(*wide) <= max(_removed_fraction(*search), 0.0):
         return "explains a slow error, not a fast one"
     if gain < criteria.min_chance_gain * long_run_variance(wide[1], wide[1].machine.effects[-1].label, data):
         return "reduces the error by no more than chance may, since the remaining error is correlated in time"

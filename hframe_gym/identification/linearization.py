@@ -21,8 +21,13 @@ from .dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
 from .normal_equations import NormalEquations
 from .prediction import SEARCH_STEP, map_runs, predict, residuals
-from .start_displacements import UncertainStart, uncertain_starts
-from .start_uncertainty import InitialStateProjection, predict_with_displaced_starts, projected
+from .start_uncertainty import (
+    InitialStateProjection,
+    UncertainStart,
+    predict_with_displaced_starts,
+    projected,
+    uncertain_starts,
+)
 
 Array = NDArray[np.float64]
 

@@ -264,10 +264,10 @@ def _knots_moved(fitted: Fit, label: str) -> Fit:
     machine = fitted.machine
     table = next(e for e in machine.effects if e.label == label)
     knots, values = (np.array([table.parameters[f"{key}{i:02d}"] for i in range(KNOTS)]) for key in "kf")
-    own = np.array([f.along == label for f in fitted.free])
-    scale = np.array([f.scale or 1.0 for f in fitted.free])[own]
+    of_table = np.array([f.along == label for f in fitted.free])
+    scale = np.array([f.scale or 1.0 for f in fitted.free])[of_table]
     precision = fitted.information / max(1.0, fitted.chi2) + prior_precision(fitted.free)
-    covariance = np.linalg.inv(precision)[np.ix_(own, own)] * np.outer(scale, scale)
+    covariance = np.linalg.inv(precision)[np.ix_(of_table, of_table)] * np.outer(scale, scale)
     moved = knots_at_bends(knots, values, covariance)
     parameters = {f"k{i:02d}": float(knot) for i, knot in enumerate(moved)}
     parameters |= {f"f{i:02d}": float(value) for i, value in enumerate(np.interp(moved, knots, values))}
@@ -298,8 +298,8 @@ def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
     # Each piece between two knots has the larger curvature of its ends.
     curvature = np.maximum(np.append(curvature[0], curvature), np.append(curvature, curvature[-1]))
     at_bends = curvature**_CURVATURE_POWER * spacing
-    share = (1.0 - _EVEN_KNOTS) * at_bends / at_bends.sum() + _EVEN_KNOTS * spacing / spacing.sum()
-    cumulative = np.concatenate([[0.0], np.cumsum(share)])
+    density = (1.0 - _EVEN_KNOTS) * at_bends / at_bends.sum() + _EVEN_KNOTS * spacing / spacing.sum()
+    cumulative = np.concatenate([[0.0], np.cumsum(density)])
     return np.asarray(np.interp(np.linspace(0.0, cumulative[-1], KNOTS), cumulative, knots))
 
 

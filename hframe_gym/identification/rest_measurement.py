@@ -39,8 +39,8 @@ class InitialState:
         zeros: Zeros of the sensors (measurements at position 0), in the sensors' units, shape (sensors,); the argument
             `offset` of `simulate`.
         resting_rows: Number of rows at rest at the beginning of the run.
-        resolves_stretch: Whether each encoder kept its zero in all runs and resolves belt stretch, shape (sensors,).
-        zero_spread: Standard deviation of each encoder's zero from run to run, m or rad, shape (sensors,), or 0.
+        zero_spread: Standard deviation of each encoder's zero from run to run, m or rad, shape (sensors,); 0 for an
+            encoder without a known zero, and for one that does not resolve the stretch of the belts.
         zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.
@@ -63,7 +63,6 @@ class InitialState:
     state: Array
     zeros: Array
     resting_rows: int
-    resolves_stretch: NDArray[np.bool_]
     zero_spread: Array
     zeros_refined: bool = False
     position_measured: bool = True
@@ -104,6 +103,11 @@ class InitialState:
         names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
         state, states = np.split(start, [len(start) - len(names)])
         return dataclasses.replace(self, state=state, effect_states=dict(zip(names, states.tolist(), strict=True)))
+
+    @property
+    def resolves_stretch(self) -> NDArray[np.bool_]:
+        """Whether each encoder kept its zero in all runs and measures the stretch of the belts, shape (sensors,)."""
+        return self.zero_spread > 0.0
 
     @property
     def position(self) -> Array:
@@ -177,7 +181,6 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
         np.concatenate([position, velocity.mean]),
         np.where(known, zeros.values, estimated),
         rows,
-        zeros.resolves_stretch,
         zeros.spread,
         position_measured=position_measured,
         lasers_measured=lasers_measured,

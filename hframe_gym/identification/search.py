@@ -41,7 +41,8 @@ class SearchOutcome(NamedTuple):
 
     Attributes:
         before: Fit of the refitted machine, without effects.
-        before_explains, explained: Whether the machine without and that with the effects explain the data.
+        before_explains: Whether that machine explains the data.
+        explained: Whether the machine with the effects explains the data.
         verdict: "effect_found", "no_effect" or "unexplained".
         after: Fit of the machine with the effects.
         selected: The selected effects.
@@ -172,13 +173,7 @@ def _wide_chi2(outcome: SearchOutcome) -> float:
 
 
 class _Search:
-    """The search for effects that explain the residual of the refitted machine.
-
-    Args:
-        machine: Machine as declared.
-        data: Prepared recordings to fit.
-        criteria: Decision thresholds.
-        log: Called with a line of text at each stage.
+    """The search for effects that explain the residual of the refitted machine; arguments as of `search_effects`.
 
     Attributes:
         base: Machine refitted at `SEARCH_BANDWIDTH`.
@@ -186,8 +181,8 @@ class _Search:
     """
 
     def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
-        self._criteria, self._log = criteria, log
-        self._data = self._data_after = data  # the second one with initial states by the machine with effects
+        self._data, self._criteria, self._log = data, criteria, log
+        self._data_after = data  # with the initial states and zeros that follow from the machine with effects
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
@@ -308,7 +303,7 @@ class _Search:
             if len(more) > len(known):
                 data = refine_dataset(self._data, fitted.machine)  # starts are more accurate with the table
                 fitted = fit_with_moved_knots(fitted, data, criteria)
-                # No further search beside a table: many small effects resemble the error of its straight pieces.
+                # No search beside a table: many small effects resemble the error of its straight pieces.
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
                 limit = criteria.max_table_cost_fraction * min(self.base.cost, wide.cost)

@@ -1,6 +1,6 @@
 """Estimate the state from which a run most probably began, given all of its measurements.
 
-The measurements at rest leave unknowns (`start_displacements`). The motion that follows depends on them and shows them,
+The measurements at rest leave unknowns (`start_uncertainty`). The motion that follows depends on them and shows them,
 once a machine is known well enough.
 """
 
@@ -22,7 +22,7 @@ from .lost_voltages import estimate_lost_voltages
 from .model_error import continue_fit, fit_with_model_error, minimum_gain
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict, residuals
 from .rest_measurement import InitialState
-from .start_displacements import effect_state_spreads, start_displacements, uncertain_starts
+from .start_uncertainty import effect_state_spreads, start_displacements
 
 Array = NDArray[np.float64]
 # Iterations of a descent, fractions of a step that it tries, and its differences in standard deviations.
@@ -34,13 +34,17 @@ _NOISE_ONLY = 1.2  # mean square error in units of the noise, above which other 
 _DRAWS, _DRAW_SPREAD, _FIRST_DESCENTS, _DESCENTS = 127, 1.5, 8, 3
 _FIRST_MOTION = 0.3  # s after the rows at rest; several periods of the belts' vibration
 
+# Function from displacements of a start in units of their standard deviations, shape (B, displacements), to simulation
+# errors in units of the noise, shape (B, values).
+_Errors = Callable[[Array], Array]
+
 
 def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Return the state from which a run most probably began, given all of its measurements.
 
     It is the state of maximum posterior density: it fits the measurements and is near the state measured at rest.
-    An effect is a deviation from the nominal model. Some effects, such as hysteresis and bristle friction, have states
-    of their own, which remember motion before the run.
+    An effect is a deviation from the nominal model. Some effects, such as hysteresis and bristle friction, have
+    states, which remember motion before the run.
 
     Args:
         machine: Machine to simulate, with its effects.
@@ -158,9 +162,10 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
             explain little.
         data: Data set with these initial states; `data` if they explain little.
     """
-    uncertain = any(len(start.displacements) for start in uncertain_starts(current.machine, data.runs).values())
-    if not uncertain or not criteria.noise_level < current.chi2 < np.inf:
+    if not criteria.noise_level < current.chi2 < np.inf:
         return current, data
+    if not any(map(len, start_displacements(current.machine, [run.initial for run in data.runs]))):
+        return current, data  # nothing is uncertain
     refined = refine_starts(data, current.machine)
     cost = prediction_cost(current.machine, refined, current.bandwidth, longest_step=current.longest_step)
     if (current.cost - cost) / data.count < minimum_gain(current, criteria):
@@ -218,11 +223,6 @@ def most_probable_start(
         best = _most_probable_first(_evaluate(complete, np.array(followed)))
         minima += [_descend(complete, minimum.amounts) for minimum in best[:_DESCENTS]]
     return np.asarray(state + _most_probable_first(minima)[0].amounts @ displacements)
-
-
-# Function from displacements of a start in units of their standard deviations, shape (B, displacements), to simulation
-# errors in units of the noise, shape (B, values).
-_Errors = Callable[[Array], Array]
 
 
 class _Minimum(NamedTuple):

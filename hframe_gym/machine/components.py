@@ -15,8 +15,10 @@ Array = NDArray[np.float64]
 Row = Mapping[str, float]
 CoordinateKind = Literal["linear", "rotary"]
 
-# Units of the quantities of a coordinate. The unit of an effect's parameter may be one of these keys; it then follows
-# the kind of the coordinate at the effect's site.
+# Units of the quantities of a coordinate, by its kind. An effect states the unit of a parameter by one of these keys,
+# because it is N at a carriage and Nm at a pulley, for example. Two keys need an explanation: "absolute position" is a
+# place, such as that of a magnet, whereas "position" is a distance, such as a period, which a search scales by the
+# typical travel; "rad/position" is a phase per position.
 UNITS: dict[CoordinateKind, dict[str, str]] = {
     "linear": {
         "position": "m",
@@ -41,7 +43,7 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
         "rad/position": "1",
     },
 }
-# Units of parameters, and of effects' quantities, that do not depend on the kind of a coordinate.
+# Units of parameters that are the same for linear and rotary coordinates.
 FIXED_UNITS = {
     "radius": "m",
     "EA": "N",
@@ -92,7 +94,7 @@ class Coordinate:
         Args:
             quantity: A parameter of the coordinate ("mass", "viscous", "coulomb" or "radius"), or a key of `UNITS`,
                 such as "position", "speed", "force", "stiffness", "drag" (force per squared speed) or "rad/position"
-                (of a gear ratio). Keys of `FIXED_UNITS`, such as "voltage", have the same unit at every coordinate.
+                (a phase per position). Keys of `FIXED_UNITS`, such as "voltage", have one unit at all coordinates.
 
         Returns:
             The unit, for example "kg m^2" for the mass of a rotary coordinate.
@@ -116,10 +118,10 @@ class Belt:
     Attributes:
         name: Name of the section.
         EA: Axial stiffness, Young's modulus times cross section, N.
-        rest_length: Length at zero travel, m.
+        rest_length: Unstretched length at zero travel, m.
         extension: Extension per belt travel, m/m, by coordinate name.
-        length: Change of the section's length per belt travel, m/m, by coordinate name. Empty for a section of
-            constant stiffness.
+        length: Change of the section's unstretched length per belt travel, m/m, by coordinate name: a carriage that
+            moves along the belt lengthens the section on one side of it. Empty for a section of constant stiffness.
     """
 
     PARAMETERS: ClassVar[tuple[str, ...]] = ("EA", "rest_length")
@@ -133,10 +135,11 @@ class Belt:
 
 @dataclass(frozen=True)
 class Drive:
-    """A DC motor behind a gear, on one coordinate.
+    """A DC motor with a gear that drives one coordinate.
 
-    At the coordinate's speed w (rad/s or m/s) and the voltage V, the torque or force on the coordinate is
-    gear_ratio * Kt/R * (V - Ke * gear_ratio * w): eq. 17 of Sollmann et al. (2010) with the gear ratio that it omits.
+    With the voltage V, the resistance R and the speed w of the coordinate (rad/s or m/s), the torque (Nm) or force (N)
+    on the coordinate is gear_ratio * Kt/R * (V - Ke * gear_ratio * w): eq. 17 of Sollmann et al. (2010) with the gear
+    ratio that it omits.
 
     Attributes:
         name: Name of the drive.
@@ -191,7 +194,7 @@ class Drive:
 
 
 class SensorKind:
-    """Base class of sensor kinds, such as encoders: how an ideal (noise-free, continuous) reading is measured.
+    """Base class of sensor kinds, such as encoders: how an ideal reading (without noise and rounding) is measured.
 
     A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
 
@@ -243,14 +246,14 @@ class Sensor:
 
     Attributes:
         channel: Column of the recordings that holds the measurement, for example x_m or phi1_rad.
-        row: Coefficient of each coordinate. A key may be a product, "y*yaw": its coefficient multiplies both positions.
+        row: Coefficient c of each coordinate, by name. A key may be a product: "y*yaw" adds c * y * yaw to the reading.
         noise: Standard deviation of the noise, in the channel's unit.
         resolution: Quantization step, in the channel's unit; 0 for a continuous sensor.
         kind: Name in `SENSOR_KINDS`: "encoder" (incremental), "laser" (fixed zero) or a kind that a user registered.
         zero: Measurement of an incremental sensor at position 0, in the channel's unit, if it was the same in all
             recordings from which the machine was identified. None: unknown.
-        zero_std: Standard deviation of `zero` from recording to recording, in the channel's unit; its cause are belts
-            that friction holds stretched at rest. None: `zero` is unknown, or no variation was found.
+        zero_std: Standard deviation of `zero` from recording to recording, in the channel's unit. Belts that friction
+            holds stretched at rest cause it. None: `zero` is unknown, or no variation was found.
     """
 
     channel: str

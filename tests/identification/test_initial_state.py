@@ -66,7 +66,7 @@ def test_equilibrium_of_a_machine_without_carriages() -> None:
 def initial_at(position: np.ndarray, encoders: np.ndarray, known: bool) -> InitialState:
     """Return the initial state that sensors without noise measure."""
     state = np.concatenate([position, encoders, np.zeros(4)])
-    return InitialState(state, np.zeros(4), 50, np.array([known] * 2 + [False] * 2), np.zeros(4))
+    return InitialState(state, np.zeros(4), 50, zero_spread=1e-4 * np.array([known, known, False, False]))
 
 
 def prepared(initial: InitialState, name: str) -> PreparedRecording:

@@ -13,12 +13,13 @@ from hframe_gym.identification import Dataset, SelectionCriteria, prepare, simul
 from hframe_gym.identification.estimation import fit, prediction_cost
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.prediction import SIMULATION, residuals
-from hframe_gym.identification.start_displacements import start_displacements, uncertain_starts
 from hframe_gym.identification.start_estimation import most_probable_start, refine_dataset, with_probable_starts
 from hframe_gym.identification.start_uncertainty import (
     InitialStateProjection,
     predict_with_displaced_starts,
     projected,
+    start_displacements,
+    uncertain_starts,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
