@@ -279,10 +279,12 @@ class _Search:
             lower = current.chi2 < found_at.chi2 - minimum_gain(found_at, criteria)
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)
-        self._data_after = data = search.data
-        if not effects and start is None:
-            self.before, self._data = current, data
+        if effects or self._explains(current):  # starts that a wrong machine estimates compensate what it lacks
+            self._data_after = search.data
+        if not effects and start is None and self._explains(current):
+            self.before, self._data = current, search.data
         if effects:
+            data = search.data
             current, effects = search.settle_rivals(current, effects)
             current, effects = search.prune(polish(current, data), effects)
             simulated = self._refined(current)
