@@ -64,8 +64,8 @@ def table_candidates(
 
     - the three best tables (`max_tables_per_coordinate`);
     - of the remaining tables, the best one over time;
-    - of the remaining tables, the best one over the position of the coordinate, because fitted friction parameters can
-      hide a part of a force that depends on the position.
+    - of the remaining tables, both over the position of the coordinate, force and friction, because fitted friction
+      parameters can hide a part of a force that depends on the position.
 
     Args:
         machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
@@ -93,8 +93,9 @@ def table_candidates(
                 ranked.append((fraction, Table(f"{kind}[{name}]", site, knots)))
         tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
         chosen += tables[:max_per_site]
-        for name in ("time", f"position of {site}"):  # at most one each
-            chosen += [table for table in tables[max_per_site:] if table.effect.endswith(f"[{name}]")][:1]
+        remaining = tables[max_per_site:]
+        chosen += [table for table in remaining if table.effect.endswith("[time]")][:1]
+        chosen += [table for table in remaining if table.effect.endswith(f"[position of {site}]")]
     return [_candidate(table, scales) for table in chosen if f"{table.effect}@{table.site}" not in existing_labels]
 
 

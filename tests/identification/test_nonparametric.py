@@ -7,8 +7,17 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.effects.smooth_table import KNOTS, definition
-from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
-from hframe_gym.identification.nonparametric import add_tables, knots_at_bends
+from hframe_gym.identification import (
+    Dataset,
+    Fit,
+    SelectionCriteria,
+    default_free_parameters,
+    fit,
+    nonparametric,
+    prepare,
+)
+from hframe_gym.identification.force_sizes import typical_scales
+from hframe_gym.identification.nonparametric import add_tables, knots_at_bends, table_candidates
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -62,6 +71,24 @@ def test_no_table_for_a_force_that_differs_between_runs(axis: Machine) -> None:
     unchanged, tables = add_tables(fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None)
     assert tables == ()
     assert unchanged is fitted
+
+
+def test_force_and_friction_over_the_position_are_both_proposed(axis: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fitted friction hides a part of a force over the position, so that friction over it may rank higher."""
+    fitted, data = runs_with_cable(axis, 40.0, (0.0, 0.3, -0.3))
+    ranks = {"smooth_friction[position of x]": 0.2, "smooth_force[position of x]": 0.1}
+
+    def explained(variable: np.ndarray, samples: np.ndarray, *, symmetric: bool) -> tuple[float, np.ndarray]:
+        return next(values), np.linspace(-1.0, 1.0, KNOTS)
+
+    variables = nonparametric.table_variables(fitted.machine, data)
+    names = [f"{kind}[{name}]" for name in variables for kind in ("smooth_force", "smooth_friction")]
+    values = iter([ranks.get(name, 0.9) for name in names])
+    monkeypatch.setattr(nonparametric, "_explained_fraction", explained)
+    criteria, scales = SelectionCriteria(max_tables_per_coordinate=2), typical_scales(fitted, data)
+    proposed = [c.label for c in table_candidates(fitted.machine, data, scales, criteria)]
+    assert {f"{name}@x" for name in ranks} <= set(proposed)
+    assert len(proposed) == len(set(proposed)) <= 5
 
 
 CENTER, WIDTH = 0.03, 0.006  # m
