@@ -126,6 +126,8 @@ class Effect:
         coordinate: Name of the coordinate that `structure` adds, on which `force` acts; empty if none.
         requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
+        signal_order: Place on the way of a signal. Where several effects change the same voltage, current or measurement,
+            those with smaller numbers act first, in whichever order they are listed in the machine.
     """
 
     name: str
@@ -161,6 +163,7 @@ class Effect:
     coordinate: str = ""
     impacts: bool = False
     requires: str = ""
+    signal_order: int = 0
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the declaration of one parameter of the effect (deviation from the nominal model): unit, bounds, role.

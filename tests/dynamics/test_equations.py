@@ -164,3 +164,25 @@ def test_voltage_delay_shifts_the_inputs(hframe: Machine) -> None:
         machine = dataclasses.replace(machine, belts=())
         force = net_forces(machine, time_s, rest, rest, inputs)
         np.testing.assert_allclose(force[4:7, 2], gain * np.array(expected), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("site", "first", "second"),
+    [
+        ("motor1", ("electrical_lag", {"tau": 2e-3}), ("current_limit", {"I": 4.0})),
+        ("motor1", ("dead_band", {"Vd": 0.5, "drop": 1.0}), ("voltage_offset", {"V0": 0.8})),
+        ("motor1", ("voltage_offset", {"V0": 2.0}), ("voltage_limit", {"U": 5.0})),
+        ("x_m", ("sensor_scale", {"g": 0.05}), ("sensor_range", {"low": -1e-3, "high": 1e-3})),
+    ],
+)
+def test_effects_act_in_the_order_of_the_signal(
+    hframe: Machine, site: str, first: tuple[str, dict[str, float]], second: tuple[str, dict[str, float]]
+) -> None:
+    """The order in which effects are listed, or were found by identification, does not change the machine."""
+    time_s = np.arange(200) * 1e-3
+    inputs = np.stack([7.0 * np.sin(60.0 * time_s), 5.0 * np.cos(40.0 * time_s)], axis=1)
+    applied = [EFFECTS[name].at(site, **values) for name, values in (first, second)]
+    simulated = [hframe.with_effects(*order).simulate(time_s, inputs).outputs for order in (applied, applied[::-1])]
+    np.testing.assert_array_equal(*simulated)
+    without_second = hframe.with_effects(applied[0]).simulate(time_s, inputs).outputs
+    assert np.abs(simulated[0] - without_second).max() > 1e-5
