@@ -76,15 +76,18 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
     if not math.isfinite(start.cost):
         return trials
     scales, ranked = _ranked_candidates(start, data)
-    best_promise = 0.0  # largest linearized gain of a candidate that explains the data
+    best_promise, explaining = 0.0, ""  # largest linearized gain of a candidate that explains the data, and its effect
     promising = _promising(start, ranked, data, enough, criteria)
     share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
     for scored in promising:
-        # Where a candidate explains the data, only those that may be its rivals are fitted as well.
-        if scored.gain > criteria.rival_promise * best_promise:
+        # Where a candidate explains the data, only those that may be its rivals are fitted as well. The same effect at
+        # another site always may: where one drive reaches its current limit, a common limit explains nearly as much.
+        fitted = [t.machine.effects[-1].label for t in trials]
+        elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
+        if elsewhere or scored.gain > criteria.rival_promise * best_promise:
             trials = _with_better_shape(trials, fit_with_candidate(start, scored, scales, data))
-            if unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
-                best_promise = max(best_promise, scored.gain)
+            if not explaining and unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
+                best_promise, explaining = scored.gain, scored.candidate.effect.name
     return trials
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -128,3 +129,33 @@ def test_two_shapes_of_an_effect_are_fitted(axis: Machine) -> None:
     labels = [scored.candidate.label for scored in promising]
     assert max(labels.count(label) for label in labels) == 2
     assert [s.gain for s in promising] == sorted((s.gain for s in promising), reverse=True)
+
+
+@pytest.mark.parametrize(("remaining", "fitted"), [(0.05, {"left", "right"}), (0.5, {"left", "right", "y"})])
+def test_the_same_effect_at_other_sites_is_always_a_possible_rival(
+    monkeypatch: pytest.MonkeyPatch, remaining: float, fitted: set[str]
+) -> None:
+    """Where a candidate explains the data, others are fitted only if they promise nearly as much."""
+    effects = {"left": "belt_slack", "right": "belt_slack", "y": "quadratic_drag"}
+    applied = {site: SimpleNamespace(label=f"{name}@{site}", site=site) for site, name in effects.items()}
+    ranked = [
+        SimpleNamespace(
+            gain=gain,
+            amounts=(),
+            candidate=SimpleNamespace(
+                label=applied[site].label,
+                effect=SimpleNamespace(name=effects[site]),
+                applied=lambda amounts, site=site: applied[site],
+            ),
+        )
+        for site, gain in (("left", 100.0), ("right", 40.0), ("y", 60.0))
+    ]
+    trial = {e.label: SimpleNamespace(machine=SimpleNamespace(effects=(e,)), cost=1.0) for e in applied.values()}
+    monkeypatch.setattr(trial_fits, "_ranked_candidates", lambda *arguments: (None, ranked))
+    monkeypatch.setattr(trial_fits, "_promising", lambda *arguments: ranked)
+    monkeypatch.setattr(trial_fits, "share_kernel", lambda *arguments: None)
+    monkeypatch.setattr(trial_fits, "unexplained_fraction", lambda *arguments: remaining)
+    monkeypatch.setattr(trial_fits, "fit_with_candidate", lambda start, scored, *rest: trial[scored.candidate.label])
+    start = SimpleNamespace(cost=1.0, machine=None)
+    trials = trial_fits._trial_fits_from(start, start, None, 0.1, SelectionCriteria())
+    assert {t.machine.effects[-1].site for t in trials} == fitted
