@@ -78,7 +78,7 @@ class SelectionCriteria:
         max_tables_per_coordinate: Number of tables per coordinate that are screened, in addition to one over time and
             one over the coordinate's position.
         max_table_cross_validation: Largest cost of data to which a table was not fitted, relative to the cost without
-            the table.
+            the table: a geometric mean over pieces of the runs.
         cross_validation_blocks: Smallest number of pieces into which all runs together are divided to cross-validate a
             table. Each run is divided into at least two.
         max_drift: Largest ratio of simulation error to standard deviation of the measurements at which formulas for a

@@ -219,7 +219,7 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
 
-    It is the difference of the `left_out_cost` of both fits, where each run is left out in turn. Of fewer than four
+    It is the difference of the sums of `left_out_costs` of both fits; each run is left out in turn. Of fewer than four
     runs, pieces (at least eight in all) are left out instead: too few other runs might not determine the parameters.
 
     Args:
@@ -232,11 +232,11 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         fitted runs, and negative if the effect describes single runs rather than the machine.
     """
     pieces = 1 if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))  # of each run
-    return left_out_cost(without, data, pieces) - left_out_cost(with_effect, data, pieces)
+    return sum(left_out_costs(without, data, pieces)) - sum(left_out_costs(with_effect, data, pieces))
 
 
-def left_out_cost(fitted: Fit, data: Dataset, pieces: int) -> float:
-    """Return the cost of all runs, each piece with parameters that are fitted to all other pieces (cross-validation).
+def left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[float]:
+    """Return the cost of each piece of the runs with parameters that are fitted to all others (cross-validation).
 
     The model is linearized around the fit, where each of these fits is one Newton step within the limits of the fit.
 
@@ -246,9 +246,9 @@ def left_out_cost(fitted: Fit, data: Dataset, pieces: int) -> float:
         pieces: Number of pieces into which each run is divided; 1 for whole runs.
 
     Returns:
-        Cost, dimensionless: sum of squared residuals in units of the noise; infinite if the machine diverges.
+        Costs, dimensionless: sums of squared residuals in units of the noise; infinite if the machine diverges.
     """
-    return sum(cost for cost, _ in _left_out_costs(fitted, data, pieces))
+    return [cost for cost, _ in _cross_validation(fitted, data, pieces)]
 
 
 def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
@@ -266,7 +266,7 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
     """
     if len(data.runs) < _MIN_RUNS_COMPARED:
         return None
-    costs = _left_out_costs(fitted, data, 1)
+    costs = _cross_validation(fitted, data, 1)
     counts = [run.count for run in data.runs]
     ratios = [
         (cost / count) / (others / (sum(counts) - count)) for (cost, others), count in zip(costs, counts, strict=True)
@@ -275,7 +275,7 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
     return data.runs[worst].name if ratios[worst] > CONTRADICTION else None
 
 
-def _left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
+def _cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
     """Return for each piece of the runs its cost and that of all others, with parameters fitted to the others."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     point = model.at(fitted.theta)

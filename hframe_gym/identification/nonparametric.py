@@ -9,6 +9,7 @@ not its physical cause.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from .estimation import Fit, describe_gain
 from .force_sizes import TypicalScales, typical_scales
 from .forward_selection import Log, SelectedEffect, Selection
 from .free_parameters import prior_precision
-from .model_error import continue_fit, left_out_cost, minimum_gain
+from .model_error import continue_fit, left_out_costs, minimum_gain
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
 from .residual import missing_force
 from .screening import screen
@@ -189,9 +190,9 @@ def add_tables(
 
     Each step ranks the proposed tables by their linearized gain (predicted reduction of chi-squared) and adds the first
     one that passes cross-validation. For this, each run is divided into halves (into more pieces if there are fewer
-    than four runs). Each piece is predicted with parameters that are fitted to all other pieces. The sum of these costs
-    must be below `max_table_cross_validation` times the same sum without the table. The gain on all data must suffice
-    as well.
+    than four runs). Each piece is predicted with parameters that are fitted to all other pieces. On average
+    (`_left_out_ratio`), these costs must be below `max_table_cross_validation` times those without the table. The gain
+    on all data must suffice as well.
 
     Args:
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
@@ -215,8 +216,8 @@ def add_tables(
         min_gain = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
         proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)
         trials = (fit_with_candidate(current, s, scales, data) for s in proposed)
-        limit = criteria.max_table_cross_validation * _left_out_cost(current, data, criteria)
-        trial = next((t for t in trials if _left_out_cost(t, data, criteria) < limit), None)
+        limit = criteria.max_table_cross_validation
+        trial = next((t for t in trials if _left_out_ratio(t, current, data, criteria) < limit), None)
         if trial is None:
             break
         converged = fit_with_moved_knots(trial, data, criteria)
@@ -254,7 +255,7 @@ def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria
             # The error at the ends, where few runs come, may change by cross-validation alone.
             if fitted.cost - moved.cost < minimum_gain(fitted, criteria) * data.count:
                 break
-            if not _left_out_cost(moved, data, criteria) < _left_out_cost(fitted, data, criteria):
+            if not _left_out_ratio(moved, fitted, data, criteria) < 1.0:
                 break
             fitted = moved
     return fitted
@@ -304,11 +305,26 @@ def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
     return np.asarray(np.interp(np.linspace(0.0, cumulative[-1], KNOTS), cumulative, knots))
 
 
-def _left_out_cost(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> float:
-    """Return the cost of all runs, each half of a run with the parameters that the other halves determine.
+def _left_out_ratio(fitted: Fit, reference: Fit, data: Dataset, criteria: SelectionCriteria) -> float:
+    """Return the mean ratio of two fits' costs, each half of a run with the parameters that the other halves determine.
 
     With two dozen values, a table can fit almost any residual; one over the wrong variable fails on other data. Without
-    a whole run, values of the variable that only this run passes would not be determined.
+    a whole run, values of the variable that only this run passes would not be determined. Where even half a run is the
+    only one that passes some values, the cost of this half is large. The mean is therefore geometric, which one half
+    does not dominate. The halves are weighted by their cost in the reference, because the others need no table.
+
+    Args:
+        fitted: Fit with the table to judge.
+        reference: Fit without the table, or with other knots.
+        data: Prepared recordings to fit.
+        criteria: Decision thresholds, among them `cross_validation_blocks`.
+
+    Returns:
+        Ratio of the costs, below 1 where `fitted` is better; infinite if a machine diverges.
     """
     pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
-    return left_out_cost(fitted, data, pieces)
+    costs, before = (np.array(left_out_costs(f, data, pieces)) for f in (fitted, reference))
+    if not np.isfinite([costs, before]).all():
+        return math.inf
+    compared = (costs > 0.0) & (before > 0.0)  # a piece may have no valid measurement
+    return float(np.exp(np.average(np.log(costs[compared] / before[compared]), weights=before[compared])))

@@ -204,7 +204,7 @@ class LinearModel:
 
 
 @pytest.mark.parametrize("names", ["abcde", "ab"])
-def test_left_out_costs_are_those_of_fits_to_the_others(monkeypatch: pytest.MonkeyPatch, names: str) -> None:
+def test_cross_validation_are_those_of_fits_to_the_others(monkeypatch: pytest.MonkeyPatch, names: str) -> None:
     """Compare with a least-squares solution for each part; two runs are divided into four parts each."""
     rng = np.random.default_rng(0)
     rows = {name: (rng.normal(size=(2, 80)), rng.normal(size=80)) for name in names}
@@ -230,9 +230,9 @@ def test_left_out_costs_are_those_of_fits_to_the_others(monkeypatch: pytest.Monk
         theta = -np.linalg.solve(information, sum(j @ r for j, r in others))
         costs = [float(np.sum((r + theta @ j) ** 2)) for j, r in parts]
         expected.append((costs[left_out], sum(costs) - costs[left_out]))
-    np.testing.assert_allclose(model_error._left_out_costs(fitted, data, pieces), expected, rtol=1e-9)
+    np.testing.assert_allclose(model_error._cross_validation(fitted, data, pieces), expected, rtol=1e-9)
     total = sum(cost for cost, _ in expected)
-    assert model_error.left_out_cost(fitted, data, pieces) == pytest.approx(total)
+    assert sum(model_error.left_out_costs(fitted, data, pieces)) == pytest.approx(total)
     better = dataclasses.replace(fitted, theta=fitted.theta)
     assert model_error.leave_one_out_gain(fitted, better, data) == pytest.approx(0.0, abs=1e-9)
 
@@ -250,14 +250,14 @@ def test_left_out_costs_are_those_of_fits_to_the_others(monkeypatch: pytest.Monk
 def test_a_run_with_ten_times_the_error_of_the_others_contradicts(
     monkeypatch: pytest.MonkeyPatch, costs: list[tuple[float, float]], name: str | None
 ) -> None:
-    monkeypatch.setattr(model_error, "_left_out_costs", lambda fitted, data, pieces: costs)
+    monkeypatch.setattr(model_error, "_cross_validation", lambda fitted, data, pieces: costs)
     data = runs("abcd"[: len(costs)])
     assert model_error.contradicting_run(fit_with(chi2=1.0), data) == name
 
 
 def test_runs_of_different_length_are_compared_per_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        model_error, "_left_out_costs", lambda *arguments: [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)]
+        model_error, "_cross_validation", lambda *arguments: [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)]
     )
     data = runs("abcd")
     data.runs[0].count = 100

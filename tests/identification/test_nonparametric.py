@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -136,3 +139,19 @@ def test_knots_are_dense_only_at_a_bend_that_noise_does_not_explain(bend: float)
         assert np.sum(np.abs(moved - 0.3) < 0.1) > KNOTS / 2
     else:
         np.testing.assert_array_equal(moved, knots)
+
+
+def test_cross_validation_is_not_dominated_by_one_half_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A table that explains all halves but one is accepted, one that explains what needed no explanation is not."""
+    before, with_table, trivial = [80.0, 90.0, 10.0, 0.0], [2.0, 2.0, 570.0, 0.0], [79.0, 89.0, 0.1, 0.0]
+    costs = {"before": before, "table": with_table, "trivial": trivial, "diverges": [1.0, math.inf, 1.0, 0.0]}
+    monkeypatch.setattr(nonparametric, "left_out_costs", lambda fitted, data, pieces: costs[fitted])
+    data = SimpleNamespace(runs=("run 1", "run 2"))
+
+    def ratio(fitted: str) -> float:
+        return nonparametric._left_out_ratio(fitted, "before", data, SelectionCriteria())
+
+    expected = (2 / 80) ** (80 / 180) * (2 / 90) ** (90 / 180) * 57 ** (10 / 180)
+    assert ratio("table") == pytest.approx(expected)
+    assert 0.7 < ratio("trivial") < 1.0
+    assert ratio("diverges") == math.inf
