@@ -195,16 +195,23 @@ class EffectSearch:
     def _next_effect(self, current: Fit) -> Step | None:
         """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
 
-        If no effect passes with the present observer, the next narrower one is tried, because an observer hides slow
-        errors, and with them the benefit of an effect. The effect must then also compensate for the lower likelihood of
-        the narrower observer. None if no effect passes.
+        An observer hides slow errors, and with them what a small constant force explains. Where no effect passes with
+        the present observer, narrower ones are tried therefore, as long as the model nearly explains the data with
+        them: the tests of an effect then permit that the remaining error is correlated in time. Otherwise only the next
+        narrower one is tried, and the effect must also compensate for its lower likelihood. None if no effect passes.
         """
         self._doubted = None
-        enough = minimum_gain(current, self._criteria)  # reduction of chi-squared per sample
-        found = self._passing(current, enough, structures=True)
-        if found is None and current.bandwidth != SIMULATION:
-            narrower = narrower_observer(current, self.data)
-            found = self._passing(narrower, enough + likelihood_deficit(narrower, current, self.data))
+        criteria, wide = self._criteria, current
+        found = self._passing(current, minimum_gain(current, criteria), structures=True)
+        while found is None and current.bandwidth != SIMULATION:
+            first, current = current is wide, narrower_observer(current, self.data)
+            enough = minimum_gain(current, criteria)
+            if current.chi2 >= criteria.explained_chi2:
+                if not first:
+                    break
+                enough = minimum_gain(wide, criteria) + likelihood_deficit(current, wide, self.data)
+                return self._passing(current, enough)
+            found = self._passing(current, enough)
         return found
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:

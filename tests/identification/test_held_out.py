@@ -150,6 +150,22 @@ def test_the_held_out_gain_compares_forces_or_costs(monkeypatch: pytest.MonkeyPa
     assert held_out.error_reduction(with_drag, with_both, DATA, 60.0) == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize(
+    ("observed", "simulated", "gain"), [(1.01, 0.1, 0.9), (1.01, 0.6, -0.01), (0.99, 0.1, 0.01), (1.01, 1.2, -0.01)]
+)
+def test_a_clear_gain_in_simulation_counts_where_an_observer_shows_none(
+    monkeypatch: pytest.MonkeyPatch, observed: float, simulated: float, gain: float
+) -> None:
+    """An observer hides the slow error that a small constant force explains."""
+
+    def cost(machine: Machine, data: object, bandwidth: float, **options: object) -> float:
+        return (simulated if bandwidth == 0.0 else observed) if machine.effects else 1.0
+
+    monkeypatch.setattr(held_out, "prediction_cost", cost)
+    machine = dataclasses.replace(AXIS, effects=(PUSH,))
+    assert held_out.held_out_gain(selected(PUSH), machine, DATA, 3.0) == pytest.approx(gain)
+
+
 def test_the_gain_of_an_effect_on_a_sensor_compares_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inverse dynamics uses one sensor of each coordinate, and says nothing about the others."""
     delay = EFFECTS["sensor_delay"].at("x_m", d=0.002)
