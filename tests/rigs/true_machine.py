@@ -107,14 +107,17 @@ def _identified_effect(effect: DrawnEffect, rig: Rig, scale: float) -> dict[str,
     values: dict[str, float] = {}
     if effect.absorbed or effect.off_form or not effect.in_library:
         return values
+    per_volt = 1.0 / np.array(rig.drive_gain)  # voltages behind the gain that the torque constant absorbs
+    per_ampere = np.array(rig.resistance_ohm) * per_volt / Rig().resistance_ohm
     for site in (*effect.library_sites(), effect.site):
+        drives = [MOTORS.index(site)] if site in MOTORS else [0, 1] if site == "drives" else []
         for name, value in library_parameters(effect, rig).items():
             if effect.scales_with.get(name) == "force":
                 value = value * scale
-            elif site in MOTORS and effect.scales_with.get(name) == "current":
-                j = MOTORS.index(site)
-                value = value * rig.resistance_ohm[j] / rig.drive_gain[j] / Rig().resistance_ohm[j]
-            elif site in MOTORS and name in ("V0", "Vd"):  # behind the gain that the torque constant absorbs
-                value = value / rig.drive_gain[MOTORS.index(site)]
+            elif drives and (effect.scales_with.get(name) == "current" or name in ("V0", "Vd")):
+                factors = (per_volt if name in ("V0", "Vd") else per_ampere)[drives]
+                if np.ptp(factors) > 0.0:  # a value that both drives share has no common factor
+                    continue
+                value = value * factors[0]
             values[f"{effect.name}@{site}.{name}"] = float(value)
     return values
