@@ -195,9 +195,8 @@ class EffectSearch:
     def _next_effect(self, current: Fit) -> Step | None:
         """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
 
-        An observer hides slow errors, and with them what a small constant force explains. Where no effect passes with
-        the present observer, narrower ones are tried therefore, as long as the model nearly explains the data with
-        them: the tests of an effect then permit that the remaining error is correlated in time. Otherwise only the next
+        An observer hides slow errors, and with them what a small constant force explains. If no effect passes, narrower
+        ones are tried therefore, as long as the model nearly explains the data with them. Otherwise only the next
         narrower one is tried, and the effect must also compensate for its lower likelihood. None if no effect passes.
         """
         self._doubted = None
@@ -205,13 +204,11 @@ class EffectSearch:
         found = self._passing(current, minimum_gain(current, criteria), structures=True)
         while found is None and current.bandwidth != SIMULATION:
             first, current = current is wide, narrower_observer(current, self.data)
-            enough = minimum_gain(current, criteria)
-            if current.chi2 >= criteria.explained_chi2:
-                if not first:
-                    break
-                enough = minimum_gain(wide, criteria) + likelihood_deficit(current, wide, self.data)
-                return self._passing(current, enough)
-            found = self._passing(current, enough)
+            if current.chi2 < criteria.explained_chi2:
+                found = self._passing(current, minimum_gain(current, criteria))
+                continue
+            enough = minimum_gain(wide, criteria) + likelihood_deficit(current, wide, self.data)
+            return self._passing(current, enough) if first else None
         return found
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
@@ -291,12 +288,10 @@ class EffectSearch:
         """Compare each selected effect with its rivals again, in a machine that has all other selected effects.
 
         An effect is a deviation from the model. Its rivals are other effects that explained the data about equally well
-        when it was selected. Further effects were still missing then, and predictions needed an observer of wide
-        bandwidth (strong feedback of the measurements), which hid how the effect differs from its rivals.
-
-        Each rival now takes the place of the effect, and the machine is fitted again. If a rival is more likely than
-        the effect by more than chance explains, the most likely rival replaces the effect, and the comparison starts
-        again. Rivals that are less likely than the effect by more than chance explains are dropped; the others remain.
+        when it was selected. Further effects were still missing then, and an observer with strong feedback of the
+        measurements hid the differences. Each rival now takes the place of the effect, and the machine is fitted again.
+        If chance does not explain the difference, the most likely rival replaces the effect, and the comparison starts
+        again; rivals that are clearly less likely are dropped.
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -321,12 +316,10 @@ class EffectSearch:
         """Remove effects (deviations from the model) that later effects have made superfluous.
 
         Each effect is tested while the machine has all other selected effects, the one with the smallest gain first.
-        The machine is fitted without the effect, and this fit is compared with the one that includes it. The effect is
-        kept if it reduces the error by enough and passes all tests of `significance`: for example, other runs must
-        confirm it, and chance must not explain the reduction. After a removal, the remaining effects are tested again.
-
-        An effect is kept without a test if another effect requires it or acts on a coordinate that it adds. Removed
-        effects are added to `considered`.
+        It is kept if the fit with it has a clearly smaller error than the fit without it and passes all tests of
+        `significance`: for example, other runs must confirm it, and chance must not explain the reduction. After a
+        removal, the remaining effects are tested again. An effect is kept without a test if another effect requires it
+        or acts on a coordinate that it adds. Removed effects are added to `considered`.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.

@@ -126,8 +126,8 @@ class Effect:
         coordinate: Name of the coordinate that `structure` adds, on which `force` acts; empty if none.
         requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
-        signal_order: Place on the way of a signal. Where several effects change the same voltage, current or measurement,
-            those with smaller numbers act first, in whichever order they are listed in the machine.
+        signal_order: Place on the way of a signal. Where several effects change the same voltage, current or
+            measurement, those with smaller numbers act first, in whichever order they are listed in the machine.
     """
 
     name: str
@@ -282,11 +282,8 @@ class AppliedEffect:
         kind = self.definition.site
         if kind == "machine":
             return ("machine",) if self.definition.structure else machine.coordinate_names
-        names = {
-            "drive": tuple(d.name for d in machine.drives),
-            "drives": tuple(d.name for d in machine.drives),
-            "belts": tuple(b.name for b in machine.belts),
-        }.get(kind, ())
+        drives = tuple(d.name for d in machine.drives)
+        names = {"drive": drives, "drives": drives, "belts": tuple(b.name for b in machine.belts)}.get(kind, ())
         # A component that is called "drives" or "belts" comes before all of them.
         return (self.site,) if self.site in names or not names else names
 

@@ -257,7 +257,9 @@ def test_a_run_with_ten_times_the_error_of_the_others_contradicts(
 
 def test_runs_of_different_length_are_compared_per_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        model_error, "_cross_validation", lambda *arguments: [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)]
+        model_error,
+        "_cross_validation",
+        lambda *arguments: [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)],
     )
     data = runs("abcd")
     data.runs[0].count = 100
