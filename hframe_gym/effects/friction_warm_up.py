@@ -1,6 +1,7 @@
-"""Dry friction of all coordinates that falls as the machine warms up: Fc times 1 + a exp(-t/tau).
+"""Dry friction of all coordinates that changes as the machine warms up: Fc times 1 + a exp(-t/tau).
 
-The factor applies to the dry friction force with all other effects on it. The time t counts from when the machine was
+It falls where the lubricant becomes thinner (a > 0), and rises where expanding parts press on bearings (a < 0). The
+factor applies to the dry friction force with all other effects on it. The time t counts from when the machine was
 switched on, so the recordings must share one clock.
 """
 
@@ -21,7 +22,7 @@ EFFECT = Effect(
     source="Bittencourt, Wernholt, Sander-Tavallaey and Brogardh 2010, friction of robot joints against temperature",
     coulomb=coulomb,
     parameters=(
-        EffectParameter("a", "1", 0.0, 100.0, scale=0.3, role="amplitude"),
+        EffectParameter("a", "1", -0.99, 100.0, scale=0.3, role="amplitude"),
         EffectParameter("tau", "s", 0.01, 1e6, scale=1.0, grid=(3.0, 10.0, 30.0, 100.0, 300.0)),
     ),
 )

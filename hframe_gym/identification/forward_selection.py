@@ -22,7 +22,7 @@ from .dataset import Dataset
 from .estimation import Fit, describe_gain
 from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SIMULATION, noise_floor
-from .rivals import close_rivals, compare_rivals, simplest_first
+from .rivals import close_rivals, compare_rivals, rivals_in_combination, simplest_first
 from .significance import doubt_about_candidate, doubt_beside_others
 from .start_estimation import with_probable_starts
 from .trial_fits import (
@@ -291,19 +291,21 @@ class EffectSearch:
         when it was selected. Further effects were still missing then, and an observer with strong feedback of the
         measurements hid the differences. Each rival now takes the place of the effect, and the machine is fitted again.
         If chance does not explain the difference, the most likely rival replaces the effect, and the comparison starts
-        again; rivals that are clearly less likely are dropped.
+        again; rivals that are clearly less likely are dropped. `rivals_in_combination` adds possible rivals.
 
         Args:
             current: Fit of the machine with all selected effects.
-            selected: All selected effects, with their rivals.
+            selected: These effects, with their rivals.
 
         Returns:
-            fit: Fit of the machine with the most likely effects.
-            selected: These effects with their fitted parameters and the rivals that remain.
+            The fit of the machine with the most likely effects, and these effects with the rivals that remain.
         """
         settled: tuple[SelectedEffect, ...] = ()
         for old in selected:
-            compared = compare_rivals(current, old.effect.label, old.rival_effects, self.data, self._criteria)
+            others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
+            known = old.rival_effects
+            rivals = (*known, *rivals_in_combination(old.effect, known, others, current.machine))
+            compared = compare_rivals(current, old.effect.label, rivals, self.data, self._criteria)
             if compared.better is not None:
                 effect = compared.better.machine.effects[-1]
                 self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
@@ -316,10 +318,8 @@ class EffectSearch:
         """Remove effects (deviations from the model) that later effects have made superfluous.
 
         Each effect is tested while the machine has all other selected effects, the one with the smallest gain first.
-        It is kept if the fit with it has a clearly smaller error than the fit without it and passes all tests of
-        `significance`: for example, other runs must confirm it, and chance must not explain the reduction. After a
-        removal, the remaining effects are tested again. An effect is kept without a test if another effect requires it
-        or acts on a coordinate that it adds. Removed effects are added to `considered`.
+        It is kept if it clearly reduces the error and passes all tests of `significance`, or if another effect requires
+        it or acts on a coordinate that it adds. After a removal, the others are tested again. `considered` lists it.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.

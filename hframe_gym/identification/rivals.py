@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ..machine import AppliedEffect
+from ..effects import effect_sites
+from ..machine import AppliedEffect, Machine
 from .candidates import is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
@@ -75,6 +76,38 @@ def close_rivals(
         if trial.cost - best.cost < margin and effect.label != best.machine.effects[-1].label:
             close.setdefault(effect.label, effect)
     return tuple(close.values())
+
+
+def rivals_in_combination(
+    effect: AppliedEffect, rivals: Sequence[AppliedEffect], others: Sequence[AppliedEffect], machine: Machine
+) -> tuple[AppliedEffect, ...]:
+    """Return further possible rivals of an effect that has a companion: another selected effect of the same kind.
+
+    Two constant forces move a stage of two axes like two others at other components, although none of them alone is
+    like another. The search compares effects one by one, so that it does not see these rivals.
+
+    Args:
+        effect: Selected effect (deviation from the nominal model).
+        rivals: Its known rivals.
+        others: All other selected effects and their rivals.
+        machine: Machine with all selected effects.
+
+    Returns:
+        Effects of the same kinds at all other components, with amplitude 0; only kinds whose single parameter is an
+        amplitude, for example `constant_force` and `voltage_offset`. Empty without a companion.
+    """
+    kinds = {e.name: e.definition for e in (effect, *rivals)}
+    of_others = {e.name: e.definition for e in others}
+    if not kinds.keys() & of_others.keys():
+        return ()
+    known = {e.label for e in (*machine.effects, *rivals)}
+    possible = [
+        definition.at(site, **dict.fromkeys(definition.amplitudes, 0.0))
+        for definition in (of_others | kinds).values()
+        if len(definition.amplitudes) == len(definition.parameters) == 1 and not definition.structure
+        for site in effect_sites(definition, machine)
+    ]
+    return tuple(rival for rival in possible if rival.label not in known)
 
 
 class ComparedRivals(NamedTuple):

@@ -7,10 +7,12 @@ from typing import Any
 
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import rivals
-from tests.identification.scripted_fits import COUNT, CRITERIA, DATA, DRAG, PUSH, SPRING, fit_with
+from tests.identification.scripted_fits import COUNT, CRITERIA, DATA, DRAG, HFRAME, PUSH, SPRING, fit_with
 
 pytestmark = pytest.mark.unit
+VOLTAGE_OFFSET = EFFECTS["voltage_offset"]
 
 
 def test_of_trials_as_good_as_the_best_the_simplest_comes_first() -> None:
@@ -68,3 +70,26 @@ def test_a_fit_is_polished_at_its_bandwidth_and_in_simulation(
     monkeypatch.setattr(rivals, "likelihood_loss", lambda fitted, data: losses[fitted.bandwidth])
     assert rivals._polished(fit_with(chi2=1.0, bandwidth=bandwidth), DATA).bandwidth == 0.0
     assert bandwidths == polished
+
+
+def test_two_constant_forces_may_be_two_others() -> None:
+    """Each kind is tried at all other components, also a kind that only a rival of the companion has."""
+    force = EFFECTS["constant_force"]
+    on_y, on_pulley, offset = force.at("y", size=0.5), force.at("phi2", size=0.01), VOLTAGE_OFFSET.at("motor2", V0=0.1)
+    machine = HFRAME.with_effects(on_y, offset)
+    labels = [r.label for r in rivals.rivals_in_combination(on_y, (), [offset, on_pulley], machine)]
+    expected = {"voltage_offset@motor1", "constant_force@x", "constant_force@phi1", "constant_force@phi2"}
+    assert set(labels) == expected
+    assert len(labels) == len(expected)
+    of_offset = rivals.rivals_in_combination(offset, (on_pulley,), [on_y], machine)
+    assert {r.label for r in of_offset} == expected - {"constant_force@phi2"}
+    assert all(value == 0.0 for r in of_offset for value in r.parameters.values())
+
+
+def test_an_effect_without_a_companion_of_its_kind_has_no_further_rivals() -> None:
+    spring = EFFECTS["cable_spring"].at("x", k=6.0, q0=0.05)
+    push = EFFECTS["constant_force"].at("y", size=0.5)
+    assert rivals.rivals_in_combination(push, (), [spring], HFRAME.with_effects(push, spring)) == ()
+    # A spring has two parameters: no fit can start from its absence.
+    springs = spring, EFFECTS["cable_spring"].at("y", k=6.0, q0=0.05)
+    assert rivals.rivals_in_combination(springs[0], (), [springs[1]], HFRAME.with_effects(*springs)) == ()
