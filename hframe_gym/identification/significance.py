@@ -42,7 +42,7 @@ _VARIABLES = {
 # twice the noise, too little is visible to tell.
 _CORRECTION_REMAINDER, _CLEAR_ERROR = 0.02, 5.0  # fraction of the error beyond the noise; chi-squared per sample
 _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
-_AT_LIMIT = 1e-6  # relative distance from the limit of a parameter's range
+_AT_LIMIT = 0.01  # relative distance from the limit of a parameter's range
 _CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 
 

@@ -21,7 +21,7 @@ from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
 from .force_sizes import TypicalScales, effect_force, residue_force, typical_scales
 from .free_parameters import FreeParameter, default_free_parameters, values_at
-from .model_error import continue_fit, search_step
+from .model_error import continue_fit, polish, search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, noise_floor
 from .residual import missing_force
 from .screening import ScoredCandidate, screen, screen_structures
@@ -80,8 +80,8 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
     promising = _promising(start, ranked, data, enough, criteria)
     share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
     for scored in promising:
-        # Where a candidate explains the data, only those that may be its rivals are fitted as well. The same effect at
-        # another site always may: where one drive reaches its current limit, a common limit explains nearly as much.
+        # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
+        # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
         fitted = [t.machine.effects[-1].label for t in trials]
         elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
         if elsewhere or scored.gain > criteria.rival_promise * best_promise:
@@ -118,8 +118,7 @@ def structural_trial_fits(
 
     Returns:
         One fit per effect and component, after few iterations, the best one of its starting values: machine, k
-        parameters (theta, dimensionless, shape (k,)) and cost (chi-squared: sum of squared residuals / noise
-        variances).
+        parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
@@ -199,19 +198,17 @@ def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Datase
         data: Runs to fit (times, voltages, measurements, SI).
 
     Returns:
-        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise
-        variances; infinite if the machine diverges), with the observer bandwidth of `current`.
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared; infinite if the machine
+        diverges), with the observer bandwidth of `current`.
     """
     remaining = tuple(e for e in current.machine.effects if e.label != label)
     machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
     kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
     # The fit continues from the parameters of the other effects; the rival's start at their given values (theta = 0).
     kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
-    names = {f.name for f in kept}
-    scales = typical_scales(current, data)
+    names, scales, step = {f.name for f in kept}, typical_scales(current, data), search_step(current.bandwidth)
     added = [f for f in effect_parameters(rival, machine, scales) if f.name not in names]
     theta = np.concatenate([kept_theta, np.zeros(len(added))])
-    step = search_step(current.bandwidth)
     return fit(machine, (*kept, *added), data, current.bandwidth, theta=theta, longest_step=step)
 
 
@@ -324,14 +321,15 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise
-        variances). None if another effect requires the effect or acts on a coordinate that the effect adds.
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared). None if another effect
+        requires the effect or acts on a coordinate that the effect adds.
     """
     if is_required(current.machine, label):
         return None
-    others = tuple(e for e in current.machine.effects if e.label != label)
+    removed = next(e for e in current.machine.effects if e.label == label)
+    others = tuple(e for e in current.machine.effects if e is not removed)
     machine = current.machine.replace(effects=others)
-    if any(e.definition.structure for e in current.machine.effects if e.label == label):
+    if removed.definition.structure:
         try:
             machine = plain.with_effects(*(e for e in others if e not in plain.effects))
         except ValueError:
@@ -340,6 +338,13 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
         machine = machine.replace(kept_values)
     kept = np.array([free.name in machine.parameters for free in current.free])
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
-    if not thorough:
-        return _trial_fit(machine, free, theta, current, data)
-    return fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
+    if thorough:
+        reduced = fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
+    else:
+        reduced = _trial_fit(machine, free, theta, current, data)
+    required = next((e for e in others if e.label == f"{removed.definition.requires}@{removed.site}"), None)
+    if required is None or required.parameters.keys() != removed.parameters.keys():
+        return reduced
+    # Of two effects of the same form, the removed one may be the larger: the other then takes its parameters.
+    promoted = fit_in_place_of(reduced, required.label, required.with_parameters(removed.parameters), data)
+    return min(reduced, polish(promoted, data) if thorough else promoted, key=lambda fitted: fitted.cost)

@@ -253,7 +253,9 @@ def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> No
     assert one / many == pytest.approx(3.35, rel=0.01)
 
 
-@pytest.mark.parametrize(("share", "doubted"), [(-0.5, True), (-0.4, False), (0.5, False), (1.5, True)])
+@pytest.mark.parametrize(
+    ("share", "doubted"), [(-0.5, True), (-0.4, False), (0.5, False), (1.45, False), (1.49, True), (1.5, True)]
+)
 def test_an_effect_with_a_parameter_at_the_limit_of_its_range_is_doubted(
     share: float, *, doubted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

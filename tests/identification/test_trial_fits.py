@@ -159,3 +159,24 @@ def test_the_same_effect_at_other_sites_is_always_a_possible_rival(
     start = SimpleNamespace(cost=1.0, machine=None)
     trials = trial_fits._trial_fits_from(start, start, None, 0.1, SelectionCriteria())
     assert {t.machine.effects[-1].site for t in trials} == fitted
+
+
+def test_the_larger_of_two_periodic_torques_takes_the_place_of_the_one_that_it_requires(axis: Machine) -> None:
+    """A search may find the smaller torque first; the larger one, its companion, must not depend on it forever."""
+    larger = EFFECTS["cogging"].at("motor", A=0.4, n=200.0, p=0.3)
+    small = EFFECTS["cogging"].at("motor", A=1e-4, n=520.0, p=0.0)
+    companion = EFFECTS["second_cogging"].at("motor", **larger.parameters)
+    data = prepare(recordings(axis.with_effects(larger), 2), axis)
+    both = fit(
+        axis.with_effects(small, companion),
+        default_free_parameters(axis.with_effects(small, companion)),
+        data,
+        SEARCH_BANDWIDTH,
+    )
+    reduced = trial_fits.without_effect(both, companion.label, data, axis)
+    assert reduced is not None
+    (only,) = reduced.machine.effects
+    assert only.label == larger.label
+    assert only.parameters == pytest.approx(larger.parameters, rel=0.02)
+    assert reduced.chi2 == pytest.approx(both.chi2, rel=0.02)
+    assert trial_fits.without_effect(both, small.label, data, axis) is None
