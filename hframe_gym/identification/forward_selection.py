@@ -303,13 +303,14 @@ class EffectSearch:
         settled: tuple[SelectedEffect, ...] = ()
         for old in selected:
             others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
-            known = old.rival_effects
-            rivals = (*known, *rivals_in_combination(old.effect, known, others, current.machine))
-            compared = compare_rivals(current, old.effect.label, rivals, self.data, self._criteria)
+            further = rivals_in_combination(old.effect, old.rival_effects, others, current.machine)
+            possible = (*old.rival_effects, *further)
+            compared = compare_rivals(current, old.effect.label, possible, self.data, self._criteria)
             if compared.better is not None:
                 effect = compared.better.machine.effects[-1]
                 self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
-                new = SelectedEffect(effect, old.gain, old.machine_without)
+                remaining = tuple(rival for rival in compared.remaining if rival.label != effect.label)
+                new = SelectedEffect(effect, old.gain, old.machine_without, remaining)
                 return self.settle_rivals(compared.better, (*(s for s in selected if s is not old), new))
             settled = (*settled, dataclasses.replace(old, rival_effects=compared.remaining))
         return current, tuple(s.with_values(current.machine) for s in settled)
@@ -326,8 +327,7 @@ class EffectSearch:
             selected: All selected effects.
 
         Returns:
-            fit: Fit of the machine with the remaining effects; `current` if no effect was removed.
-            selected: The remaining effects with their fitted parameters.
+            The fit of the machine with the remaining effects (`current` if all remain), and these effects.
         """
         for candidate in sorted(selected, key=lambda s: s.gain):
             reduced = without_effect(current, candidate.effect.label, self.data, self._plain)

@@ -6,6 +6,7 @@ their costs (sums of squared residuals in units of the noise) differ by less tha
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit
 from .model_error import continue_fit, likelihood_loss, polish
-from .prediction import SIMULATION
+from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .significance import long_run_variance
 from .trial_fits import fit_in_place_of
 
@@ -93,21 +94,26 @@ def rivals_in_combination(
         machine: Machine with all selected effects.
 
     Returns:
-        Effects of the same kinds at all other components, with amplitude 0; only kinds whose single parameter is an
-        amplitude, for example `constant_force` and `voltage_offset`. Empty without a companion.
+        One effect of the same kinds at each coordinate that has none of them, with amplitude 0; only kinds whose single
+        parameter is an amplitude, for example `constant_force` and `voltage_offset`. Empty without a companion.
     """
     kinds = {e.name: e.definition for e in (effect, *rivals)}
     of_others = {e.name: e.definition for e in others}
     if not kinds.keys() & of_others.keys():
         return ()
-    known = {e.label for e in (*machine.effects, *rivals)}
-    possible = [
-        definition.at(site, **dict.fromkeys(definition.amplitudes, 0.0))
-        for definition in (of_others | kinds).values()
-        if len(definition.amplitudes) == len(definition.parameters) == 1 and not definition.structure
-        for site in effect_sites(definition, machine)
-    ]
-    return tuple(rival for rival in possible if rival.label not in known)
+    kinds |= of_others
+    present = [e for e in (*machine.effects, *rivals) if e.name in kinds]
+    occupied = {machine.coordinate_of_site(e.site, e.definition.site) for e in present}
+    further: list[AppliedEffect] = []
+    for definition in kinds.values():
+        if definition.structure or not len(definition.amplitudes) == len(definition.parameters) == 1:
+            continue
+        for site in effect_sites(definition, machine):
+            coordinate = machine.coordinate_of_site(site, definition.site)
+            if coordinate is not None and coordinate not in occupied:
+                occupied.add(coordinate)
+                further.append(definition.at(site, **dict.fromkeys(definition.amplitudes, 0.0)))
+    return tuple(further)
 
 
 class ComparedRivals(NamedTuple):
@@ -144,7 +150,8 @@ def compare_rivals(
         better: Fit of the machine with the most likely rival in place of the effect: machine, k fitted parameters
             (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise variances); None if no rival
             is more likely.
-        remaining: The rivals that are not excluded, including those that were not tried.
+        remaining: The rivals that are not excluded, with parameters fitted beside all other effects, and those that
+            were not tried.
     """
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]
@@ -157,15 +164,35 @@ def compare_rivals(
 
     present_fit = _polished(current, data)
     loss, margin = likelihood_loss(present_fit, data), chance_margin(present_fit, label)
-    better, least, excluded = None, loss, set()
+    better, least, tried = None, loss, {}
     for rival in possible:
-        trial = _polished(fit_in_place_of(current, label, rival, data), data)
-        trial_loss = likelihood_loss(trial, data)
-        if trial_loss < least - chance_margin(trial, rival.label):
+        trial = _polished(_in_place_of(current, label, rival, data), data)
+        trial_loss, own_margin = likelihood_loss(trial, data), chance_margin(trial, rival.label)
+        if trial_loss < least - own_margin:
             better, least = trial, trial_loss
-        if trial_loss > loss + margin:
-            excluded.add(rival.label)
-    return ComparedRivals(better, tuple(rival for rival in rivals if rival.label not in excluded))
+        # A pair that moves the stage alike differs only while friction holds the stage, where a fit is least reliable.
+        if trial_loss <= loss + (max(margin, own_margin) if _has_no_size(rival) else margin):
+            tried[rival.label] = trial.machine.effects[-1]
+    untried = {rival.label: rival for rival in rivals if rival not in possible}
+    remaining = tried | untried
+    return ComparedRivals(better, tuple(remaining[rival.label] for rival in rivals if rival.label in remaining))
+
+
+def _has_no_size(rival: AppliedEffect) -> bool:
+    """Return whether a rival comes from `rivals_in_combination`: it has not been fitted yet."""
+    amplitudes = rival.definition.amplitudes
+    return bool(amplitudes) and not any(rival.parameters[name] for name in amplitudes)
+
+
+def _in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
+    """Fit a rival in place of an effect; one without a fitted amplitude first with the widest observer.
+
+    In a simulation, the missing force displaces the stage so far that the fit would not find the way back.
+    """
+    if not _has_no_size(rival):
+        return fit_in_place_of(current, label, rival, data)
+    wide = dataclasses.replace(current, bandwidth=SEARCH_BANDWIDTH)
+    return continue_fit(fit_in_place_of(wide, label, rival, data), data, current.bandwidth)
 
 
 def _polished(fitted: Fit, data: Dataset) -> Fit:
