@@ -339,8 +339,8 @@ class EffectSearch:
                 self.considered[candidate.effect.label] = ConsideredEffect(
                     candidate.effect, current.machine, reduced.machine, doubt
                 )
-                # The others are tested again: an effect that passed beside this one may fail without it.
-                return self.prune(reduced, tuple(s for s in selected if s is not candidate))
+                others = (s for s in selected if s is not candidate)  # those that passed beside it may fail without it
+                return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
         return current, tuple(s.with_values(current.machine) for s in selected)
 
 
