@@ -192,17 +192,12 @@ class ParameterizedMachine:
             component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
-            In the order in which they act on a signal (`Effect.signal_order`, then the order in the machine):
-
             index: Index in the attribute `instances`, which lists all effects once per component on which they act.
-            effect: The effect with its parameter values.
+            effect: The effect with its parameter values, in the order in which they act (`Effect.signal_order`).
         """
-        at_component = [
-            (k, instance.effect)
-            for k, instance in enumerate(self.instances)
-            if getattr(instance.effect.definition, hook) and instance.component == component
-        ]
-        yield from sorted(at_component, key=lambda entry: entry[1].definition.signal_order)
+        instances = enumerate(self.instances)
+        here = [(k, i.effect) for k, i in instances if i.component == component and getattr(i.effect.definition, hook)]
+        yield from sorted(here, key=lambda entry: entry[1].definition.signal_order)
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
         """Yield the effects (deviations from the nominal model) on a coordinate that change a certain quantity.
