@@ -20,9 +20,9 @@ from ..machine import AppliedEffect, Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, describe_gain
-from .model_error import fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
+from .model_error import continue_fit, fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SIMULATION, noise_floor
-from .rivals import close_rivals, compare_rivals, rivals_in_combination, simplest_first
+from .rivals import close_rivals, compare_rivals, rivals_in_combination, selected_first, simplest_first
 from .significance import doubt_about_candidate, doubt_beside_others
 from .start_estimation import with_probable_starts
 from .trial_fits import (
@@ -132,13 +132,11 @@ class EffectSearch:
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
         """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
 
-        The tests of `significance` are: other runs confirm the effect, chance does not explain its gain, the machine
-        stays stable, and the force of the effect exceeds the force that remains unexplained. Effects that fail a test
-        are added to `considered`. After each selected effect, the bandwidth of the observer that corrects predictions
-        by the measurements is chosen anew (maximum likelihood), and earlier effects may be replaced by others that now
-        explain more. If no effect passes, the best one that failed is tried together with a second one, because each of
-        two missing effects can hide the other. The search also ends at `max_effects` effects or when only noise is left
-        (`noise_level`).
+        Effects that fail one of the tests (`significance`) are added to `considered`. After each selected effect, the
+        bandwidth of the observer that corrects predictions by the measurements is chosen anew (maximum likelihood), and
+        earlier effects may be replaced by others that now explain more. If no effect passes, the best one that failed
+        is tried together with a second one, because each of two missing effects can hide the other. The search also
+        ends at `max_effects` effects or when only noise is left (`noise_level`).
 
         Args:
             current: Fit of the machine with the effects selected so far.
@@ -171,9 +169,9 @@ class EffectSearch:
     def _next_pair(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection | None:
         """Return the machine with two more effects, the first of which passes all tests only beside the second.
 
-        Of two effects with similar forces, the smaller one fails the comparison with the force that remains
-        unexplained, and the parameters of the machine may compensate for the larger one until the smaller one is there.
-        None if there is no such pair, or if the error is so small that it may be that of a residue without a name.
+        Of two effects with similar forces, the smaller one does not exceed the force that remains unexplained, and the
+        parameters of the machine may compensate for the larger one until the smaller one is there. None if there is no
+        such pair, or if the error is so small that it may be that of a residue without a name.
         """
         data, criteria, doubted = self.data, self._criteria, self._doubted
         if doubted is None or current.chi2 < criteria.explained_chi2 or len(selected) + 2 > criteria.max_effects:
@@ -195,21 +193,27 @@ class EffectSearch:
     def _next_effect(self, current: Fit) -> Step | None:
         """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
 
-        An observer hides slow errors, and with them what a small constant force explains. If no effect passes, narrower
-        ones are tried therefore, as long as the model nearly explains the data with them. Otherwise only the next
-        narrower one is tried, and the effect must also compensate for its lower likelihood. None if no effect passes.
+        An observer hides slow errors, such as those of a missing constant force. If no effect passes, the next narrower
+        one is tried; the effect must then make up for its lower likelihood. If much is left in simulation, all narrower
+        ones are tried with which the model nearly explains the data; the effect must then explain what is left.
         """
-        self._doubted = None
-        criteria, wide = self._criteria, current
+        self._doubted, criteria = None, self._criteria
         found = self._passing(current, minimum_gain(current, criteria), structures=True)
-        while found is None and current.bandwidth != SIMULATION:
-            first, current = current is wide, narrower_observer(current, self.data)
-            if current.chi2 < criteria.explained_chi2:
-                found = self._passing(current, minimum_gain(current, criteria))
-                continue
-            enough = minimum_gain(wide, criteria) + likelihood_deficit(current, wide, self.data)
-            return self._passing(current, enough) if first else None
-        return found
+        if found is not None or current.bandwidth == SIMULATION:
+            return found
+        narrower = narrower_observer(current, self.data)
+        enough = minimum_gain(current, criteria) + likelihood_deficit(narrower, current, self.data)
+        found = self._passing(narrower, enough)
+        if found is not None:
+            return found
+        simulated = continue_fit(current, self.data, SIMULATION)
+        while narrower.bandwidth != SIMULATION and narrower.chi2 < criteria.explained_chi2 <= simulated.chi2:
+            found = self._passing(narrower, minimum_gain(narrower, criteria))
+            trials = [continue_fit(found[1][0], self.data, SIMULATION)] if found else []
+            if unexplained_fraction(simulated, trials, criteria) < criteria.rival_remainder:
+                return found
+            narrower = narrower_observer(narrower, self.data)
+        return None
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
         """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
@@ -224,13 +228,12 @@ class EffectSearch:
             if structures:
                 self._structures_failed = (current.bandwidth, current.chi2 - 1.0)
             return None
-        return current, _with_first(best, trials)
+        return current, selected_first(best, trials)
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
         """Return whether the trials leave enough of the error to try effects that replace a part of the model as well.
 
-        If no effect passed when they were last tried, they are tried again only after the error has become clearly
-        smaller.
+        After a trial in vain, they are tried again only once the error has become clearly smaller.
         """
         criteria = self._criteria
         floor = noise_floor(current.bandwidth, criteria)
@@ -281,7 +284,7 @@ class EffectSearch:
             self._log(f"  {effect.label} is not selected: it {doubt}")
             self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
             if self._doubted is None or gain > self._doubted[0]:
-                self._doubted = gain, (current, _with_first(fitted, trials))
+                self._doubted = gain, (current, selected_first(fitted, trials))
         return None
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
@@ -342,9 +345,3 @@ class EffectSearch:
                 others = (s for s in selected if s is not candidate)  # those that passed beside it may fail without it
                 return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
         return current, tuple(s.with_values(current.machine) for s in selected)
-
-
-def _with_first(best: Fit, trials: list[Fit]) -> list[Fit]:
-    """Return trial fits with the converged one of an effect in the first place, instead of its trial."""
-    label = best.machine.effects[-1].label
-    return [best, *(t for t in trials if t.machine.effects[-1].label != label)]

@@ -52,6 +52,20 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
     return sorted(ranked, key=lambda trial: (trial.cost > limit, len(trial.free) if trial.cost <= limit else 0))
 
 
+def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
+    """Return trial fits with the converged fit of one effect in the first place, instead of its trial.
+
+    Args:
+        best: Converged fit with the selected effect (deviation from the model).
+        trials: Fits with one candidate effect each.
+
+    Returns:
+        New list: `best`, then the trials with other effects.
+    """
+    label = best.machine.effects[-1].label
+    return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
+
+
 def close_rivals(
     trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria
 ) -> tuple[AppliedEffect, ...]:

@@ -55,6 +55,7 @@ class Scripted:
         self.residue: dict[float, float] = {}  # by chi-squared of the fit
         self.drives = 10.0
         self.confirmed, self.variance, self.fault, self.difference = 1.0, 1.0, "", 1.0
+        self.simulated = 100.0  # chi-squared per sample of a simulation
         self.trials: list[list[Fit]] = []
         self.structures: list[list[Fit]] = []
         self.without: dict[str, Fit | None] = {}
@@ -71,6 +72,7 @@ class Scripted:
             "fit_with_model_error": lambda fitted, data: fitted,
             "with_probable_starts": lambda current, data, criteria: (current, data),
             "narrower_observer": lambda fitted, data: fitted,
+            "continue_fit": lambda fitted, data, bandwidth: fit_with(chi2=self.simulated, bandwidth=bandwidth),
             "likelihood_deficit": lambda fitted, reference, data: math.inf,
             "converge": lambda fitted, data, thorough: fitted,
             "trial_fits": lambda current, data, enough, criteria: self.trials.pop(0) if self.trials else [],

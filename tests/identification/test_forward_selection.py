@@ -96,15 +96,25 @@ def test_an_effect_must_make_up_for_a_less_likely_narrower_observer(
     assert not found or effects[0].gain == pytest.approx(1.95)
 
 
-@pytest.mark.parametrize(("chi2", "found"), [(1.29, [PUSH]), (1.31, [])])
+@pytest.mark.parametrize(
+    ("chi2", "simulated", "remaining", "found"),
+    [(1.29, 1.51, 0.1, [PUSH]), (1.31, 1.51, 0.1, []), (1.29, 1.49, 0.1, []), (1.29, 1.51, 0.3, [])],
+)
 def test_a_slow_effect_is_found_with_a_much_narrower_observer(
-    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, chi2: float, found: list[AppliedEffect]
+    scripted: Scripted,
+    monkeypatch: pytest.MonkeyPatch,
+    chi2: float,
+    simulated: float,
+    remaining: float,
+    found: list[AppliedEffect],
 ) -> None:
-    """The model nearly explains the data with 15 rad/s, so that no likelihood must be made up for there."""
+    """The model nearly explains the data with 15 rad/s, but not in simulation; the effect explains them there, too."""
+    scripted.simulated = simulated
+    monkeypatch.setattr(forward_selection, "unexplained_fraction", lambda _, trials, __: remaining if trials else 1.0)
     narrower = {60.0: fit_with(chi2=1.2, bandwidth=30.0), 30.0: fit_with(chi2=1.4, bandwidth=15.0)}
     narrower |= {15.0: fit_with(chi2=1.6, bandwidth=7.0)}  # the model explains too little: no effect is tried
     monkeypatch.setattr(forward_selection, "narrower_observer", lambda fitted, data: narrower[fitted.bandwidth])
-    scripted.trials = [[], [fit_with(DRAG, chi2=1.17, bandwidth=30.0)], [fit_with(PUSH, chi2=chi2, bandwidth=15.0)]]
+    scripted.trials = [[], [], [fit_with(DRAG, chi2=1.17, bandwidth=30.0)], [fit_with(PUSH, chi2=chi2, bandwidth=15.0)]]
     search = scripted.search(max_effects=1, min_gain_fraction=0.25)
     _, effects = search.run(fit_with(chi2=1.1, bandwidth=60.0))
     assert [s.effect for s in effects] == found
@@ -113,13 +123,13 @@ def test_a_slow_effect_is_found_with_a_much_narrower_observer(
 def test_observers_with_which_the_model_explains_little_are_not_tried(
     scripted: Scripted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Only the next narrower observer is tried in any case."""
-    narrower = {60.0: fit_with(chi2=1.6, bandwidth=30.0)}
+    """Only the next narrower observer is tried in any case, first with the gain that makes up for its likelihood."""
+    narrower = {60.0: fit_with(chi2=1.4, bandwidth=30.0), 30.0: fit_with(chi2=1.6, bandwidth=15.0)}
     monkeypatch.setattr(forward_selection, "narrower_observer", lambda fitted, data: narrower[fitted.bandwidth])
-    monkeypatch.setattr(forward_selection, "likelihood_deficit", lambda *_: 0.5)
-    scripted.trials = [[], []]
+    scripted.trials = [[], [], [], [fit_with(PUSH, chi2=1.0, bandwidth=15.0)]]
     _, effects = scripted.search().run(fit_with(chi2=1.2, bandwidth=60.0))
     assert effects == ()
+    assert len(scripted.trials) == 1
 
 
 @pytest.mark.parametrize(("chi2", "tried"), [(2.4, 2), (2.5, 0)])
