@@ -60,7 +60,7 @@ def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
         trials: Fits with one candidate effect each.
 
     Returns:
-        New list: `best`, then the trials with other effects.
+        New list: `best`, then the trials with other effects, each with k parameters (`theta`, shape (k,)).
     """
     label = best.machine.effects[-1].label
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
