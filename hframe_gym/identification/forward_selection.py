@@ -307,8 +307,8 @@ class EffectSearch:
         for old in selected:
             others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
             further = rivals_in_combination(old.effect, old.rival_effects, others, current.machine)
-            possible = (*old.rival_effects, *further)
-            compared = compare_rivals(current, old.effect.label, possible, self.data, self._criteria)
+            case = current, old.effect.label, old.rival_effects, self.data, self._criteria
+            compared = compare_rivals(*case, in_combination=further)
             if compared.better is not None:
                 effect = compared.better.machine.effects[-1]
                 self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")

@@ -145,7 +145,13 @@ class ComparedRivals(NamedTuple):
 
 
 def compare_rivals(
-    current: Fit, label: str, rivals: Sequence[AppliedEffect], data: Dataset, criteria: SelectionCriteria
+    current: Fit,
+    label: str,
+    rivals: Sequence[AppliedEffect],
+    data: Dataset,
+    criteria: SelectionCriteria,
+    *,
+    in_combination: Sequence[AppliedEffect] = (),
 ) -> ComparedRivals:
     """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
 
@@ -159,6 +165,7 @@ def compare_rivals(
             not tried. If another effect requires the effect to compare, no rival is tried.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
+        in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
 
     Returns:
         better: Fit of the machine with the most likely rival in place of the effect: machine, k fitted parameters
@@ -167,6 +174,7 @@ def compare_rivals(
         remaining: The rivals that are not excluded, with parameters fitted beside all other effects, and those that
             were not tried.
     """
+    rivals = (*rivals, *in_combination)
     present = {effect.label for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]
     if not possible or is_required(current.machine, label):
@@ -180,31 +188,25 @@ def compare_rivals(
     loss, margin = likelihood_loss(present_fit, data), chance_margin(present_fit, label)
     better, least, tried = None, loss, {}
     for rival in possible:
-        trial = _polished(_in_place_of(current, label, rival, data), data)
+        known = rival not in in_combination
+        start = fit_in_place_of(current, label, rival, data) if known else _sized(current, label, rival, data)
+        trial = _polished(start, data)
         trial_loss, own_margin = likelihood_loss(trial, data), chance_margin(trial, rival.label)
         if trial_loss < least - own_margin:
             better, least = trial, trial_loss
         # A pair that moves the stage alike differs only while friction holds the stage, where a fit is least reliable.
-        if trial_loss <= loss + (max(margin, own_margin) if _has_no_size(rival) else margin):
+        if trial_loss <= loss + (margin if known else max(margin, own_margin)):
             tried[rival.label] = trial.machine.effects[-1]
     untried = {rival.label: rival for rival in rivals if rival not in possible}
     remaining = tried | untried
     return ComparedRivals(better, tuple(remaining[rival.label] for rival in rivals if rival.label in remaining))
 
 
-def _has_no_size(rival: AppliedEffect) -> bool:
-    """Return whether a rival comes from `rivals_in_combination`: it has not been fitted yet."""
-    amplitudes = rival.definition.amplitudes
-    return bool(amplitudes) and not any(rival.parameters[name] for name in amplitudes)
-
-
-def _in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
-    """Fit a rival in place of an effect; one without a fitted amplitude first with the widest observer.
+def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
+    """Fit a rival of unknown size in place of an effect, first with the widest observer.
 
     In a simulation, the missing force displaces the stage so far that the fit would not find the way back.
     """
-    if not _has_no_size(rival):
-        return fit_in_place_of(current, label, rival, data)
     wide = dataclasses.replace(current, bandwidth=SEARCH_BANDWIDTH)
     return continue_fit(fit_in_place_of(wide, label, rival, data), data, current.bandwidth)
 
