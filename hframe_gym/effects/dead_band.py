@@ -1,7 +1,8 @@
-"""An amplifier without output below a voltage: V' = 0 for |V| < Vd, else V reduced by a fraction of Vd.
+"""An amplifier without output while the magnitude of the commanded voltage V is below a threshold Vd.
 
-drop = 0 is a switch (the enable threshold of a servo amplifier). drop = 1 is a continuous dead zone (base-emitter
-voltage of an output stage, contact voltage of brushes).
+Above it, the output is V reduced in magnitude by drop * Vd. With drop = 0, it is V itself, so that it jumps at the
+threshold (the enable threshold of a servo amplifier). With drop = 1, it rises continuously from 0 (base-emitter voltage
+of an output stage, contact voltage of brushes).
 """
 
 from ..dynamics.elementwise import absolute, copysign, where
@@ -9,7 +10,16 @@ from ..machine import Effect, EffectParameter
 
 
 def voltage(V, Vd, drop):  # type: ignore[no-untyped-def]
-    """Return the output voltage, V: 0 for |V| < Vd, else V - drop Vd sign V; V, Vd: V, drop: fraction in [0, 1]."""
+    """Return the output voltage of the amplifier.
+
+    Args:
+        V: Commanded voltage, V.
+        Vd: Threshold, V.
+        drop: Fraction of the threshold by which the output is reduced above it, from 0 to 1.
+
+    Returns:
+        Output voltage, V: 0 for |V| < Vd, else V - drop * Vd * sign(V).
+    """
     return where(absolute(V) < Vd, 0.0, V - copysign(drop * Vd, V))
 
 
@@ -18,10 +28,10 @@ EFFECT = Effect(
     family="dead_band",
     site="drive",
     shared=True,
-    formula="V' = 0 for |V| < Vd, else V - drop Vd sign V",
+    formula="V' = 0 for |V| < Vd, else V - drop * Vd * sign(V)",
     source="output stages without bias; brush contact voltage",
     voltage=voltage,
-    signal_order=1,
+    signal_order=1,  # after the gain
     parameters=(
         EffectParameter("Vd", "V", 0.0, 100.0, scale=0.2, grid=(0.01, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0), role="switch"),
         EffectParameter("drop", "1", 0.0, 1.0, scale=0.3, grid=(0.0, 1.0)),

@@ -19,7 +19,7 @@ EFFECT = Effect(
     formula="measurement = clip(r, low, high)",
     source="Sollmann et al., section V",
     measurement=measurement,
-    signal_order=1,
+    signal_order=1,  # after scale and skew
     parameters=(
         EffectParameter("low", "position", -1e6, 1e6, scale=0.01),
         EffectParameter("high", "position", -1e6, 1e6, scale=0.01, above="low"),

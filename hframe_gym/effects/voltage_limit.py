@@ -17,7 +17,7 @@ EFFECT = Effect(
     formula="|V'| <= U",
     source="supply voltage and maximum duty cycle of amplifiers",
     voltage=voltage,
-    signal_order=3,
+    signal_order=3,  # last of the effects on a voltage: no output exceeds the supply
     parameters=(
         EffectParameter("U", "voltage", 1e-3, 1e4, scale=0.1, grid=(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.88, 0.95)),
     ),

@@ -18,6 +18,6 @@ EFFECT = Effect(
     formula="V' = V + V0",
     source="offset of an analog amplifier or D/A converter",
     voltage=voltage,
-    signal_order=2,
+    signal_order=2,  # after gain and dead band
     parameters=(EffectParameter("V0", "V", -100.0, 100.0, scale=0.1, role="amplitude"),),
 )
