@@ -23,7 +23,7 @@ WORDS = ("own", "told", "stands", "asked", "badly", "whole", "share", "shown", "
 MAX_WORDS_PER_1000_LINES = 5.0
 # In hframe_gym, without effects/ and the __init__ files, which list the public names. It is the number of modules
 # today: a new one needs a reason, and merged ones lower it.
-MAX_MODULES = 155
+MAX_MODULES = 156
 MAX_MODULE_LINES = 350
 MAX_FUNCTION_LINES = 60  # docstring included
 

@@ -82,8 +82,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
         White (1982), "Maximum likelihood estimation of misspecified models".
         Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage samples".
     """
-    prior = prior_precision(fitted.free)
-    directions = _directions(fitted, data, prior)  # (k, k), one per column
+    data = data.with_observers(fitted.observers)
+    directions = _directions(fitted, data, prior := prior_precision(fitted.free))  # (k, k), one per column
     starts = uncertain_starts(fitted.machine, data.runs)
     parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions, starts[run.name]), data))
     information = np.concatenate([part.information for part in parts])  # J^T J of each block, (blocks, k, k)

@@ -7,9 +7,10 @@ encoder was switched on, and common to all runs in which it stayed on.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,18 @@ Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
 
 
+class RunObserver(NamedTuple):
+    """Observer that corrects the predictions of one run by its measurements.
+
+    Attributes:
+        bandwidth: Bandwidth, rad/s; 0 for a simulation.
+        inflation: Variance of the run's innovations / their variance for an exact machine, at least 1.
+    """
+
+    bandwidth: float
+    inflation: float = 1.0
+
+
 @dataclass(frozen=True)
 class PreparedRecording:
     """One recording of a machine, with its initial state.
@@ -42,6 +55,8 @@ class PreparedRecording:
         weights: Weight of each measurement in a fit, shape (n, sensors), from 0 (not measured) to 1 (independent of the
             measurements beside it), see `independent_values`.
         dropped: True for rows that the logger dropped; their voltages are interpolated or estimated, shape (n,).
+        observer_bandwidth: Bandwidth of the observer that corrects predictions of this run by the measurements, rad/s;
+            None: that of the prediction or fit.
     """
 
     name: str
@@ -52,6 +67,18 @@ class PreparedRecording:
     noise: Array
     weights: Array
     dropped: NDArray[np.bool_]
+    observer_bandwidth: float | None = None
+
+    def bandwidth(self, of_prediction: float) -> float:
+        """Return the bandwidth of the observer that corrects a prediction of this run by the measurements.
+
+        Args:
+            of_prediction: Bandwidth that applies to runs without one, rad/s.
+
+        Returns:
+            `observer_bandwidth` if the run has one, rad/s; otherwise the given one.
+        """
+        return of_prediction if self.observer_bandwidth is None else self.observer_bandwidth
 
     @property
     def count(self) -> float:
@@ -124,6 +151,24 @@ class Dataset:
             Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
+
+    def with_observers(self, observers: Mapping[str, RunObserver]) -> Dataset:
+        """Return a copy in which some runs are predicted with another observer.
+
+        Args:
+            observers: Observer, bandwidth in rad/s, by the name of the run.
+
+        Returns:
+            Copy; runs that are not named are unchanged. Those named have its bandwidth, and their noise, m or rad,
+            shape (n, sensors), is larger by the square root of its `inflation`.
+        """
+
+        def with_observer(run: PreparedRecording, observer: RunObserver) -> PreparedRecording:
+            noise = run.noise * np.sqrt(observer.inflation)
+            return dataclasses.replace(run, observer_bandwidth=observer.bandwidth, noise=noise)
+
+        runs = (with_observer(run, observers[run.name]) if run.name in observers else run for run in self.runs)
+        return dataclasses.replace(self, runs=tuple(runs))
 
     def single_runs(self) -> tuple[Dataset, ...]:
         """Divide the data set into data sets of one run each.

@@ -12,16 +12,17 @@ Bandwidth 0 means no observer, a simulation. The cost is the sum of squared resi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
-from .dataset import Dataset, PreparedRecording
+from .dataset import Dataset, PreparedRecording, RunObserver
 from .free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from .linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
+from .normal_equations import NormalEquations
 from .prediction import SEARCH_STEP, map_runs
 from .start_uncertainty import prediction_residuals, uncertain_starts
 
@@ -50,6 +51,7 @@ class Fit:
             pure simulation.
         information: Fisher information of theta without the prior, shape (k, k).
         longest_step: Maximum integration step of the fitted predictions, s.
+        observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise empty.
     """
 
     machine: Machine
@@ -60,6 +62,7 @@ class Fit:
     bandwidth: float
     information: Array = field(repr=False)
     longest_step: float = SEARCH_STEP
+    observers: Mapping[str, RunObserver] = field(default_factory=dict, repr=False)
 
     @property
     def chi2(self) -> float:
@@ -223,6 +226,22 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
     Returns:
         Cost, dimensionless; infinite if a prediction diverges.
     """
+    total = float(sum(prediction_costs(machine, data, bandwidth, longest_step=longest_step)))
+    return total if math.isfinite(total) else math.inf
+
+
+def prediction_costs(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> Array:
+    """Return the cost of a machine on each run; arguments as of `prediction_cost`.
+
+    Args:
+        machine: Machine that predicts.
+        data: Runs to predict (times, voltages, measurements).
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        longest_step: Maximum integration step, s.
+
+    Returns:
+        Costs, dimensionless, shape (runs,); not finite where a prediction diverges.
+    """
     starts = uncertain_starts(machine, data.runs)
 
     def of_run(run: PreparedRecording) -> float:
@@ -231,5 +250,40 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
             residual = prediction_residuals(machine, run, data, bandwidth, start=start, longest_step=longest_step)
             return float(np.sum(residual**2))
 
-    total = sum(map_runs(of_run, data))
-    return total if math.isfinite(total) else math.inf
+    return np.array(list(map_runs(of_run, data)))
+
+
+def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
+    """Compute the costs of pieces of the runs with parameters that are fitted to all other pieces.
+
+    The model is linearized around the fit, where each of these fits is one Newton step within the limits of the fit.
+
+    Args:
+        fitted: Fit of a machine.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+        pieces: Number of pieces into which each run is divided; 1 for complete runs.
+
+    Returns:
+        For each piece, its cost and that of all others, dimensionless; infinite if the machine diverges.
+    """
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
+    point = model.at(fitted.theta)
+
+    def of_run(run: PreparedRecording) -> list[NormalEquations]:
+        rows = point.linearize_run(run)
+        parts = zip(np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True)
+        return [NormalEquations.from_rows(*part, count=run.count / pieces) for part in parts]
+
+    equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
+    total = NormalEquations.total(equations)
+    if not total.finite:  # the machine diverges
+        return [(math.inf, math.inf)] * len(equations)
+    precision = prior_precision(fitted.free) * max(1.0, total.chi2)
+    costs = []
+    for left_out in equations:
+        information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
+        hessian, slope = information + precision, gradient + precision @ fitted.theta
+        step = bounded_step(fitted.free, fitted.theta, hessian, slope)
+        cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
+        costs.append((cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step)))
+    return costs

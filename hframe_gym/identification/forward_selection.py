@@ -4,9 +4,8 @@ An effect is a deviation from the nominal model, such as cogging. The best candi
 together with the machine's parameters. The best of them is selected if it reduces chi-squared per sample by enough and
 passes the tests of `significance`; the search continues from there. At the end, effects that fail a test beside the
 others are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared per sample. A rival
-is another effect that explains the same data equally well.
-
-Predictions are corrected by an observer, which feeds the measurements back (`model_error`).
+is another effect that explains the same data equally well. An observer, which feeds the measurements back, corrects
+predictions (`model_error`).
 """
 
 from __future__ import annotations
@@ -65,10 +64,9 @@ class SelectedEffect:
             machine: Machine that contains the effect (deviation from the nominal model), usually a later fit.
 
         Returns:
-            Copy with the updated effect; its gain and its rivals are unchanged.
+            Copy with the updated effect.
         """
-        effect = next(e for e in machine.effects if e.label == self.effect.label)
-        return dataclasses.replace(self, effect=effect)
+        return dataclasses.replace(self, effect=next(e for e in machine.effects if e.label == self.effect.label))
 
 
 # Fit of a machine with all selected effects, and these effects.
@@ -83,7 +81,7 @@ class ConsideredEffect:
 
     Attributes:
         effect: The effect with the parameters of its trial fit.
-        machine: Machine that was fitted with the effect.
+        machine: Machine that was fitted with it.
         machine_without: Machine as it was fitted before.
         reason: Why it was not selected; a clause that follows "it ".
     """
@@ -101,7 +99,7 @@ class EffectSearch:
         data: Prepared recordings to fit.
         plain: Machine before effects are added.
         criteria: Decision thresholds.
-        log: Called with a line of text for the candidates of each step, selected or not.
+        log: Called with a line of text for each candidate.
 
     Attributes:
         considered: Effects that reduced the error but failed a test, by label (name@site).
@@ -135,16 +133,15 @@ class EffectSearch:
         Effects that fail one of the tests (`significance`) are added to `considered`. After each selected effect, the
         bandwidth of the observer that corrects predictions by the measurements is chosen anew (maximum likelihood), and
         earlier effects may be replaced by others that now explain more. If no effect passes, the best one that failed
-        is tried together with a second one, because each of two missing effects can hide the other. The search also
-        ends at `max_effects` effects or when only noise is left (`noise_level`).
+        is tried together with a second one, because each of two missing effects can hide the other. The search ends at
+        `max_effects` effects or when only noise is left (`noise_level`).
 
         Args:
             current: Fit of the machine with the effects selected so far.
             selected: Effects selected so far.
 
         Returns:
-            fit: Fit of the machine with all effects.
-            selected: All selected effects with their fitted parameters.
+            Fit of the machine with all effects, and all selected effects with their fitted parameters.
         """
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
@@ -155,6 +152,10 @@ class EffectSearch:
                 break
             best, selected = extended
             current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
+            if current.bandwidth != SIMULATION and current.chi2 < criteria.explained_chi2:
+                likely, others = self.settle_rivals(current, selected)  # perhaps nothing is wrong but one of them
+                if likely is not current:
+                    current, selected = fit_with_model_error(likely, self.data), others
             current, self.data = with_probable_starts(current, self.data, criteria)
         for s in selected:
             self.considered.pop(s.effect.label, None)
@@ -162,9 +163,9 @@ class EffectSearch:
 
     def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
         """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
-        effect, gain = trials[0].machine.effects[-1], (without.cost - trials[0].cost) / self.data.count
-        rivals = close_rivals(trials, without, self.data, self._criteria)
-        return trials[0], (*selected, SelectedEffect(effect, gain, without.machine, rivals))
+        gain, rivals = without.cost - trials[0].cost, close_rivals(trials, without, self.data, self._criteria)
+        new = SelectedEffect(trials[0].machine.effects[-1], gain / self.data.count, without.machine, rivals)
+        return trials[0], (*selected, new)
 
     def _next_pair(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection | None:
         """Return the machine with two more effects, the first of which passes all tests only beside the second.
@@ -231,16 +232,19 @@ class EffectSearch:
         return current, selected_first(best, trials)
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
-        """Return whether the trials leave enough of the error to try effects that replace a part of the model as well.
+        """Return whether to try effects that replace a part of the model as well: the trials leave much of the error.
 
-        After a trial in vain, they are tried again only once the error has become clearly smaller.
+        After a trial in vain, they are tried again only once the error has become clearly smaller. They are also tried
+        if the best trial adds a force with memory, because dry friction with a memory, which replaces it, is similar.
         """
-        criteria = self._criteria
-        floor = noise_floor(current.bandwidth, criteria)
+        criteria, floor = self._criteria, noise_floor(current.bandwidth, self._criteria)
         left = unexplained_fraction(current, trials, criteria)
         bandwidth, failed_excess = self._structures_failed
         if current.bandwidth == bandwidth and current.chi2 - 1.0 > criteria.structural_retry * failed_excess:
             return False
+        best = min(trials, key=lambda trial: trial.cost).machine.effects[-1].definition if trials else None
+        if best and best.force and best.next_state:
+            return True
         return left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
 
     def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
@@ -290,18 +294,17 @@ class EffectSearch:
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Compare each selected effect with its rivals again, in a machine that has all other selected effects.
 
-        An effect is a deviation from the model. Its rivals are other effects that explained the data about equally well
-        when it was selected. Further effects were still missing then, and an observer with strong feedback of the
-        measurements hid the differences. Each rival now takes the place of the effect, and the machine is fitted again.
-        If chance does not explain the difference, the most likely rival replaces the effect, and the comparison starts
-        again; rivals that are clearly less likely are dropped. `rivals_in_combination` adds possible rivals.
+        Rivals of an effect (deviation from the model) explained the data about equally well when it was selected, while
+        effects were missing and an observer hid differences. Each rival now takes its place. If chance does not explain
+        the difference, the most likely rival replaces the effect, and the comparison starts again; rivals that are
+        clearly less likely are dropped. `rivals_in_combination` adds possible rivals.
 
         Args:
             current: Fit of the machine with all selected effects.
             selected: These effects, with their rivals.
 
         Returns:
-            The fit of the machine with the most likely effects, and these effects with the rivals that remain.
+            Fit of the machine with the most likely effects, and these effects with the rivals that remain.
         """
         settled: tuple[SelectedEffect, ...] = ()
         for old in selected:
@@ -319,11 +322,11 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in settled)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Remove effects (deviations from the model) that later effects have made superfluous.
+        """Remove effects (deviations from the model) that later effects have made superfluous; `considered` lists them.
 
-        Each effect is tested while the machine has all other selected effects, the one with the smallest gain first.
-        It is kept if it clearly reduces the error and passes all tests of `significance`, or if another effect requires
-        it or acts on a coordinate that it adds. After a removal, the others are tested again. `considered` lists it.
+        Each effect is tested beside all other selected effects, the one with the smallest gain first. It is kept if it
+        clearly reduces the error and passes all tests of `significance`, or if another effect requires it or acts on a
+        coordinate that it adds. After a removal, the others are tested again.
 
         Args:
             current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.

@@ -21,6 +21,8 @@ from .start_uncertainty import prediction_residuals
 
 Array = NDArray[np.float64]
 
+# Reason for which an effect is not used; a clause that follows "it ".
+NO_GAIN = "does not reduce the error of the held-out runs"
 _GROUP_SIZE = 4  # One of four runs is held out.
 # Relative difference of spectra below which runs count as alike. Repetitions with other random numbers differ by 0.05
 # to 0.2; steps, slow sines, multisines and chirps of the same amplitude differ from each other by 0.2 to 0.6.

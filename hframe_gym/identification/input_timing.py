@@ -18,7 +18,7 @@ from .dataset import Dataset
 from .estimation import Fit
 from .force_sizes import typical_scales
 from .forward_selection import ConsideredEffect, Log, SelectedEffect
-from .held_out import held_out_gain, is_excited
+from .held_out import NO_GAIN, held_out_gain, is_excited
 from .machine_validation import validation_fault
 from .model_error import continue_fit, leave_one_out_gain, likelihood_loss, polish
 from .prediction import LONGEST_OBSERVER_PERIOD, SEARCH_BANDWIDTH
@@ -136,4 +136,4 @@ def _denied(added: SelectedEffect, extended: Fit, validation: Dataset) -> str:
     """Return that the held-out runs excite an effect and deny it, "" if they do not."""
     of_effect = (added, extended.machine, validation, extended.bandwidth)
     denied = validation.runs and is_excited(*of_effect) and held_out_gain(*of_effect) <= 0.0
-    return "does not reduce the error of the held-out runs" if denied else ""
+    return NO_GAIN if denied else ""

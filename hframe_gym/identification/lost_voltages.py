@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ from scipy.sparse.linalg import spsolve
 from ..machine import Machine
 from .belt_stretch import rigid_basis
 from .dataset import Dataset, PreparedRecording
+from .estimation import fit
+from .free_parameters import default_free_parameters
+from .model_error import continue_fit
 from .prediction import (
     LONGEST_OBSERVER_PERIOD,
     POLISH_STEP,
@@ -36,6 +40,7 @@ from .prediction import (
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
+_VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
 _LONGEST_GAP = 20  # rows; voltages in longer gaps stay interpolated
 _BANDWIDTHS = (SEARCH_BANDWIDTH, SEARCH_BANDWIDTH / 4.0)  # rad/s
 # Product of the observer's bandwidth and the time after which it has corrected the response to a row; the bandwidth of
@@ -49,6 +54,33 @@ _EVALUATIONS = 8  # of the posterior density, at most
 _SHORTER = 0.3  # factor for a step that does not increase the posterior density
 _SMALLEST_DECREASE = 0.01  # of twice the negative logarithm of the posterior density, below which the iterations end
 _UNCHANGED = 0.05  # change relative to the error of interpolation that is not worth another fit
+
+
+def with_lost_voltages(
+    machine: Machine, data: Dataset, held_out: Dataset, log: Callable[[str], object]
+) -> tuple[Dataset, Dataset]:
+    """Estimate the voltages in rows that the logger dropped, with the machine refitted to the fitted runs.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit (times, voltages, measurements, SI).
+        held_out: Runs that are not fitted.
+        log: Called with a line of text if voltages are estimated.
+
+    Returns:
+        The fitted and the held-out runs, with estimated voltages, V, shape (n, drives) for each run.
+    """
+    unknown = _count_unknown_rows(data) + _count_unknown_rows(held_out)
+    if not unknown:
+        return data, held_out
+    fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    for _ in range(_VOLTAGE_ITERATIONS):
+        refined = estimate_lost_voltages(data, fitted.machine)
+        if refined is data:
+            break
+        data, fitted = refined, continue_fit(fitted, refined, SEARCH_BANDWIDTH)
+    log(f"voltages of {unknown} dropped rows are estimated from the measurements")
+    return data, estimate_lost_voltages(held_out, fitted.machine)
 
 
 def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
@@ -88,15 +120,8 @@ class _Unknowns(NamedTuple):
     deviations: Array
 
 
-def count_unknown_rows(data: Dataset) -> int:
-    """Return the number of dropped rows whose voltages the measurements can determine.
-
-    Args:
-        data: Data set with dropped rows (times, voltages, measurements, SI).
-
-    Returns:
-        Number of dropped rows in gaps of up to 20 rows, in all runs that have measurements.
-    """
+def _count_unknown_rows(data: Dataset) -> int:
+    """Return the number of dropped rows, in gaps of up to 20, in all runs with measurements: these determine them."""
     return sum(len(_short_gaps(run.dropped)[0]) for run in data.runs if np.isfinite(run.outputs).any())
 
 

@@ -16,19 +16,14 @@ The cost is the sum of squared residuals in units of the sensors' noise; chi-squ
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
 from .criteria import SelectionCriteria
-from .dataset import Dataset, PreparedRecording
-from .estimation import Fit, fit, prediction_cost
-from .free_parameters import bounded_step, prior_precision
-from .linearization import ResidualModel
-from .normal_equations import NormalEquations
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, map_runs, sensor_bandwidths
+from .dataset import Dataset
+from .estimation import Fit, cross_validation, fit, prediction_cost
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, sensor_bandwidths
 
 Array = NDArray[np.float64]
 
@@ -238,17 +233,15 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
 def left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[float]:
     """Return the cost of each piece of the runs with parameters that are fitted to all others (cross-validation).
 
-    The model is linearized around the fit, where each of these fits is one Newton step within the limits of the fit.
-
     Args:
         fitted: Fit of a machine.
         data: Runs that were fitted (times, voltages, measurements, SI).
-        pieces: Number of pieces into which each run is divided; 1 for whole runs.
+        pieces: Number of pieces into which each run is divided; 1 for complete runs.
 
     Returns:
         Costs, dimensionless: sums of squared residuals in units of the noise; infinite if the machine diverges.
     """
-    return [cost for cost, _ in _cross_validation(fitted, data, pieces)]
+    return [cost for cost, _ in cross_validation(fitted, data, pieces)]
 
 
 def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
@@ -266,38 +259,13 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
     """
     if len(data.runs) < _MIN_RUNS_COMPARED:
         return None
-    costs = _cross_validation(fitted, data, 1)
+    costs = cross_validation(fitted, data, 1)
     counts = [run.count for run in data.runs]
     ratios = [
         (cost / count) / (others / (sum(counts) - count)) for (cost, others), count in zip(costs, counts, strict=True)
     ]
     worst = int(np.argmax(ratios))
     return data.runs[worst].name if ratios[worst] > CONTRADICTION else None
-
-
-def _cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
-    """Return for each piece of the runs its cost and that of all others, with parameters fitted to the others."""
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
-    point = model.at(fitted.theta)
-
-    def of_run(run: PreparedRecording) -> list[NormalEquations]:
-        rows = point.linearize_run(run)
-        parts = zip(np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True)
-        return [NormalEquations.from_rows(*part, count=run.count / pieces) for part in parts]
-
-    equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
-    total = NormalEquations.total(equations)
-    if not total.finite:  # the machine diverges
-        return [(math.inf, math.inf)] * len(equations)
-    precision = prior_precision(fitted.free) * max(1.0, total.chi2)
-    costs = []
-    for left_out in equations:
-        information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
-        hessian, slope = information + precision, gradient + precision @ fitted.theta
-        step = bounded_step(fitted.free, fitted.theta, hessian, slope)
-        cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
-        costs.append((cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step)))
-    return costs
 
 
 def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:

@@ -1,8 +1,8 @@
 """Find the spatial periods of the missing force, the force that a model lacks.
 
 The periodogram is that of least squares, because positions are unequally spaced. `residual.missing_force` estimates the
-force up to a cut-off frequency. At high speed, a short period exceeds it, and the estimate attenuates the period or
-inverts its sign. Each period is therefore fitted only to rows in which the motion is slow enough.
+force up to a cut-off frequency, which a short period exceeds at high speed. Each period is therefore fitted only to
+rows in which the motion is slow enough.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from .residual import MISSING_FORCE_CUTOFF
+from .residual import HIGHEST_FREQUENCY
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
     friction: times the sign of the velocity) are fitted to it by least squares, together with a constant, viscous and
     dry friction: a least-squares periodogram. Rates from 1 (friction: 0.5) to 1000 periods over the range of the
     positions are tried. The fit at a rate uses only rows of slow motion, except near standstill: at their speed, one
-    period takes at least four rows and at least 1 / `MISSING_FORCE_CUTOFF` (25 ms). The strength of a rate is the sum
+    period takes at least four rows and at least 1 / `HIGHEST_FREQUENCY` (25 ms). The strength of a rate is the sum
     of squares of the force that sine and cosine explain in these rows.
 
     Args:
@@ -104,7 +104,7 @@ def _spectrum(
     speed, span = np.abs(velocity), float(np.ptp(position))
     position = position - position.min()
     top = float(np.percentile(speed, 99))
-    highest = min(MISSING_FORCE_CUTOFF, 1.0 / (_ROWS_PER_PERIOD * sampling_period))  # periods per second
+    highest = min(HIGHEST_FREQUENCY, 1.0 / (_ROWS_PER_PERIOD * sampling_period))  # periods per second
     limits = [_POINTS_PER_PERIOD * fewest]
     while limits[-1] < _POINTS_PER_PERIOD * _MAX_PERIODS:
         limits.append(limits[-1] * _GROUP_RATIO)

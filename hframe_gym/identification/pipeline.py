@@ -31,6 +31,7 @@ from .experiment_design import design_discriminating_experiment
 from .force_sizes import drive_force, effect_force
 from .forward_selection import ConsideredEffect, Log, SelectedEffect
 from .held_out import (
+    NO_GAIN,
     contradicting_held_out_runs,
     error_reduction,
     held_out_gain,
@@ -39,11 +40,12 @@ from .held_out import (
     worsens_simulation,
 )
 from .input_timing import with_input_timing
+from .lost_voltages import with_lost_voltages
 from .recording_simulation import evaluate_held_out
 from .residual import white_sensors
 from .result import IdentificationResult, RejectedEffect
 from .run_differences import find_run_differences
-from .search import SearchOutcome, search_effects, with_lost_voltages
+from .search import SearchOutcome, search_effects
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .start_estimation import refine_dataset
 from .trial_fits import without_effect
@@ -65,7 +67,6 @@ _UNEXCITED = (
     "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
     "other runs with --hold-out for an independent test."
 )
-_NO_GAIN = "does not reduce the error of the held-out runs"
 _WORSENS = "reduces the error of the held-out runs, but they are simulated worse with {} than without effects"
 _CAUSED_ERROR = -1.0  # gain on a held-out run below which effects cause its error: half of the squared error or more
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
@@ -263,7 +264,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
         excited = [s for s in selected if is_excited(s, after.machine, runs, after.bandwidth)]
         refuted = [s for s in excited if gains[s.effect.label] <= 0.0]
-        reason = _NO_GAIN
+        reason = NO_GAIN
         if not refuted and worsens_simulation(before.machine, after.machine, runs):
             refuted = excited
             reason = _WORSENS.format("it" if len(selected) == 1 else "all effects together")

@@ -124,7 +124,8 @@ def predict(
     Args:
         machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
         run: Run to predict, n samples.
-        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none. A run
+            may have another one (`PreparedRecording.observer_bandwidth`).
         period: Sampling period, s.
         parameters: All parameters, SI, as in `Machine.parameters`, shape (batch, parameters). Default: the machine's.
         inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
@@ -143,6 +144,7 @@ def predict(
     """
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     measured = gains = None
+    bandwidth = run.bandwidth(bandwidth)
     if bandwidth > 0.0:
         measured = measurements_from(starts[0], machine, run)
         measured = measured if extra_measurement is None else measured - extra_measurement

@@ -32,8 +32,8 @@ from .start_estimation import most_probable_initial_state, start_for_observer
 Array = NDArray[np.float64]
 
 # Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
-_RESIDUAL_CUTOFF = 30.0
-MISSING_FORCE_CUTOFF = 40.0
+_RESIDUAL_CUTOFF, _MISSING_FORCE_CUTOFF = 30.0, 20.0
+HIGHEST_FREQUENCY = 40.0  # Hz, above which nothing is left of the missing force
 _WHITENESS_BLOCK_S = 0.02
 _WHITE = 0.6  # standard deviation of block means, in units of the noise
 
@@ -124,57 +124,20 @@ def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -
     return errors
 
 
-def force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
-    """Estimate the force that would have to be added for the machine to follow the measurements.
-
-    An observer corrects the predicted velocities at every sample by the measurements. This correction divided by the
-    sampling period is an acceleration; times the mass or inertia it is the missing force. The estimate is valid below
-    the observer's bandwidth (60 rad/s). A missing measurement causes no correction.
-
-    The observer does not correct a carriage without a sensor. The force on such a carriage follows from the corrections
-    of its pulleys, as if the belts were rigid.
-
-    Args:
-        machine: Machine that predicts.
-        run: Measured run, n samples.
-        data: Data set of the run, for the sampling period.
-
-    Returns:
-        Force on every coordinate, N or Nm, shape (n, coordinates).
-    """
-    velocity_gains = observer_gains(machine, data.period)[len(machine.coordinates) :]  # (coordinates, sensors)
-    mass = np.array([c.mass for c in machine.coordinates])
-    force = _innovations(machine, run, data, run.initial_state(machine))[0] @ velocity_gains.T / data.period * mass
-    for i, motion in _motions_of_unmeasured(machine).items():
-        force[:, i] = force @ motion  # virtual work along the motion of the carriage with its pulleys
-    return force
-
-
 def _innovations(
     machine: Machine, run: PreparedRecording, data: Dataset, start: Array, noise: Array | None = None
 ) -> Array:
     """Return measured minus predicted values, 0 where not measured, and their change by noise, (1 or 2, n, sensors)."""
     added = None if noise is None else np.stack([np.zeros_like(noise), -noise])
     motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, extra_measurement=added)
-    innovation = measurements_from(start, machine, run) - motion.readings
+    innovation = _innovation(motion.readings, machine, run, start)
     innovation[1:] -= innovation[:1]
-    return np.nan_to_num(innovation)
+    return innovation
 
 
-def _motions_of_unmeasured(machine: Machine) -> dict[int, Array]:
-    """Return the rigid motion that each coordinate without a sensor leads, shape (coordinates,), by its index.
-
-    Coordinates whose motion moves no measured one are left out: nothing is known about the force on them.
-    """
-    measured = _measured(machine)
-    motions = {machine.coordinate_names.index(name): motion for name, motion in rigid_motions(machine).items()}
-    return {i: motion for i, motion in motions.items() if not measured[i] and np.any(motion[measured])}
-
-
-def _measured(machine: Machine) -> NDArray[np.bool_]:
-    """Mark the coordinates that the observer corrects by a sensor, shape (coordinates,)."""
-    corrected = {sensor.coordinate for sensor in machine.sensors}
-    return np.array([name in corrected for name in machine.coordinate_names])
+def _innovation(readings: Array, machine: Machine, run: PreparedRecording, start: Array) -> Array:
+    """Return measured minus predicted values, 0 where not measured, of a prediction from a given start, same shape."""
+    return np.nan_to_num(measurements_from(start, machine, run) - readings)
 
 
 def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
@@ -194,7 +157,7 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
         Force on every coordinate, N or Nm, without phase lag, shape (n, coordinates).
     """
     start = start_for_observer(machine, run, data)
-    force = _innovations(machine, run, data, start)[0] @ _rigid_force_gains(machine, data.period)
+    force = _innovations(machine, run, data, start)[0] @ _observed_forces(machine, data.period).gains
     return _low_pass(force, _RESIDUAL_CUTOFF, data.period)
 
 
@@ -216,7 +179,7 @@ def comparable_forces(machine: Machine, data: Dataset) -> tuple[Array, Array]:
     travel, scales = machine.travel_per_unit, np.array(machine.travel_per_unit)
     for name, motion in rigid_motions(machine).items():
         scales[machine.coordinate_names.index(name)] *= np.linalg.norm((motion * travel)[pulleys]) or 1.0
-    rng, gains, by_run = np.random.default_rng(0), _rigid_force_gains(machine, data.period) / scales, []
+    rng, gains, by_run = np.random.default_rng(0), _observed_forces(machine, data.period).gains / scales, []
     for run in data.runs:
         start = start_for_observer(machine, run, data)
         innovations = _innovations(machine, run, data, start, _synthetic_noise(machine, run, data, rng))
@@ -236,30 +199,60 @@ def _synthetic_noise(machine: Machine, run: PreparedRecording, data: Dataset, rn
     return noise
 
 
-def _rigid_force_gains(machine: Machine, period: float) -> Array:
-    """Return the force on each coordinate per innovation, N or Nm per m or rad, shape (sensors, coordinates)."""
+class _ObservedForces(NamedTuple):
+    """What the corrections of an observer say about the force on each coordinate.
+
+    A rigid motion stretches no belt: a carriage moves with its pulleys. Other coordinates move alone. The error e of a
+    rigid motion obeys M e'' + (D + M l1) e' + (D l1 + M l2) e = missing force, with mass M, damping D, and the gains of
+    position and velocity l1, 1/s, and l2, 1/s^2. The last term on the left is the force that corrects the motion.
+
+    Attributes:
+        gains: Correcting force on each coordinate per innovation, N or Nm per m or rad, shape (sensors, coordinates).
+        motion_gains: Correcting force along each motion, N or Nm per m or rad, shape (sensors, motions).
+        first: (D + M l1) / (D l1 + M l2), s, shape (motions,).
+        second: M / (D l1 + M l2), s^2, shape (motions,).
+        distribution: Force on a coordinate, if only carriages or only pulleys have forces, per force along a motion,
+            shape (motions, coordinates).
+    """
+
+    gains: Array
+    motion_gains: Array
+    first: Array
+    second: Array
+    distribution: Array
+
+
+def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
+    """Return what corrections say about forces, for an observer of `SEARCH_BANDWIDTH` at a sampling period, s."""
     names, motions = machine.coordinate_names, rigid_motions(machine)
-    damping = np.array([c.viscous for c in machine.coordinates], float)
+    pulleys = [names.index(name) for name in pulley_names(machine)] if machine.belts and motions else []
+    leading = [names.index(name) for name in motions]
+    leading += [i for i in range(len(names)) if i not in leading and i not in pulleys]
+    modes = np.vstack([*motions.values(), *np.eye(len(names))[leading[len(motions) :]]])  # (motions, coordinates)
+    distribution = np.eye(len(names))[leading]
+    if pulleys:
+        distribution[:, pulleys] = np.linalg.pinv(modes[:, pulleys].T)
+    mass, damping = np.array([c.mass for c in machine.coordinates]), np.array([c.viscous for c in machine.coordinates])
     for drive in machine.drives:
         damping[names.index(drive.coordinate)] += drive.gain * drive.emf_constant
-    sums = np.eye(len(names))  # column i sums the forces on all coordinates to one on coordinate i
-    for name, motion in motions.items():
-        sums[:, names.index(name)] = motion
-    if machine.belts and motions:
-        modes, pulleys = np.array(list(motions.values())), [names.index(name) for name in pulley_names(machine)]
-        sums[:, pulleys] = modes.T @ np.linalg.pinv(modes[:, pulleys].T)  # modes: (motions, coordinates)
-    position_gains, velocity_gains = np.split(observer_gains(machine, period), 2)  # (coordinates, sensors) each
-    mass = np.array([c.mass for c in machine.coordinates])
-    return np.asarray((velocity_gains.T * mass + position_gains.T * damping) / period @ sums)
+    position_gains, velocity_gains = np.split(observer_gains(machine, period) / period, 2)  # (coordinates, sensors)
+    measured = machine.sensor_matrix @ modes.T  # (sensors, motions)
+    motion_gains = ((modes * mass) @ velocity_gains + (modes * damping) @ position_gains).T
+    stiffness = np.sum(motion_gains * measured, axis=0)  # D l1 + M l2
+    resistance = np.sum(((modes * mass) @ position_gains).T * measured, axis=0) + modes**2 @ damping
+    first, second = (
+        np.divide(values, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0)  # 0 where nothing is measured
+        for values in (resistance, modes**2 @ mass)
+    )
+    return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, distribution)
 
 
 def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
-    An observer corrects the predicted velocities by the measurements. The corrections times the mass are the missing
-    force after a low-pass filter with two equal poles at the observer's bandwidth. This function inverts the filter for
-    frequencies up to 40 Hz, far above the observer's bandwidth (60 rad/s). The poles of a carriage that no sensor
-    measures are slower: the corrections of its pulleys must move its mass too.
+    An observer corrects the prediction by the measurements. Above its bandwidth (60 rad/s), its correcting force lags
+    behind the missing one and falls. Both are inverted; but as the inversion amplifies the noise of the sensors with
+    the square of the frequency, the result is attenuated above 20 Hz, without phase lag.
 
     Args:
         machine: Machine that predicts.
@@ -267,28 +260,21 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     Returns:
         By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m, m/s, N
-        for a linear and rad, rad/s, Nm for a rotary coordinate.
+        for a linear and rad, rad/s, Nm for a rotary coordinate. The force on a carriage is the one that does the same
+        work as all corrections if only carriages have forces; that on a pulley, if only pulleys do.
     """
-    position_gains = observer_gains(machine, data.period)[: len(machine.coordinates)].sum(axis=1)
-    # Time constant of each pole, s, about 1 / bandwidth, shape (coordinates,).
-    time_constant = 2.0 * data.period / np.maximum(position_gains, 1e-12)
-    inertia_ratio = np.ones(len(machine.coordinates))  # inertia of the rigid motion / inertia of its measured part
-    measured, mass = _measured(machine), np.array([c.mass for c in machine.coordinates])
-    for i, motion in _motions_of_unmeasured(machine).items():
-        inertia = mass * motion**2
-        inertia_ratio[i] = inertia.sum() / inertia[measured].sum()
-        time_constant[i] = time_constant[measured & (motion != 0.0)].max()
+    observed = _observed_forces(machine, data.period)
 
     def of_run(run: PreparedRecording) -> Array:
-        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
-        # f + 2 T f' + r T^2 f'' inverts the low-pass 1 / (1 + 2 T s + r T^2 s^2); for r = 1, it has equal poles.
-        force = _low_pass(force_residual(machine, run, data), MISSING_FORCE_CUTOFF, data.period)
-        first_derivative = np.gradient(force, run.time_s, axis=0)
-        second_derivative = np.gradient(first_derivative, run.time_s, axis=0)
-        unfiltered = force + 2 * time_constant * first_derivative + inertia_ratio * time_constant**2 * second_derivative
-        return np.stack([motion.positions[0], motion.velocities[0], unfiltered], axis=2)  # (n, coordinates, 3)
+        start = start_for_observer(machine, run, data)
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
+        correcting = _innovation(motion.readings, machine, run, start)[0] @ observed.motion_gains
+        correcting = _low_pass(correcting, _MISSING_FORCE_CUTOFF, data.period)
+        slope = np.gradient(correcting, run.time_s, axis=0)
+        force = correcting + observed.first * slope + observed.second * np.gradient(slope, run.time_s, axis=0)
+        return np.stack([motion.positions[0], motion.velocities[0], force @ observed.distribution], axis=2)
 
-    by_coordinate = np.concatenate(list(map_runs(of_run, data)))
+    by_coordinate = np.concatenate(list(map_runs(of_run, data)))  # (n, coordinates, 3)
     return {name: by_coordinate[:, i] for i, name in enumerate(machine.coordinate_names)}
 
 

@@ -14,7 +14,6 @@ from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
 from .forward_selection import ConsideredEffect, EffectSearch, Log, SelectedEffect, Selection
 from .free_parameters import default_free_parameters
-from .lost_voltages import count_unknown_rows, estimate_lost_voltages
 from .model_error import (
     CONTRADICTION,
     continue_fit,
@@ -29,11 +28,11 @@ from .nonparametric import add_tables, fit_with_moved_knots
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
 from .run_differences import find_run_differences
+from .run_observers import fit_run_by_run
 from .start_estimation import refine_dataset
 from .trial_fits import converge
 
 _AS_GOOD = 1.2  # ratio of chi-squared per sample of two explanations that are equally good
-_VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
 
 
 class SearchOutcome(NamedTuple):
@@ -60,31 +59,6 @@ class SearchOutcome(NamedTuple):
     considered: tuple[ConsideredEffect, ...]
     data: Dataset
     contradiction: str | None = None
-
-
-def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: Log) -> tuple[Dataset, Dataset]:
-    """Estimate the voltages in rows that the logger dropped, with the machine refitted to the fitted runs.
-
-    Args:
-        machine: Machine as declared.
-        data: Runs to fit (times, voltages, measurements, SI).
-        held_out: Runs that are not fitted.
-        log: Called with a line of text if voltages are estimated.
-
-    Returns:
-        The fitted and the held-out runs, with estimated voltages, V, shape (n, drives) for each run.
-    """
-    unknown = count_unknown_rows(data) + count_unknown_rows(held_out)
-    if not unknown:
-        return data, held_out
-    fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
-    for _ in range(_VOLTAGE_ITERATIONS):
-        refined = estimate_lost_voltages(data, fitted.machine)
-        if refined is data:
-            break
-        data, fitted = refined, continue_fit(fitted, refined, SEARCH_BANDWIDTH)
-    log(f"voltages of {unknown} dropped rows are estimated from the measurements")
-    return data, estimate_lost_voltages(held_out, fitted.machine)
 
 
 Confirmed = Callable[[SearchOutcome], bool]  # whether held-out runs confirm an outcome
@@ -246,19 +220,27 @@ class _Search:
         selected: tuple[SelectedEffect, ...],
         considered: tuple[ConsideredEffect, ...],
     ) -> SearchOutcome:
-        """Return the outcome of this search, with its machines fitted in simulation where that is better."""
+        """Return the outcome, with machines that are fitted again: in simulation, and run by run, if that is better."""
         before_explains, explained = self._explains(self.before), self._explains(after)
-        before, after = self._refined(self.before), self._refined(after)
+        before, after = (self._final(f) for f in (self.before, after))
         selected = tuple(s.with_values(after.machine) for s in selected)
         return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data_after)
 
+    def _final(self, fitted: Fit) -> Fit:
+        """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires."""
+        refined = self._refined(fitted)
+        return fit_run_by_run(refined, self._data_of(fitted)) if self._explains(fitted) else refined
+
+    def _data_of(self, fitted: Fit) -> Dataset:
+        """Return the runs with the encoders' zeros that follow from the effects of a fit."""
+        return self._data if fitted is self.before else refine_dataset(self._data_after, fitted.machine)
+
     def _refined(self, fitted: Fit) -> Fit:
-        """Return a fit refined in simulation, with the encoders' zeros that follow from its effects."""
+        """Return a fit refined in simulation."""
         for done, refined in self._refinements:
             if done is fitted:
                 return refined
-        data = self._data if fitted is self.before else refine_dataset(self._data_after, fitted.machine)
-        self._refinements.append((fitted, refined_in_simulation(fitted, data)))
+        self._refinements.append((fitted, refined_in_simulation(fitted, self._data_of(fitted))))
         return self._refinements[-1][1]
 
     def _known_effects(
@@ -296,9 +278,8 @@ class _Search:
 
     def _with_tables(self, selected: Selection) -> Selection | None:
         """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
-        criteria, log = self._criteria, self._log
+        (after, effects), criteria, log = selected, self._criteria, self._log
         log("no known effect explains the residual; searching for a table of force or friction")
-        after, effects = selected
         wide = continue_fit(after, self._data, SEARCH_BANDWIDTH) if effects else self.base
         for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
             fitted, more = add_tables(start, known, self._data, criteria=criteria, max_tables=count, log=log)

@@ -271,7 +271,7 @@ def predict_with_displaced_starts(
         period=period,
         parameters=rows,
         initial_state=initial_states,
-        extra_measurement=_displaced_zeros(machine, run, initial_states) if bandwidth else None,
+        extra_measurement=_displaced_zeros(machine, run, initial_states) if run.bandwidth(bandwidth) else None,
         longest_step=longest_step,
         states=states,
     )

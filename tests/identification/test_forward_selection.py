@@ -10,7 +10,9 @@ from typing import Any
 
 import pytest
 
-from hframe_gym.identification import forward_selection, significance
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import Fit, SelectedEffect, forward_selection, significance
+from hframe_gym.identification.forward_selection import EffectSearch, Selection
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
     CRITERIA,
@@ -26,6 +28,7 @@ from tests.identification.scripted_fits import (
 )
 
 pytestmark = pytest.mark.unit
+DAHL = EFFECTS["dahl_hysteresis"].at("x", F=0.3, L=1e-3)
 
 
 # -- selection ---------------------------------------------------------------------------------------------------------
@@ -168,6 +171,31 @@ def test_when_structural_effects_are_worth_a_trial(
     """They must be compiled. In one-step prediction a correct model reaches 1.1, not 1."""
     monkeypatch.setattr(forward_selection, "unexplained_fraction", lambda *arguments: left)
     assert scripted.search()._worth_structures(fit_with(chi2=chi2, bandwidth=bandwidth), []) == worth
+
+
+@pytest.mark.parametrize(("best", "tried"), [(DAHL, True), (PUSH, False)])
+def test_friction_with_memory_is_tried_beside_a_force_with_memory(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, best: AppliedEffect, tried: bool
+) -> None:
+    """A hysteresis may explain nearly all of the error that a bristle state of dry friction causes."""
+    monkeypatch.setattr(forward_selection, "unexplained_fraction", lambda *arguments: 0.05)
+    trials = [fit_with(SPRING, chi2=2.0), fit_with(best, chi2=1.2)]
+    assert scripted.search()._worth_structures(fit_with(chi2=5.0, bandwidth=60.0), trials) == tried
+
+
+@pytest.mark.parametrize(("chi2", "bandwidth", "compared"), [(1.4, 15.0, True), (1.6, 15.0, False), (1.4, 0.0, False)])
+def test_rivals_are_compared_as_soon_as_the_model_nearly_explains_the_data(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, chi2: float, bandwidth: float, compared: bool
+) -> None:
+    """A wrong one of two rivals may be all that is left; narrower observers would be tried for nothing."""
+
+    def settle_rivals(search: EffectSearch, current: Fit, effects: tuple[SelectedEffect, ...]) -> Selection:
+        return fit_with(DRAG, chi2=1.0), (selected(DRAG),)
+
+    monkeypatch.setattr(EffectSearch, "settle_rivals", settle_rivals)
+    scripted.trials = [[fit_with(PUSH, chi2=chi2, bandwidth=bandwidth)]]
+    _, effects = scripted.search().run(fit_with(chi2=9.0, bandwidth=60.0))
+    assert [s.effect for s in effects] == [DRAG if compared else PUSH]
 
 
 @pytest.mark.parametrize(("chi2", "retried"), [(5.0, True), (7.1, False)])

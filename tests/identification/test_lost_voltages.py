@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify, lost_voltages, prediction, prepare
-from hframe_gym.identification.lost_voltages import count_unknown_rows, estimate_lost_voltages
+from hframe_gym.identification.lost_voltages import _count_unknown_rows, estimate_lost_voltages, with_lost_voltages
 from hframe_gym.identification.recording_simulation import simulate_recording
-from hframe_gym.identification.search import with_lost_voltages
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -218,4 +217,4 @@ def test_rows_in_long_gaps_are_not_counted_as_estimated() -> None:
     lines: list[str] = []
     assert with_lost_voltages(AXIS, data, data, lines.append) == (data, data)
     assert lines == []
-    assert count_unknown_rows(prepare([without_rows(complete[0], [*range(300, 321), 500])], AXIS)) == 1
+    assert _count_unknown_rows(prepare([without_rows(complete[0], [*range(300, 321), 500])], AXIS)) == 1

@@ -128,6 +128,17 @@ def test_the_residual_force_on_a_carriage_is_complete(hframe: Machine, axis: str
     assert amount == pytest.approx(1.0, abs=0.15)
 
 
+def test_the_missing_force_of_a_motor_is_complete(hframe: Machine) -> None:
+    """The observer divides it among pulley and carriages, which move together."""
+    cogging = EFFECTS["cogging"].at("motor1", A=0.01, n=6.0, p=0.0)
+    data = prepare(excited_runs(hframe.with_effects(cogging), noise=0.1), hframe)
+    angle, speed, force = missing_force(hframe, data)["phi1"].T
+    slow = (np.abs(speed) > 1.0) & (np.abs(6.0 * speed) < 2.0 * np.pi * 10.0)  # the force has less than 10 Hz
+    basis = np.stack([np.sin(6.0 * angle), np.cos(6.0 * angle)], axis=1)[slow]
+    amplitude = np.hypot(*np.linalg.lstsq(basis, force[slow])[0])
+    assert amplitude == pytest.approx(0.01, rel=0.15)
+
+
 def test_a_sensor_with_a_slow_error_is_not_white(hframe: Machine) -> None:
     """Also one that measures in every tenth row only."""
     [run] = excited_runs(hframe, count=1)

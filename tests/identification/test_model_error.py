@@ -12,7 +12,7 @@ import pytest
 
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, model_error, prepare
+from hframe_gym.identification import Dataset, Fit, default_free_parameters, estimation, fit, model_error, prepare
 from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.identification.force_sizes import residue_force
 from hframe_gym.identification.free_parameters import FreeParameter
@@ -49,15 +49,20 @@ def smoothed(values: np.ndarray, rows: int) -> np.ndarray:
 
 
 def recordings(
-    axis: Machine, *, residue: float = 0.0, color_rows: int = 0, forces: tuple[float, ...] = (0.0,) * 4
+    axis: Machine,
+    *,
+    residue: float | tuple[float, ...] = 0.0,
+    color_rows: int = 0,
+    forces: tuple[float, ...] = (0.0,) * 4,
 ) -> Dataset:
     """Return runs of an axis, one per constant force (N), with a random slow force (N) and perhaps colored noise."""
     runs = []
-    for k, size in enumerate(forces):
+    residues = residue if isinstance(residue, tuple) else (residue,) * len(forces)
+    for k, (size, slow) in enumerate(zip(forces, residues, strict=True)):
         rng = np.random.default_rng(k)
         time_s = np.arange(ROWS) * 1e-3
         inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + k) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[:, None]
-        force = residue * smoothed(rng.normal(size=ROWS), 200)
+        force = slow * smoothed(rng.normal(size=ROWS), 200)
         force[:120] = 0.0
         machine = axis.with_effects(EFFECTS["constant_force"].at("x", size=size)) if size else axis
         motion = simulate_batch(machine, time_s, inputs, extra_force=force[None, :, None], longest_step=0.125e-3)
@@ -209,8 +214,8 @@ def test_cross_validation_are_those_of_fits_to_the_others(monkeypatch: pytest.Mo
     rng = np.random.default_rng(0)
     rows = {name: (rng.normal(size=(2, 80)), rng.normal(size=80)) for name in names}
     monkeypatch.setattr(LinearModel, "ROWS", rows)
-    monkeypatch.setattr(model_error, "ResidualModel", LinearModel)
-    monkeypatch.setattr(model_error, "map_runs", lambda function, data: map(function, data.runs))
+    monkeypatch.setattr(estimation, "ResidualModel", LinearModel)
+    monkeypatch.setattr(estimation, "map_runs", lambda function, data: map(function, data.runs))
     free = tuple(FreeParameter(f"p{i}", 1.0, 0.5) for i in range(2))
     fitted = dataclasses.replace(fit_with(chi2=1.0), free=free, theta=np.array([0.3, -0.2]))
     data: Any = SimpleNamespace(runs=[SimpleNamespace(name=name, count=80) for name in names])
@@ -230,7 +235,7 @@ def test_cross_validation_are_those_of_fits_to_the_others(monkeypatch: pytest.Mo
         theta = -np.linalg.solve(information, sum(j @ r for j, r in others))
         costs = [float(np.sum((r + theta @ j) ** 2)) for j, r in parts]
         expected.append((costs[left_out], sum(costs) - costs[left_out]))
-    np.testing.assert_allclose(model_error._cross_validation(fitted, data, pieces), expected, rtol=1e-9)
+    np.testing.assert_allclose(estimation.cross_validation(fitted, data, pieces), expected, rtol=1e-9)
     total = sum(cost for cost, _ in expected)
     assert sum(model_error.left_out_costs(fitted, data, pieces)) == pytest.approx(total)
     better = dataclasses.replace(fitted, theta=fitted.theta)
@@ -250,7 +255,7 @@ def test_cross_validation_are_those_of_fits_to_the_others(monkeypatch: pytest.Mo
 def test_a_run_with_ten_times_the_error_of_the_others_contradicts(
     monkeypatch: pytest.MonkeyPatch, costs: list[tuple[float, float]], name: str | None
 ) -> None:
-    monkeypatch.setattr(model_error, "_cross_validation", lambda fitted, data, pieces: costs)
+    monkeypatch.setattr(model_error, "cross_validation", lambda fitted, data, pieces: costs)
     data = runs("abcd"[: len(costs)])
     assert model_error.contradicting_run(fit_with(chi2=1.0), data) == name
 
@@ -258,7 +263,7 @@ def test_a_run_with_ten_times_the_error_of_the_others_contradicts(
 def test_runs_of_different_length_are_compared_per_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         model_error,
-        "_cross_validation",
+        "cross_validation",
         lambda *arguments: [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)],
     )
     data = runs("abcd")

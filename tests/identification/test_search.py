@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, search
+from hframe_gym.identification.dataset import RunObserver
 from hframe_gym.machine import AppliedEffect, Machine
 from tests.identification.scripted_fits import AXIS, COUNT, CRITERIA, PUSH, SPRING, STRIBECK, fit_with, runs, selected
 
@@ -64,6 +65,7 @@ class ScriptedSearch:
             "refined_in_simulation": lambda fitted, data: (
                 fitted if script.simulated is None else fit_with(*fitted.machine.effects, chi2=script.simulated)
             ),
+            "fit_run_by_run": lambda fitted, data: dataclasses.replace(fitted, observers={"a": RunObserver(3.0)}),
             "add_tables": lambda start, known, data, criteria, max_tables, log: (
                 script.tables.pop(0) if script.tables else (start, known)
             ),
@@ -94,6 +96,7 @@ def test_effects_that_leave_only_noise_are_found(scripted_search: ScriptedSearch
     found = verdict == "effect_found"
     assert [s.effect for s in outcome.selected] == ([PUSH] if found else [])
     assert outcome.after.chi2 == (chi2 if found else 10.0)
+    assert outcome.after.observers == ({"a": (3.0, 1.0)} if found else {})  # only a machine that explains the data
     assert not outcome.before_explains
     assert outcome.contradiction is None
 
