@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import Machine
 from .criteria import SelectionCriteria
 from .dataset import Dataset
@@ -215,7 +216,8 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
 
     It is the difference of the sums of `left_out_costs` of both fits; each run is left out in turn. Of fewer than four
-    runs, pieces (at least eight in all) are left out instead: too few other runs might not determine the parameters.
+    runs, pieces (at least eight in all) are left out instead: too few other runs might not determine the parameters. Of
+    a machine with a table, halves of runs are: some of its values may depend on a single run.
 
     Args:
         without: Fit without the effect (deviation from the nominal model).
@@ -226,7 +228,9 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
         fitted runs, and negative if the effect describes single runs rather than the machine.
     """
-    pieces = 1 if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))  # of each run
+    table = any(e.definition.family == TABLE_FAMILY for e in with_effect.machine.effects)
+    enough = 2 if table else 1  # pieces of each run
+    pieces = enough if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))
     return sum(left_out_costs(without, data, pieces)) - sum(left_out_costs(with_effect, data, pieces))
 
 

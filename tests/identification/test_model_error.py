@@ -12,6 +12,7 @@ import pytest
 
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
+from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, estimation, fit, model_error, prepare
 from hframe_gym.identification.estimation import prediction_cost
 from hframe_gym.identification.force_sizes import residue_force
@@ -27,12 +28,13 @@ from hframe_gym.identification.model_error import (
 )
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.significance import long_run_variance
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording
-from tests.identification.scripted_fits import CRITERIA, DATA, HFRAME, fit_with, runs
+from tests.identification.scripted_fits import CRITERIA, DATA, HFRAME, PUSH, fit_with, runs
 
 pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
+TABLE = definition("smooth_friction[time]").at("x", **{f"{c}{i:02d}": float(i) for c in "kf" for i in range(KNOTS)})
 ROWS = 1500
 
 
@@ -240,6 +242,20 @@ def test_cross_validation_are_those_of_fits_to_the_others(monkeypatch: pytest.Mo
     assert sum(model_error.left_out_costs(fitted, data, pieces)) == pytest.approx(total)
     better = dataclasses.replace(fitted, theta=fitted.theta)
     assert model_error.leave_one_out_gain(fitted, better, data) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("effect", "count", "pieces"),
+    [(PUSH, 4, 1), (PUSH, 3, 3), (TABLE, 4, 2), (TABLE, 3, 3)],
+)
+def test_what_is_left_out_to_confirm_an_effect(
+    monkeypatch: pytest.MonkeyPatch, effect: AppliedEffect, count: int, pieces: int
+) -> None:
+    """Some values of a table may depend on one run alone; without half of it, the other half determines them."""
+    divided = []
+    monkeypatch.setattr(model_error, "left_out_costs", lambda fitted, data, pieces: divided.append(pieces) or [1.0])
+    leave_one_out_gain(fit_with(chi2=2.0), fit_with(effect, chi2=1.0), runs("abcd"[:count]))
+    assert divided == [pieces, pieces]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,18 @@ import pytest
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, search
 from hframe_gym.identification.dataset import RunObserver
 from hframe_gym.machine import AppliedEffect, Machine
-from tests.identification.scripted_fits import AXIS, COUNT, CRITERIA, PUSH, SPRING, STRIBECK, fit_with, runs, selected
+from tests.identification.scripted_fits import (
+    AXIS,
+    COUNT,
+    CRITERIA,
+    DRAG,
+    PUSH,
+    SPRING,
+    STRIBECK,
+    fit_with,
+    runs,
+    selected,
+)
 
 pytestmark = pytest.mark.unit
 
@@ -30,6 +41,7 @@ class ScriptedSearch:
         self.suspect: str | None = None
         self.differences: Any = None
         self.bandwidth = 0.0  # of the observer that the machine without effects needs
+        self.observers: dict[str, RunObserver] = {}  # of the runs that need another one than the others
         self.simulated: float | None = None  # chi-squared of a fit in simulation that replaces one with an observer
         script = self
 
@@ -65,7 +77,7 @@ class ScriptedSearch:
             "refined_in_simulation": lambda fitted, data: (
                 fitted if script.simulated is None else fit_with(*fitted.machine.effects, chi2=script.simulated)
             ),
-            "fit_run_by_run": lambda fitted, data: dataclasses.replace(fitted, observers={"a": RunObserver(3.0)}),
+            "fit_run_by_run": lambda fitted, data: dataclasses.replace(fitted, observers=script.observers),
             "add_tables": lambda start, known, data, criteria, max_tables, log: (
                 script.tables.pop(0) if script.tables else (start, known)
             ),
@@ -96,7 +108,6 @@ def test_effects_that_leave_only_noise_are_found(scripted_search: ScriptedSearch
     found = verdict == "effect_found"
     assert [s.effect for s in outcome.selected] == ([PUSH] if found else [])
     assert outcome.after.chi2 == (chi2 if found else 10.0)
-    assert outcome.after.observers == ({"a": (3.0, 1.0)} if found else {})  # only a machine that explains the data
     assert not outcome.before_explains
     assert outcome.contradiction is None
 
@@ -146,6 +157,47 @@ def test_effects_are_examined_in_simulation_unless_it_is_worse(
     scripted_search.pruned = ()
     outcome = scripted_search.run()
     assert (outcome.selected == ()) == examined
+
+
+@pytest.mark.parametrize(("chi2", "expected"), [(1.4, {"a": (3.0, 1.0)}), (1.6, {})])
+def test_a_machine_that_explains_the_data_is_fitted_run_by_run(
+    scripted_search: ScriptedSearch, chi2: float, expected: dict[str, tuple[float, float]]
+) -> None:
+    scripted_search.before, scripted_search.after, scripted_search.observers = chi2, chi2, {"a": RunObserver(3.0)}
+    assert scripted_search.run().after.observers == expected
+
+
+@pytest.mark.parametrize(("kept", "chi2"), [((PUSH, DRAG), 1.2), ((PUSH,), 1.3)])
+def test_effects_are_tested_with_the_observer_that_each_run_requires(
+    scripted_search: ScriptedSearch, kept: tuple[AppliedEffect, ...], chi2: float
+) -> None:
+    """If one is removed, the machine is fitted again with one observer for all runs."""
+    observed: Any = SimpleNamespace(name="observed")
+    data: Any = SimpleNamespace(with_observers=lambda observers: observed if observers else data)
+    tested = []
+
+    class Search:
+        def __init__(self, data: Any) -> None:
+            self.data, self.considered = data, dict[str, Any]()
+
+        def with_data(self, data: Any) -> Search:
+            return Search(data)
+
+        def prune(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
+            tested.append(self.data)
+            self.considered["removed"] = "reason"
+            return fit_with(*kept, chi2=1.0), tuple(s for s in chosen if s.effect in kept)
+
+    scripted_search.observers, scripted_search.with_effects = {"a": RunObserver(3.0)}, 1.3
+    current, used = fit_with(PUSH, DRAG, chi2=1.2), Search(data)
+    effects = (selected(PUSH), selected(DRAG))
+    fitted, remaining = search._pruned(used, current, effects)  # type: ignore[arg-type]
+    assert tested == [observed]
+    assert used.considered == {"removed": "reason"}
+    assert ([s.effect for s in remaining], fitted.chi2) == (list(kept), chi2)
+    scripted_search.observers = {}
+    search._pruned(used, current, effects)  # type: ignore[arg-type]
+    assert tested == [observed, data]
 
 
 def test_nothing_is_found_where_nothing_was_selected(scripted_search: ScriptedSearch) -> None:
