@@ -146,24 +146,6 @@ def _wide_chi2(outcome: SearchOutcome) -> float:
     return prediction_cost(outcome.after.machine, outcome.data, SEARCH_BANDWIDTH) / outcome.data.count
 
 
-def _pruned(search: EffectSearch, current: Fit, effects: tuple[SelectedEffect, ...]) -> Selection:
-    """Remove superfluous effects, which are tested with the observer that each run requires.
-
-    With one observer for all runs, those that it is too slow for decide, and a true effect may seem to be refuted.
-    """
-    observed = fit_run_by_run(current, search.data)
-    if not observed.observers:
-        return search.prune(current, effects)
-    data = search.data.with_observers(observed.observers)
-    of_data = search.with_data(data)
-    reduced, kept = of_data.prune(polish(observed, data), effects)
-    search.considered |= of_data.considered
-    if len(kept) == len(effects):
-        return current, effects
-    reduced = polish(continue_fit(reduced, search.data, current.bandwidth), search.data)
-    return reduced, tuple(s.with_values(reduced.machine) for s in kept)
-
-
 class _Search:
     """The search for effects that explain the residual of the refitted machine; arguments as of `search_effects`.
 
@@ -286,7 +268,7 @@ class _Search:
         if effects:
             data = search.data
             current, effects = search.settle_rivals(current, effects)
-            current, effects = _pruned(search, polish(current, data), effects)
+            current, effects = search.prune(polish(current, data), effects)
             simulated = self._refined(current)
             # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
             accurate = self._explains(simulated) or not self._explains(current)

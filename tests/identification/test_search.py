@@ -16,7 +16,6 @@ from tests.identification.scripted_fits import (
     AXIS,
     COUNT,
     CRITERIA,
-    DRAG,
     PUSH,
     SPRING,
     STRIBECK,
@@ -165,39 +164,6 @@ def test_a_machine_that_explains_the_data_is_fitted_run_by_run(
 ) -> None:
     scripted_search.before, scripted_search.after, scripted_search.observers = chi2, chi2, {"a": RunObserver(3.0)}
     assert scripted_search.run().after.observers == expected
-
-
-@pytest.mark.parametrize(("kept", "chi2"), [((PUSH, DRAG), 1.2), ((PUSH,), 1.3)])
-def test_effects_are_tested_with_the_observer_that_each_run_requires(
-    scripted_search: ScriptedSearch, kept: tuple[AppliedEffect, ...], chi2: float
-) -> None:
-    """If one is removed, the machine is fitted again with one observer for all runs."""
-    observed: Any = SimpleNamespace(name="observed")
-    data: Any = SimpleNamespace(with_observers=lambda observers: observed if observers else data)
-    tested = []
-
-    class Search:
-        def __init__(self, data: Any) -> None:
-            self.data, self.considered = data, dict[str, Any]()
-
-        def with_data(self, data: Any) -> Search:
-            return Search(data)
-
-        def prune(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
-            tested.append(self.data)
-            self.considered["removed"] = "reason"
-            return fit_with(*kept, chi2=1.0), tuple(s for s in chosen if s.effect in kept)
-
-    scripted_search.observers, scripted_search.with_effects = {"a": RunObserver(3.0)}, 1.3
-    current, used = fit_with(PUSH, DRAG, chi2=1.2), Search(data)
-    effects = (selected(PUSH), selected(DRAG))
-    fitted, remaining = search._pruned(used, current, effects)  # type: ignore[arg-type]
-    assert tested == [observed]
-    assert used.considered == {"removed": "reason"}
-    assert ([s.effect for s in remaining], fitted.chi2) == (list(kept), chi2)
-    scripted_search.observers = {}
-    search._pruned(used, current, effects)  # type: ignore[arg-type]
-    assert tested == [observed, data]
 
 
 def test_nothing_is_found_where_nothing_was_selected(scripted_search: ScriptedSearch) -> None:
