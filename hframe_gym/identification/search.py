@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import cache, cached_property
 from typing import NamedTuple
 
-from ..machine import Machine
+from ..machine import HOOKS, Machine, argument_names
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
@@ -27,7 +27,7 @@ from .model_error import (
 from .nonparametric import add_tables, fit_with_moved_knots
 from .prediction import SEARCH_BANDWIDTH, SIMULATION
 from .result import Verdict
-from .run_differences import find_run_differences
+from .run_differences import RunDifferences, find_run_differences
 from .run_observers import fit_run_by_run
 from .start_estimation import refine_dataset
 from .trial_fits import converge
@@ -183,6 +183,9 @@ class _Search:
             start: Fit with effects that are known already. Default: the refitted machine, without effects.
         """
         after, effects, considered = self._known_effects(start)
+        if drift := self._imitated_drift(after):
+            reason = f"explains the runs less well than another value of {drift} in each run"
+            return self._outcome("unexplained", self.before, (), considered + self._removed(after, effects, reason))
         if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
             return self._outcome(verdict, after if effects else self.before, effects, considered)
@@ -191,11 +194,31 @@ class _Search:
             return self._outcome("effect_found", *tabled, considered)
         if effects and not self.runs_differ and self._reduces_error(after):
             return self._outcome("effect_found", after, effects, considered)
-        reason = "leaves most of the error, also together with the other effects"
+        considered += self._removed(after, effects, "leaves most of the error, also together with the other effects")
+        return self._outcome("unexplained", self.before, (), considered)
+
+    def _removed(self, after: Fit, effects: tuple[SelectedEffect, ...], reason: str) -> tuple[ConsideredEffect, ...]:
+        """Log that effects are removed, and return them as considered; the reason is a clause that follows "it "."""
         for s in effects:
             self._log(f"  {s.effect.label} is removed: it {reason}")
-        considered += tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
-        return self._outcome("unexplained", self.before, (), considered)
+        return tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
+
+    def _imitated_drift(self, after: Fit) -> str:
+        """Return the name of the parameter that differs from run to run, if effects over time only imitate this; or "".
+
+        They do if they leave an error in simulation, which an observer hides, and another value in each run is better.
+        """
+        hooks = [getattr(e.definition, name) for e in after.machine.effects for name in HOOKS]
+        if not any(hook and "t" in argument_names(hook) for hook in hooks) or self._explains(self._refined(after)):
+            return ""
+        wide = dataclasses.replace(after, bandwidth=SEARCH_BANDWIDTH, cost=self._wide_cost(after))
+        better = self._difference and self._difference.chi2 < wide.chi2 - minimum_gain(wide, self._criteria)
+        return self._difference.quantity.name if self._difference and better else ""
+
+    @cached_property
+    def _difference(self) -> RunDifferences | None:
+        """The parameter that differs from run to run and explains the runs without effects, if there is one."""
+        return find_run_differences(self.before, self._data, self._criteria)
 
     @property
     def needs_no_effect(self) -> bool:
@@ -208,8 +231,7 @@ class _Search:
 
         A table over time may explain a parameter that drifts. If a single run differs, the others may have effects.
         """
-        difference = find_run_differences(self.before, self._data, self._criteria)
-        if difference is not None:
+        if (difference := self._difference) is not None:
             self._log(f"{difference.quantity.name} differs between the runs")
         return difference is not None and not difference.drifts and difference.different_run is None
 

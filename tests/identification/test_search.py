@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, search
 from hframe_gym.identification.dataset import RunObserver
 from hframe_gym.machine import AppliedEffect, Machine
@@ -164,6 +165,34 @@ def test_a_machine_that_explains_the_data_is_fitted_run_by_run(
 ) -> None:
     scripted_search.before, scripted_search.after, scripted_search.observers = chi2, chi2, {"a": RunObserver(3.0)}
     assert scripted_search.run().after.observers == expected
+
+
+WARM_UP = EFFECTS["friction_warm_up"].at("machine", a=0.5, tau=30.0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "difference", "simulated", "imitated"),
+    [
+        (WARM_UP, 1.2, 9.0, True),
+        (WARM_UP, 1.35, 9.0, False),  # the difference is no better
+        (WARM_UP, None, 9.0, False),
+        (WARM_UP, 1.2, 1.4, False),  # the effect explains the runs in simulation
+        (PUSH, 1.2, 9.0, False),  # no effect over time
+    ],
+)
+def test_an_effect_over_time_may_imitate_a_parameter_that_differs_from_run_to_run(
+    scripted_search: ScriptedSearch,
+    effect: AppliedEffect,
+    difference: float | None,
+    simulated: float,
+    imitated: bool,
+) -> None:
+    scripted_search.effects, scripted_search.after, scripted_search.wide = (selected(effect),), 1.38, 1.38
+    scripted_search.simulated = simulated
+    scripted_search.differences = difference and differences(chi2=difference)
+    outcome = scripted_search.run()
+    assert outcome.verdict == ("unexplained" if imitated else "effect_found")
+    assert [c.effect for c in outcome.considered] == ([effect] if imitated else [])
 
 
 def test_nothing_is_found_where_nothing_was_selected(scripted_search: ScriptedSearch) -> None:
