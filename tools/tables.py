@@ -40,7 +40,7 @@ PAGES = (
     "docs/trust.md",
 )
 STAGES = ("declared", "before", "after")
-RANDOM_RIGS = "random_rigs_20261228"  # FINAL_SEED of benchmarks.random_rigs
+RANDOM_RIGS = "random_rigs_20261230"  # FINAL_SEED of benchmarks.random_rigs
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---:") -> str:

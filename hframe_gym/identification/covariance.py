@@ -142,7 +142,7 @@ def _directions(fitted: Fit, data: Dataset, prior: Array) -> Array:
     directions, smooth = np.zeros_like(prior), np.ix_(~switches, ~switches)
     directions[smooth] = _principal_directions(fitted.information[smooth], prior[smooth])
     if has_impacts(fitted.machine):  # the residual is rugged over shorter differences
-        directions *= _MAX_DIFFERENCE / np.abs(directions).max(axis=0)
+        directions[:, ~switches] *= _MAX_DIFFERENCE / np.abs(directions[:, ~switches]).max(axis=0)
     if not switches.any():
         return directions
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, POLISH_STEP)

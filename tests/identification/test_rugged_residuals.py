@@ -127,3 +127,18 @@ def test_play_of_several_times_the_extension_is_screened_and_fitted() -> None:
     fitted = fit(machine, free, data, SEARCH_BANDWIDTH, iterations=8)
     assert fitted.chi2 < 0.1 * current.chi2
     assert fitted.values["belt_play@belts.d"] == pytest.approx(play, rel=0.2)
+
+
+def test_the_uncertainty_of_a_threshold_beside_play() -> None:
+    """One has no derivative, the other one that holds over a wide difference only."""
+    effects = (EFFECTS["dead_band"].at("motor", Vd=THRESHOLD, drop=0.0), EFFECTS["belt_play"].at("belts", d=30e-6))
+    machine = screw(effects)
+    data, declared = runs(machine, screw(), 6.0), screw()
+    scales = typical_scales(fit(declared, default_free_parameters(declared), data, SEARCH_BANDWIDTH), data)
+    free = list(default_free_parameters(declared))
+    for effect in effects:
+        free += effect_parameters(effect, machine, scales)
+    uncertainty = with_uncertainty(fit(machine, free, data, SEARCH_BANDWIDTH, iterations=2), data).uncertainty
+    assert uncertainty is not None
+    stds = [uncertainty.std(name) for name in ("dead_band@motor.Vd", "belt_play@belts.d", "x.mass")]
+    assert all(std is not None and 0.0 < std < np.inf for std in stds)
