@@ -26,7 +26,7 @@ from .forward_selection import Log, SelectedEffect, Selection
 from .free_parameters import prior_precision
 from .model_error import continue_fit, left_out_costs, minimum_gain
 from .prediction import SEARCH_BANDWIDTH, map_runs, predict
-from .residual import missing_force
+from .residual import HIGHEST_FREQUENCY, missing_force
 from .screening import screen
 from .trial_fits import fit_with_candidate
 
@@ -82,7 +82,7 @@ def table_candidates(
     variables = table_variables(machine, data)
     max_per_site = criteria.max_tables_per_coordinate
     chosen: list[Table] = []
-    for site, record in missing_force(machine, data).items():
+    for site, record in missing_force(machine, data, HIGHEST_FREQUENCY).items():
         _, velocity, force = record.T
         if not np.any(force):
             continue

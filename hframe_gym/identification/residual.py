@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 # Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
 _RESIDUAL_CUTOFF, _MISSING_FORCE_CUTOFF = 30.0, 20.0
-HIGHEST_FREQUENCY = 40.0  # Hz, above which nothing is left of the missing force
+HIGHEST_FREQUENCY = 40.0  # Hz, up to which the missing force is estimated
 _WHITENESS_BLOCK_S = 0.02
 _WHITE = 0.6  # standard deviation of block means, in units of the noise
 
@@ -247,16 +247,17 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
     return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, distribution)
 
 
-def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
+def missing_force(machine: Machine, data: Dataset, cutoff: float = _MISSING_FORCE_CUTOFF) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
     An observer corrects the prediction by the measurements. Above its bandwidth (60 rad/s), its correcting force lags
     behind the missing one and falls. Both are inverted; but as the inversion amplifies the noise of the sensors with
-    the square of the frequency, the result is attenuated above 20 Hz, without phase lag.
+    the square of the frequency, the result is attenuated above a cut-off frequency, without phase lag.
 
     Args:
         machine: Machine that predicts.
         data: Measured runs with n rows in total (times, voltages, measurements, SI).
+        cutoff: Cut-off frequency, Hz. Default: 20, for small periodic forces; narrow forces need more.
 
     Returns:
         By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m, m/s, N
@@ -269,7 +270,7 @@ def missing_force(machine: Machine, data: Dataset) -> dict[str, Array]:
         start = start_for_observer(machine, run, data)
         motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
         correcting = _innovation(motion.readings, machine, run, start)[0] @ observed.motion_gains
-        correcting = _low_pass(correcting, _MISSING_FORCE_CUTOFF, data.period)
+        correcting = _low_pass(correcting, cutoff, data.period)
         slope = np.gradient(correcting, run.time_s, axis=0)
         force = correcting + observed.first * slope + observed.second * np.gradient(slope, run.time_s, axis=0)
         return np.stack([motion.positions[0], motion.velocities[0], force @ observed.distribution], axis=2)
