@@ -32,7 +32,7 @@ from .start_estimation import most_probable_initial_state, start_for_observer
 Array = NDArray[np.float64]
 
 # Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
-_RESIDUAL_CUTOFF, _MISSING_FORCE_CUTOFF = 30.0, 20.0
+_RESIDUAL_CUTOFF = 30.0
 HIGHEST_FREQUENCY = 40.0  # Hz, up to which the missing force is estimated
 _WHITENESS_BLOCK_S = 0.02
 _WHITE = 0.6  # standard deviation of block means, in units of the noise
@@ -247,7 +247,7 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
     return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, distribution)
 
 
-def missing_force(machine: Machine, data: Dataset, cutoff: float = _MISSING_FORCE_CUTOFF) -> dict[str, Array]:
+def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUTOFF) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
     An observer corrects the prediction by the measurements. Above its bandwidth (60 rad/s), its correcting force lags
@@ -257,7 +257,7 @@ def missing_force(machine: Machine, data: Dataset, cutoff: float = _MISSING_FORC
     Args:
         machine: Machine that predicts.
         data: Measured runs with n rows in total (times, voltages, measurements, SI).
-        cutoff: Cut-off frequency, Hz. Default: 20, for small periodic forces; narrow forces need more.
+        cutoff: Cut-off frequency, Hz. Default: 30, for small periodic forces; narrow forces need more.
 
     Returns:
         By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m, m/s, N
