@@ -232,7 +232,7 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
     distribution = np.eye(len(names))[leading]
     if pulleys:
         distribution[:, pulleys] = np.linalg.pinv(modes[:, pulleys].T)
-    mass, damping = np.array([c.mass for c in machine.coordinates]), np.array([c.viscous for c in machine.coordinates])
+    mass, damping = np.array([(c.mass, c.viscous) for c in machine.coordinates], float).T
     for drive in machine.drives:
         damping[names.index(drive.coordinate)] += drive.gain * drive.emf_constant
     position_gains, velocity_gains = np.split(observer_gains(machine, period) / period, 2)  # (coordinates, sensors)

@@ -148,3 +148,11 @@ def test_a_sensor_with_a_slow_error_is_not_white(hframe: Machine) -> None:
     outputs[np.arange(len(outputs)) % 10 > 0, 3] = np.nan
     data = prepare([dataclasses.replace(run, outputs=outputs)], hframe)
     assert white_sensors(hframe, data).tolist() == [True, True, True, False]
+
+
+def test_parameters_may_be_integers(hframe: Machine) -> None:
+    """As a machine file may have them."""
+    coordinates = tuple(dataclasses.replace(c, viscous=round(c.viscous)) for c in hframe.coordinates)
+    rounded = dataclasses.replace(hframe, coordinates=coordinates)
+    data = prepare(excited_runs(rounded, count=1), rounded)
+    assert all(np.isfinite(motion).all() for motion in missing_force(rounded, data).values())
