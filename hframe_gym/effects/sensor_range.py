@@ -1,6 +1,6 @@
-"""A sensor that saturates at the ends of its range [low, high].
+"""A sensor that saturates: outside its range [low, high], it measures the nearer end of the range.
 
-The laser of Sollmann et al. (2010) does so at 100 mm (section V).
+The range of the laser of Sollmann et al. (2010) ends at 100 mm (section V).
 """
 
 from ..dynamics.elementwise import maximum, minimum
@@ -8,7 +8,16 @@ from ..machine import Effect, EffectParameter
 
 
 def measurement(r, low, high):  # type: ignore[no-untyped-def]
-    """Return the measurement clip(r, low, high), m or rad; r: ideal reading, low, high: range, same unit."""
+    """Return the measurement of a sensor with a limited range.
+
+    Args:
+        r: What the sensor would measure without a limit, m or rad.
+        low: Lower end of the range, m or rad.
+        high: Upper end of the range, m or rad.
+
+    Returns:
+        r, limited to the range from low to high, m or rad.
+    """
     return minimum(maximum(r, low), high)
 
 

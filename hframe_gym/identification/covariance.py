@@ -83,14 +83,14 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
         Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage samples".
     """
     data = data.with_observers(fitted.observers)
-    directions = _directions(fitted, data, prior := prior_precision(fitted.free))  # (k, k), one per column
+    directions = _directions(fitted, data, prior_precision(fitted.free))  # (k, k), one per column
     starts = uncertain_starts(fitted.machine, data.runs)
     parts = list(map_runs(lambda run: _linearize(fitted, run, data, directions, starts[run.name]), data))
     information = np.concatenate([part.information for part in parts])  # J^T J of each block, (blocks, k, k)
     scores = np.concatenate([part.scores for part in parts])  # J^T r of each block, (blocks, k)
     if not (np.isfinite(information).all() and np.isfinite(scores).all()):
         return fitted.machine.replace(uncertainty=None)
-    prior = directions.T @ prior @ directions  # from here on in multiples of the directions
+    prior = directions.T @ prior_precision(fitted.free) @ directions  # from here on in multiples of the directions
     inverse = np.linalg.inv(information.sum(axis=0) + prior)
     eigenvalues, axes = np.linalg.eigh(inverse)
     root = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T  # symmetric square root of `inverse`
