@@ -8,6 +8,7 @@ are functions of one number, and the loop goes over machines one at a time. One 
 
 from __future__ import annotations
 
+import ast
 import inspect
 import math
 import time
@@ -54,12 +55,17 @@ def scalar_functions(machine: Machine) -> tuple[Any, Any]:
         `prepare_all` and `advance_all`; their arrays have shape (machines, rows).
     """
     scope: dict[str, Any] = {name: _inlined(function) for name, function in _SCALAR.items()}
-    scope |= {"store": _inlined(_store), "inlined": _inlined, "_SMALL": friction._SMALL}
-    for function in vars(friction).values():
-        if hasattr(function, "py_func"):
-            exec(inspect.getsource(function.py_func), scope)
+    scope |= {"store": _inlined(_store), "_SMALL": friction._SMALL, "Any": Any}
+    functions = inspect.getmembers(friction, lambda f: inspect.isfunction(f) and f.__module__ == friction.__name__)
+    texts = [inspect.getsource(function) for _, function in functions]
     text = kernel_source_text(machine)
-    exec(text[text.index("@inlined") : text.index("def held_mean")].rpartition("@njit")[0], scope)
+    for source in (*texts, text[text.index("def prepare(") :]):
+        for node in ast.parse(source).body:
+            if isinstance(node, ast.FunctionDef):
+                for argument in node.args.args:
+                    argument.annotation = None
+                exec(ast.unparse(node), scope)
+                scope[node.name] = _inlined(scope[node.name])
     loops = """
 def prepare_all(parameters, derived, h):
     for b in range(len(parameters)):

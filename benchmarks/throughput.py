@@ -10,6 +10,7 @@ written to results/throughput.json.
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import inspect
 import os
@@ -23,7 +24,6 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
@@ -32,15 +32,15 @@ from scipy.integrate import solve_ivp
 from benchmarks.kernel_batch import HOLD, PERIODS, REPEATS, SEED, STEP, VOLTS, KernelBatch, interleaved, random_voltages
 from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_center
 from benchmarks.results_file import write_results
-from hframe_gym.dynamics import LANES, friction, linearize, simulate
-from hframe_gym.dynamics.kernel import generate
-from hframe_gym.dynamics.simd import fma, load, store
+from hframe_gym.dynamics import LANES, kernel_source_text, linearize, simulate
+from hframe_gym.dynamics.lane_program import FORMULAS, LaneProgram
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 Array = NDArray[np.float64]
 
 STAGES = 4096
+FRICTION = ("direction", "static_friction", "friction_force", "update_speed")  # formulas of a step without a stop
 BAR, AIM = 300.0, 800.0  # ratio of the kernel's rate to MuJoCo's: required and desired
 # MuJoCo's fastest integrator and solver on this stage with its driest friction; `fastest_choice` measures them all.
 FASTEST = Choice("Euler", "PGS", "stiff")
@@ -251,15 +251,14 @@ Counted.__neg__ = lambda self: Counted.of("bits")  # type: ignore[attr-defined]
 
 def operations(machine: Machine) -> Counter[str]:
     """Count the vector operations of one step of a block in which no coordinate stops, from the generated source."""
-    text = generate(machine)[0]
-    body = text[text.index("def advance(") : text.index("@njit", text.index("def advance("))]
+    text = kernel_source_text(machine)
+    body = text[text.index("def advance(") : text.index("def read_sensors(")]
     kinds = {"fma": "fma", "where": "select", "copysign": "bits", "absolute": "bits", "minimum": "compare"}
     kinds |= {"load": "load", "store": "store"}
     space: dict[str, Any] = {n: functools.partial(Counted.of, k) for n, k in kinds.items()}
-    space |= {"any_of": lambda _: False, "inlined": lambda f: f, "align_stack": lambda: None}
-    for function in vars(friction).values():
-        if hasattr(function, "py_func"):
-            exec(inspect.getsource(function.py_func), space)
+    space |= {"any_of": lambda _: False, "align_stack": lambda: None, "Any": Any}
+    for name in FRICTION:
+        exec(inspect.getsource(FORMULAS[name]), space)
     exec(body, space)
     totals = []
     for steps in (1, 2):
@@ -269,42 +268,22 @@ def operations(machine: Machine) -> Counter[str]:
     return Counter({k: totals[1][k] - totals[0][k] for k in totals[1] if totals[1][k] != totals[0][k]})
 
 
-@njit(nogil=True, error_model="numpy")
-def _fma_chains(rows, count):  # type: ignore[no-untyped-def]
-    a = load(rows, 0)
-    b = load(rows, 1)
-    x0 = x1 = x2 = x3 = x4 = x5 = x6 = x7 = a
-    for _ in range(count):
-        x0 = fma(x0, a, b)
-        x1 = fma(x1, a, b)
-        x2 = fma(x2, a, b)
-        x3 = fma(x3, a, b)
-        x4 = fma(x4, a, b)
-        x5 = fma(x5, a, b)
-        x6 = fma(x6, a, b)
-        x7 = fma(x7, a, b)
-    store(rows, 0, x0 + x1 + x2 + x3 + x4 + x5 + x6 + x7)
-
-
-@njit(nogil=True, error_model="numpy")
-def _fma_chain(rows, count):  # type: ignore[no-untyped-def]
-    a = load(rows, 0)
-    b = load(rows, 1)
-    x = a
-    for _ in range(count):
-        x = fma(x, a, b)
-    store(rows, 0, x)
-
-
-def fma_peak(kernel: Callable[[Array, int], None], chains: int) -> float:
-    """Measure the vector fused multiply-adds per second on one core."""
-    rows = np.full((2, LANES), 0.5)
-    kernel(rows, 10)
+def fma_peak(chains: int) -> float:
+    """Measure the vector fused multiply-adds per second on one core, in independent chains."""
     count = 2_000_000
+    starts = [f"x_{i} = a" for i in range(chains)]
+    steps = [f"    x_{i} = fma(x_{i}, a, b)" for i in range(chains)]
+    total = " + ".join(f"x_{i}" for i in range(chains))
+    head = "def chain(rows, count: int):"
+    lines = [head, "a = load(rows, 0)", "b = load(rows, 1)", *starts, "for step in range(count):", *steps]
+    program = LaneProgram("\n    ".join([*lines, f"store(rows, 0, {total})"]) + "\n", ("chain",))
+    chain = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)(program["chain"])
+    rows = np.full((2, LANES), 0.5)
+    chain(rows.ctypes.data, 10)
     best = np.inf
     for _ in range(7):
         begin = time.perf_counter()
-        kernel(rows, count)
+        chain(rows.ctypes.data, count)
         best = min(best, time.perf_counter() - begin)
     return chains * count / best
 
@@ -314,7 +293,7 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
     kinds = operations(machine)
     flops = sum(kinds[k] * n for k, n in {"fma": 2, "add": 1, "multiply": 1, "divide": 1}.items())
     arithmetic = sum(n for k, n in kinds.items() if k not in ("load", "store"))
-    peak, latency = fma_peak(_fma_chains, 8), fma_peak(_fma_chain, 1)
+    peak, latency = fma_peak(8), fma_peak(1)
     small = KernelBatch(machine, LANES * 16)
     rate = max(small.rate(parallel=False) for _ in range(7))
     large = max(KernelBatch(machine, 16384).rate(parallel=False) for _ in range(3))

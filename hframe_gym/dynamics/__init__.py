@@ -1,9 +1,12 @@
 """Equations of motion, their linearization, and simulation: the integrator and its compiled kernel (generated code)."""
 
+from ..cache_folder import cache_folder
 from .belts import BeltState
+from .blocks import in_blocks
 from .equations import Equations, ForceBalance
-from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text
+from .kernel import Kernel, kernel_for, kernel_source_text
 from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, resolved_step, stiffness_matrix
+from .machine_code import LANES
 from .motion_forces import (
     belt_forces,
     belt_states,
@@ -15,7 +18,6 @@ from .motion_forces import (
 )
 from .parameterized_machine import MotionPoint
 from .shared_kernels import share_kernel
-from .simd import LANES
 from .simulation import NotFiniteError, in_parallel, rollout, simulate, simulate_batch
 
 __all__ = [

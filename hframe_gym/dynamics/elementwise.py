@@ -7,14 +7,14 @@ these functions. The types of the operands decide what a function does:
     number, NumPy array           call NumPy's function
     CasADi expression (SX, MX)    call CasADi's function; CasADi is imported at the first such operand
     traced expression             compute nothing; return a new traced expression, which records the operation
-    SIMD register                 execute vector instructions, in Numba-compiled code only (modules `simd`, `simd_math`)
+    SIMD register                 a vector instruction or a formula of them, in generated code (module `lane_compiler`)
 
 A traced expression (class `Expression`) stands for a value that a generated function will compute. `kernel_source`
-evaluates the equations with traced expressions and writes the recorded operations as source text. Compiled by Numba,
+evaluates the equations with traced expressions and writes the recorded operations as source text. Compiled by LLVM,
 this text is the simulation kernel. It simulates several machines side by side: a SIMD register holds one number per
 machine. Below, "symbolic expression" means a CasADi expression or a traced expression.
 
-CasADi (KeyError) and formulas of the simulation kernel (compilation error of Numba) lack some functions:
+CasADi (KeyError) and formulas of the simulation kernel (`LaneCompileError`) lack some functions:
 
     function              NumPy    CasADi    formulas of the kernel
     rint                  yes      no        yes

@@ -1,4 +1,4 @@
-"""Expressions and statements of a function whose source text is generated, and the generation of this text for Numba.
+"""Expressions and statements of a function whose source text is generated, and the generation of this text.
 
 A `Trace` (module `tracing`) records them. In the source text, a value that is the same in all steps of a loop is
 computed before the loop, and a value that is needed only inside an `if` block is computed there.
@@ -204,7 +204,7 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 
 def function_source(trace: Trace) -> str:
-    """Write the source text of a function from its recorded operations, for compilation by Numba.
+    """Write the source text of a function from its recorded operations, for the module `lane_compiler`.
 
     Args:
         trace: Record of the statements and expressions of the function.

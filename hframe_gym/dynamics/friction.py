@@ -6,21 +6,22 @@ With f, b and F constant over a step, v approaches (f - F sign v)/b exponentiall
 where |f| <= F, and reverses otherwise. Every case has a closed form, so nothing is regularized: a machine that static
 friction holds does not creep. Viscous friction may depend on the direction of motion.
 
-The functions work on SIMD registers (`simd.SimdVector`: one float per lane, one lane per machine). SI units; the
-position of a coordinate is its belt travel, m (radius * angle of a rotary one), and forces act along it.
+The functions are formulas of the kernel, where their operands are SIMD registers (one float per lane, one lane per
+machine); they work on NumPy arrays as well. SI units; the position of a coordinate is its belt travel, m (radius *
+angle of a rotary one), and forces act along it.
 """
 
 from __future__ import annotations
 
-from .simd import absolute, any_of, copysign, fma, inlined, where
-from .simd_math import exp
+from typing import Any
+
+from .elementwise import absolute, any_of, copysign, exp, fma, where
 
 # Argument b h / m up to which the series are accurate to 1e-12; strongly damped machines beyond it use the exponential.
 _SMALL = 0.5
 
 
-@inlined
-def decay_integral(z):  # type: ignore[no-untyped-def]
+def decay_integral(z: Any) -> Any:
     """Return (1 - exp(-z)) / z, the factor by which viscous friction reduces the speed that a force adds in a step.
 
     A constant force f changes the speed by f h / m * decay_integral(b h / m) in a step of length h.
@@ -48,8 +49,7 @@ def decay_integral(z):  # type: ignore[no-untyped-def]
     return p
 
 
-@inlined
-def end_weight(z):  # type: ignore[no-untyped-def]
+def end_weight(z: Any) -> Any:
     """Return the weight of the final speed in the mean speed of a step with viscous friction.
 
     The mean is (1 - w) v0 + w v1 for initial speed v0, final speed v1 and the weight w = 1/(1 - exp(-z)) - 1/z, if the
@@ -74,8 +74,7 @@ def end_weight(z):  # type: ignore[no-untyped-def]
     return p
 
 
-@inlined
-def ramp(z):  # type: ignore[no-untyped-def]
+def ramp(z: Any) -> Any:
     """Return (z - 1 + exp(-z)) / z**2, which gives the distance of a motion from rest with viscous friction.
 
     Under a constant force f, a mass m moves by f t**2 / m * ramp(b t / m) in the time t.
@@ -100,8 +99,7 @@ def ramp(z):  # type: ignore[no-untyped-def]
     return p
 
 
-@inlined
-def direction(v, f):  # type: ignore[no-untyped-def]
+def direction(v: Any, f: Any) -> Any:
     """Return a number whose sign is the direction of motion, or at rest the direction of the force.
 
     Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
@@ -116,8 +114,7 @@ def direction(v, f):  # type: ignore[no-untyped-def]
     return where(v == 0.0, f, v)
 
 
-@inlined
-def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
+def static_friction(f: Any, coulomb: Any) -> Any:
     """Return the dry friction force at rest: it balances the force f as far as the Coulomb force F permits.
 
     Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
@@ -133,8 +130,7 @@ def static_friction(f, coulomb):  # type: ignore[no-untyped-def]
     return where(below > -coulomb, below, -coulomb)
 
 
-@inlined
-def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
+def friction_force(v: Any, f: Any, coulomb: Any) -> Any:
     """Return the dry friction force: F sign(v) in motion, static friction at rest.
 
     Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
@@ -150,8 +146,7 @@ def friction_force(v, f, coulomb):  # type: ignore[no-untyped-def]
     return where(v == 0.0, static_friction(f, coulomb), copysign(coulomb, v))
 
 
-@inlined
-def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
+def update_speed(v: Any, f: Any, coulomb: Any, decay: Any, gain: Any) -> Any:
     """Return the speed after one step of length h, under the assumption that it does not cross zero within the step.
 
     Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"). Where the result and v have
@@ -170,8 +165,9 @@ def update_speed(v, f, coulomb, decay, gain):  # type: ignore[no-untyped-def]
     return fma(gain, f - friction_force(v, f, coulomb), decay * v)
 
 
-@inlined
-def stop_or_reverse(v, f, coulomb, viscous, viscous_after, mass, per_mass, h):  # type: ignore[no-untyped-def]
+def stop_or_reverse(
+    v: Any, f: Any, coulomb: Any, viscous: Any, viscous_after: Any, mass: Any, per_mass: Any, h: Any
+) -> Any:
     """Compute final speed and distance of a step of length h in which the coordinate comes to rest.
 
     The coordinate decelerates to rest. Then it stays at rest if static friction holds it (|f| <= F); otherwise it

@@ -18,6 +18,8 @@ from .expressions import function_source
 from .step_trace import StepTrace, row_name
 from .tracing import Trace
 
+FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measurement_delays")  # of the generated text
+
 # Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both
 # directions of motion where viscous friction depends on the direction.
 PER_COORDINATE = ("mass", "per_mass", "coulomb", "correction_gain")
@@ -86,7 +88,7 @@ class KernelSource:
             self._read_sensors(),
             self._delays("measurement_delays"),
         )
-        self.text = "\n\n".join(f"@inlined\n{function_source(trace)}" for trace in traces)
+        self.text = "\n\n".join(map(function_source, traces))
 
     def directions(self, i: int) -> tuple[str, ...]:
         """Return the suffixes by which names of step constants distinguish the directions of motion of a coordinate.
@@ -112,7 +114,7 @@ class KernelSource:
 
     def _prepare(self) -> Trace:
         """Trace the constants that depend on parameters and the step length only."""
-        trace = Trace("prepare(parameters, derived, h)")
+        trace = Trace("prepare(parameters, derived, h: float)")
         equations, h, rows = self._equations(trace), trace.argument("h"), self.layout.derived
         for i in self._coordinates:
             mass = trace.let("mass", i, equations.mass(i))

@@ -90,7 +90,7 @@ class StepTrace:
     def __init__(self, source: KernelSource) -> None:
         self.source = source
         self.coordinates = range(len(source.machine.coordinates))
-        self.trace = trace = Trace("advance(state, parameters, derived, inputs, external_forces, h, steps)")
+        self.trace = trace = Trace("advance(state, parameters, derived, inputs, external_forces, h: float, steps: int)")
         self.equations = _PreparedEquations(source, trace)
         count = len(self.coordinates)
         trace.line("align_stack()")

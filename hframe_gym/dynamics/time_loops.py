@@ -1,8 +1,8 @@
 """Loops around a kernel's step: recordings (`rollout`) and control periods (`advance_blocks`).
 
-These functions are templates. `kernel` appends their text to the generated functions of a machine's shape, so that
-Numba inlines and caches them together. They run without the interpreter lock, each on a range of blocks; a block
-is `LANES` machines, side by side in the last axis of the arrays.
+The functions of a kernel are given by their addresses, and the sizes of a machine by numbers or the shapes of arrays,
+so that these loops are compiled once for all machines. They run without the interpreter lock, each on a range of
+blocks; a block is `LANES` machines, side by side in the last axis of the arrays.
 """
 # mypy: ignore-errors
 
@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .simd import LANES
-
-# The generated module sets these names; they are here for readers and for the linter.
-COORDINATES = STATES = INPUTS = SENSORS = PARAMETERS = DERIVED = 0
-DELAYED = LAGGED = FORCED = False
-prepare = voltage_delays = advance = read_sensors = measurement_delays = None
+from .compiled import compiled, helper
+from .machine_code import LANES
+from .native_calls import call_at
 
 
+@helper
 def held_mean(time, values, start: float, end: float, hint: int) -> float:
     """Return the mean over [start, end] of an input that is held from each time until the next.
 
@@ -45,6 +43,7 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
         i += 1
 
 
+@helper
 def parabola(time, i: int, delay: float) -> tuple:
     """Return weights that interpolate a delayed value of a signal by a parabola through three of its samples.
 
@@ -71,6 +70,7 @@ def parabola(time, i: int, delay: float) -> tuple:
     return k, u * (u - h2) / (h1 * (h1 + h2)), u * (u + h1) / (h2 * (h1 + h2))
 
 
+@helper
 def most_steps(time, longest_step: float) -> int:
     """Return the largest number of integration steps between two consecutive samples.
 
@@ -87,32 +87,35 @@ def most_steps(time, longest_step: float) -> int:
     return steps
 
 
-def start_block(block: int, start_time: float, parameters, start, state, block_parameters) -> None:
+@helper
+def start_block(block: int, coordinates: int, start_time: float, parameters, start, state, block_parameters) -> None:
     """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
 
-    A block is LANES machines that the processor simulates side by side. Columns without a machine repeat the first
-    machine of the block. COORDINATES, PARAMETERS and STATES are numbers of entries per machine.
+    Columns without a machine repeat the first machine of the block.
 
     Args:
         block: Index of the block; it simulates the machines block * LANES to block * LANES + LANES - 1.
+        coordinates: Number of coordinates.
         start_time: Time of the first sample, s.
-        parameters: Parameters of all machines, SI, shape (B, PARAMETERS).
+        parameters: Parameters of all machines, SI, shape (B, parameters).
         start: Belt travel (radius * angle of a pulley), m, its rate, m/s, and effect states, of all machines, shape
-            (B, STATES - 1).
-        state: Output: belt travel, m, its rate, m/s, time, s, and effect states, shape (STATES, LANES).
-        block_parameters: Output: parameters, SI, shape (PARAMETERS, LANES).
+            (B, rows of the state - 1).
+        state: Output: belt travel, m, its rate, m/s, time, s, and effect states, shape (rows of the state, LANES).
+        block_parameters: Output: parameters, SI, shape (parameters, LANES).
     """
-    for lane in range(LANES):
+    moving = 2 * coordinates
+    for lane in range(state.shape[1]):
         b = block * LANES + (lane if block * LANES + lane < parameters.shape[0] else 0)
-        for k in range(PARAMETERS):
+        for k in range(parameters.shape[1]):
             block_parameters[k, lane] = parameters[b, k]
-        for k in range(2 * COORDINATES):
+        for k in range(moving):
             state[k, lane] = start[b, k]
-        state[2 * COORDINATES, lane] = start_time
-        for k in range(2 * COORDINATES + 1, STATES):
+        state[moving, lane] = start_time
+        for k in range(moving + 1, state.shape[0]):
             state[k, lane] = start[b, k - 1]
 
 
+@helper
 def copy_lanes(block: int, i: int, rows, table) -> None:
     """Copy values of a block (LANES machines, simulated side by side) to one sample of a table over all samples.
 
@@ -127,6 +130,7 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
             table[block * LANES + lane, i, k] = rows[k, lane]
 
 
+@helper
 def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     """Delay the readings of one sample by each sensor's delay, for a block (LANES machines, simulated side by side).
 
@@ -135,12 +139,14 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     Args:
         time: Sample times, s, shape (n,).
         i: Index of the sample.
-        sensor_delays: Delay of each sensor, s, shape (SENSORS, LANES), one machine per column.
-        past_readings: Readings without delay, m or rad, shape (n, SENSORS, LANES), up to sample i - 1; row i is added.
-        reading: Readings of sample i, m or rad, shape (SENSORS, LANES): without delay on entry, delayed on return.
+        sensor_delays: Delay of each sensor, s, shape (sensors, LANES), one machine per column.
+        past_readings: Readings without delay, m or rad, shape (n, sensors, LANES), up to sample i - 1; row i is added.
+        reading: Readings of sample i, m or rad, shape (sensors, LANES): without delay on entry, delayed on return.
     """
-    past_readings[i] = reading
-    for j in range(SENSORS):
+    for j in range(reading.shape[0]):
+        for lane in range(reading.shape[1]):
+            past_readings[i, j, lane] = reading[j, lane]
+    for j in range(reading.shape[0]):
         delay, k, before, after = 0.0, i, 0.0, 0.0
         for lane in range(LANES):
             if sensor_delays[j, lane] != delay:  # machines of a block mostly have the same delay
@@ -152,110 +158,144 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
                 reading[j, lane] = middle + before * (previous - middle) + after * (following - middle)
 
 
+@helper
 def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
     """Correct the states of a block (LANES machines, simulated side by side) by measurements, as an observer does.
 
-    The correction gains @ (measured - reading) is added to the state (output injection). COORDINATES, SENSORS and
-    STATES are numbers of entries per machine.
+    The correction gains @ (measured - reading) is added to the state (output injection).
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
         i: Index of the sample.
         machines: Number of machines B.
-        measured: Measurements, m or rad, shape (1 or B, n, SENSORS), NaN where not measured.
-        gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * COORDINATES, SENSORS).
-        reading: Simulated readings, m or rad, shape (SENSORS, LANES).
-        state: Belt travel, m, its rate, m/s, time, s, and effect states, corrected in place, shape (STATES, LANES).
+        measured: Measurements, m or rad, shape (1 or B, n, sensors), NaN where not measured.
+        gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
+        reading: Simulated readings, m or rad, shape (sensors, LANES).
+        state: Belt travel, m, its rate, m/s, time, s, and effect states, corrected in place, shape (rows, LANES).
     """
     for lane in range(min(LANES, machines - block * LANES)):
-        for j in range(SENSORS):
+        for j in range(reading.shape[0]):
             measurement = measured[block * LANES + lane if measured.shape[0] > 1 else 0, i, j]
             if np.isfinite(measurement):
                 innovation = measurement - reading[j, lane]
-                for k in range(2 * COORDINATES):
+                for k in range(gains.shape[0]):
                     state[k, lane] += gains[k, j] * innovation
 
 
+@helper
 def hold_inputs(
-    block: int, parameters, time, i: int, steps: int, h: float, inputs, extra, drive_delays, voltages, external_forces
+    block: int,
+    delayed: bool,
+    forced: bool,
+    time,
+    i: int,
+    steps: int,
+    h: float,
+    inputs,
+    extra,
+    drive_delays,
+    voltages,
+    external_forces,
 ) -> None:
     """Set voltages and external forces of a block (LANES machines, simulated side by side) until the next sample.
 
-    COORDINATES, INPUTS and PARAMETERS are the numbers of coordinates, drives and parameters per machine.
-
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
-        parameters: Parameters of all B machines, SI, shape (B, PARAMETERS).
+        delayed: Whether a drive has a delay.
+        forced: Whether an external force acts on the coordinates.
         time: Sample times, s, shape (n,).
         i: Index of the sample.
         steps: Number of steps until the next sample.
         h: Length of a step, s.
-        inputs: Voltages, V, shape (1 or B, n, INPUTS).
-        extra: External forces along the belt travel, N, shape (1 or B, n, COORDINATES).
-        drive_delays: Delay of each drive, s, shape (INPUTS, LANES).
-        voltages: Output, V, shape (INPUTS, LANES); if a drive has a delay, the mean voltages of every step, shape
-            (steps * INPUTS, LANES).
-        external_forces: Output, N, shape (COORDINATES, LANES).
+        inputs: Voltages, V, shape (1 or B, n, drives).
+        extra: External forces along the belt travel, N, shape (1 or B, n, coordinates).
+        drive_delays: Delay of each drive, s, shape (drives, LANES).
+        voltages: Output, V, shape (drives, LANES); if a drive has a delay, the mean voltages of every step, shape
+            (steps * drives, LANES).
+        external_forces: Output, N, shape (coordinates, LANES).
     """
-    for lane in range(LANES):
-        b = block * LANES + (lane if block * LANES + lane < parameters.shape[0] else 0)
-        u = b if inputs.shape[0] > 1 else 0
-        if DELAYED:
+    for k in range(drive_delays.shape[0]):
+        if delayed:
             for s in range(steps):
-                for k in range(INPUTS):
+                row = s * drive_delays.shape[0] + k
+                for lane in range(LANES):
+                    u = min(block * LANES + lane, inputs.shape[0] - 1)
                     begin = time[i] + s * h - drive_delays[k, lane]
-                    voltages[s * INPUTS + k, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+                    voltages[row, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+        elif inputs.shape[0] == 1:
+            voltage = inputs[0, i, k]
+            for lane in range(LANES):
+                voltages[k, lane] = voltage
         else:
-            for k in range(INPUTS):
-                voltages[k, lane] = inputs[u, i, k]
-        if FORCED:
-            e = b if extra.shape[0] > 1 else 0
-            for k in range(COORDINATES):
-                external_forces[k, lane] = extra[e, i, k]
+            for lane in range(LANES):
+                voltages[k, lane] = inputs[min(block * LANES + lane, inputs.shape[0] - 1), i, k]
+    if forced:
+        for k in range(external_forces.shape[0]):
+            for lane in range(LANES):
+                external_forces[k, lane] = extra[min(block * LANES + lane, extra.shape[0] - 1), i, k]
 
 
+@compiled
 def rollout(
-    time, inputs, parameters, start, measured, gains, extra, longest_step: float, first: int, last: int, out, readings
+    functions: tuple,
+    sizes: tuple,
+    flags: tuple,
+    time,
+    inputs,
+    parameters,
+    start,
+    measured,
+    gains,
+    extra,
+    longest_step: float,
+    first: int,
+    last: int,
+    out,
+    readings,
 ) -> None:
     """Simulate blocks first..last-1 over a recording; a block is LANES of the B machines, simulated side by side.
 
-    COORDINATES, INPUTS (drives), PARAMETERS, SENSORS and STATES (rows of the state) are numbers per machine.
-
     Args:
+        functions: Addresses of the kernel's functions, in the order of `kernel_source.FUNCTIONS`.
+        sizes: Numbers of coordinates, rows of the state, drives, sensors, parameters and step constants.
+        flags: Whether a drive has a delay, a sensor has a delay, and external forces act.
         time: Sample times, s, shape (n,).
-        inputs: Voltages, V, shape (1 or B, n, INPUTS), held until the next sample.
-        parameters: Machine parameters, SI, shape (B, PARAMETERS).
-        start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects, shape (B, STATES - 1).
-        measured: Measurements to correct the state, m or rad, shape (1 or B, n, SENSORS), NaN where missing; or empty.
-        gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * COORDINATES, SENSORS).
-        extra: External forces, N, held until the next sample, shape (1 or B, n, COORDINATES). Only used if FORCED.
+        inputs: Voltages, V, shape (1 or B, n, drives), held until the next sample.
+        parameters: Machine parameters, SI, shape (B, parameters).
+        start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects, shape (B, rows - 1).
+        measured: Measurements to correct the state, m or rad, shape (1 or B, n, sensors), NaN where missing; or empty.
+        gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * coordinates, sensors).
+        extra: External forces, N, held until the next sample, shape (1 or B, n, coordinates); used if they act.
         longest_step: Largest step of the integrator, s.
         first: Index of the first block.
         last: Index after the last block.
         out: Output, first k rows of the state (travel, m; its rate, m/s) at the samples, shape (B, n, k), or empty.
-        readings: Output, sensor readings, m or rad, shape (B, n, SENSORS); empty if not needed.
+        readings: Output, sensor readings, m or rad, shape (B, n, sensors); empty if not needed.
     """
-    state = np.zeros((STATES, LANES))
-    block_parameters = np.zeros((PARAMETERS, LANES))
-    derived = np.zeros((DERIVED, LANES))
-    drive_delays = np.zeros((INPUTS, LANES))
-    sensor_delays = np.zeros((SENSORS, LANES))
-    external_forces = np.zeros((COORDINATES, LANES))
-    reading = np.zeros((SENSORS, LANES))
-    past_readings = np.zeros((time.shape[0] if LAGGED else 0, SENSORS, LANES))
-    voltages = np.zeros((INPUTS * most_steps(time, longest_step) if DELAYED else INPUTS, LANES))
+    prepare, voltage_delays, advance, read_sensors, measurement_delays = functions
+    coordinates, rows, drives, sensors, constants, derived_rows = sizes
+    delayed, lagged, forced = flags
+    state = np.zeros((rows, LANES))
+    block_parameters = np.zeros((constants, LANES))
+    derived = np.zeros((derived_rows, LANES))
+    drive_delays = np.zeros((drives, LANES))
+    sensor_delays = np.zeros((sensors, LANES))
+    external_forces = np.zeros((coordinates, LANES))
+    reading = np.zeros((sensors, LANES))
+    past_readings = np.zeros((time.shape[0] if lagged else 0, sensors, LANES))
+    voltages = np.zeros((drives * most_steps(time, longest_step) if delayed else drives, LANES))
     for block in range(first, last):
-        start_block(block, time[0], parameters, start, state, block_parameters)
-        if DELAYED:
-            voltage_delays(block_parameters, drive_delays)
-        if LAGGED:
-            measurement_delays(block_parameters, sensor_delays)
+        start_block(block, coordinates, time[0], parameters, start, state, block_parameters)
+        if delayed:
+            call_at(voltage_delays, block_parameters, drive_delays)
+        if lagged:
+            call_at(measurement_delays, block_parameters, sensor_delays)
         period, h, steps = -1.0, longest_step, 1
         for i in range(time.shape[0]):
             copy_lanes(block, i, state, out)
             if measured.shape[0] > 0 or readings.shape[0] > 0:
-                read_sensors(state, block_parameters, reading)
-                if LAGGED:
+                call_at(read_sensors, state, block_parameters, reading)
+                if lagged:
                     delay_readings(time, i, sensor_delays, past_readings, reading)
                 copy_lanes(block, i, reading, readings)
             if measured.shape[0] > 0:
@@ -267,84 +307,99 @@ def rollout(
                 period = dt
                 steps = max(1, int(np.ceil(dt / longest_step - 1e-6)))
                 h = dt / steps
-                prepare(block_parameters, derived, h)
-            hold_inputs(block, parameters, time, i, steps, h, inputs, extra, drive_delays, voltages, external_forces)
-            advance(state, block_parameters, derived, voltages, external_forces, h, steps)
+                call_at(prepare, block_parameters, derived, h)
+            hold_inputs(
+                block,
+                delayed,
+                forced,
+                time,
+                i,
+                steps,
+                h,
+                inputs,
+                extra,
+                drive_delays,
+                voltages,
+                external_forces,
+            )
+            call_at(advance, state, block_parameters, derived, voltages, external_forces, h, steps)
 
 
-def prepare_blocks(parameters, h: float, first: int, last: int, derived) -> None:
+@compiled
+def prepare_blocks(prepare: int, parameters, h: float, first: int, last: int, derived) -> None:
     """Compute the constants that a step needs (decay factors, reciprocals, ...) for the machines of some blocks.
 
-    A block is LANES machines, simulated side by side, each with PARAMETERS parameters and DERIVED such constants.
-
     Args:
-        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
+        prepare: Address of the kernel's function.
+        parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         h: Step of the integrator, s.
         first: Index of the first block.
         last: Index after the last block.
-        derived: Output: derived constants, SI, shape (blocks, DERIVED, LANES).
+        derived: Output: derived constants, SI, shape (blocks, constants, LANES).
     """
     for block in range(first, last):
-        prepare(parameters[block], derived[block], h)
+        call_at(prepare, parameters[block], derived[block], h)
 
 
-def advance_blocks(state, parameters, derived, inputs, h: float, steps: int, first: int, last: int) -> None:
+@compiled
+def advance_blocks(
+    advance: int,
+    coordinates: int,
+    state,
+    parameters,
+    derived,
+    inputs,
+    h: float,
+    steps: int,
+    first: int,
+    last: int,
+) -> None:
     """Advance the machines of blocks first..last-1 by some steps with constant voltages, in place.
 
-    A block is LANES machines, simulated side by side. DERIVED, INPUTS, PARAMETERS and STATES are the numbers of
-    constants, drives and so on per machine.
-
     Args:
-        state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, STATES, LANES).
-        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
-        derived: Constants that `prepare_blocks` computes from parameters and h, shape (blocks, DERIVED, LANES).
-        inputs: Voltages, V, shape (blocks, INPUTS, LANES); if a drive is delayed, one set per step, shape
-            (blocks, steps * INPUTS, LANES).
+        advance: Address of the kernel's function.
+        coordinates: Number of coordinates.
+        state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
+        parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
+        derived: Constants that `prepare_blocks` computes from parameters and h, shape (blocks, constants, LANES).
+        inputs: Voltages, V, shape (blocks, drives, LANES); if a drive is delayed, one set per step, shape
+            (blocks, steps * drives, LANES).
         h: Step of the integrator, s.
         steps: Number of steps.
         first: Index of the first block.
         last: Index after the last block.
     """
-    external_forces = np.zeros((COORDINATES, LANES))
+    no_forces = np.zeros((coordinates, LANES))
     for block in range(first, last):
-        advance(state[block], parameters[block], derived[block], inputs[block], external_forces, h, steps)
+        call_at(advance, state[block], parameters[block], derived[block], inputs[block], no_forces, h, steps)
 
 
-def read_blocks(state, parameters, first: int, last: int, readings) -> None:
+@compiled
+def read_blocks(read_sensors: int, state, parameters, first: int, last: int, readings) -> None:
     """Compute the readings of blocks first..last-1 (LANES machines each, simulated side by side), without delay.
 
     Args:
-        state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, STATES, LANES).
-        parameters: Machine parameters, SI, shape (blocks, PARAMETERS, LANES).
+        read_sensors: Address of the kernel's function.
+        state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
+        parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         first: Index of the first block.
         last: Index after the last block.
-        readings: Output, readings without delay, m or rad, shape (blocks, SENSORS, LANES) for SENSORS sensors.
+        readings: Output, readings without delay, m or rad, shape (blocks, sensors, LANES).
     """
     for block in range(first, last):
-        read_sensors(state[block], parameters[block], readings[block])
+        call_at(read_sensors, state[block], parameters[block], readings[block])
 
 
-def sensor_delay_blocks(parameters, first: int, last: int, sensor_delays) -> None:
-    """Compute the sensors' delays for blocks first..last-1 (LANES machines each, simulated side by side).
+@compiled
+def delay_blocks(delays: int, parameters, first: int, last: int, out) -> None:
+    """Compute the delays of drives or sensors for blocks first..last-1 (LANES machines each, simulated side by side).
 
     Args:
-        parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.
+        delays: Address of the kernel's function.
+        parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).
         first: Index of the first block.
         last: Index after the last block.
-        sensor_delays: Output, delays, s, shape (blocks, SENSORS, LANES) for SENSORS sensors.
+        out: Output, delays, s, shape (blocks, drives or sensors, LANES).
     """
     for block in range(first, last):
-        measurement_delays(parameters[block], sensor_delays[block])
-
-
-def drive_delay_blocks(parameters, first: int, last: int, drive_delays) -> None:
-    """Compute the drives' delays for blocks first..last-1 (LANES machines each, simulated side by side).
-
-    Args:
-        parameters: Parameters of the machines, SI, shape (blocks, PARAMETERS, LANES), PARAMETERS of them each.
-        first: Index of the first block.
-        last: Index after the last block.
-        drive_delays: Output, delays, s, shape (blocks, INPUTS, LANES) for INPUTS drives.
-    """
-    for block in range(first, last):
-        voltage_delays(parameters[block], drive_delays[block])
+        call_at(delays, parameters[block], out[block])

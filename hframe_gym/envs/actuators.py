@@ -19,11 +19,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
-from ..dynamics.simd_math import read_block
+from ..dynamics.blocks import read_block
+from ..dynamics.compiled import compiled
 from ..effects import EFFECTS
 from ..errors import InputError, is_integer, is_number
 from ..machine import Machine
-from .random_numbers import compiled
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

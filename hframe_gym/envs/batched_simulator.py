@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
+from ..dynamics.compiled import compiled
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
 from .actuators import ActuatorModel
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
-from .random_numbers import compiled
 from .workspace import EndStops, tool_terms, write_tool_positions
 
 Array = NDArray[np.float64]

@@ -8,17 +8,18 @@ lane b % LANES of block b // LANES. A measurement includes noise, quantization a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
-from ..dynamics.simd import load, rint, store
-from ..dynamics.simd_math import maximum, minimum, where
+from ..dynamics.compiled import compiled
+from ..dynamics.lane_program import LaneProgram
+from ..dynamics.native_calls import call_at
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
-from .random_numbers import compiled, normal_pair, normal_pairs
+from .random_numbers import normal_pair, normal_pairs
 from .sensors import sensor_range_names
 
 Array = NDArray[np.float64]
@@ -49,6 +50,7 @@ class SensorArray:
     def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
         channels = list(machine.output_channels)
         self._rows = np.array([channels.index(s.channel) for s in sensors], np.intp)
+        self._program = _measurement_program(self._rows.tolist())
         self._device_columns = [[column(f"{s.channel}.{key}") for key in ("noise", "resolution")] for s in sensors]
         names = [sensor_range_names(s) for s in sensors]
         limited = [low in machine.parameters for low, _ in names]
@@ -120,7 +122,7 @@ class SensorArray:
     ) -> None:
         """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before."""
         devices = self._noise, self._resolution, self.low, self.high
-        _measure(readings, self._rows, devices, self._keys, elapsed, first, last, out, before)
+        _measure(self._program["measure"], readings, devices, self._keys, elapsed, first, last, out, before)
         if not self._custom:
             return
         # Sensor kinds with a formula of their class replace what the compiled default wrote.
@@ -134,28 +136,42 @@ class SensorArray:
             out[block, j, lane] = np.clip(kind.measure(ideal, noise, resolution, normals), low, high)
 
 
+def _measurement_program(rows: Sequence[int]) -> LaneProgram:
+    """Compile the function that turns the readings in some rows into measurements.
+
+    A measurement is the reading plus noise, rounded to the resolution (0: not rounded). A reading at an end of the
+    range has no noise, and noise does not lead out of the range.
+    """
+    lines = []
+    for j, row in enumerate(rows):
+        lines += [
+            f"reading_{j} = load(readings, {row})",
+            f"size_{j} = load(noise, {j})",
+            f"inside_{j} = (load(low, {j}) < reading_{j}) & (reading_{j} < load(high, {j})) & (size_{j} > 0.0)",
+            f"noisy_{j} = where(inside_{j}, reading_{j} + size_{j} * load(normals, {j}), reading_{j})",
+            f"quantum_{j} = load(resolution, {j})",
+            f"rounded_{j} = where(quantum_{j} > 0.0, rint(noisy_{j} / quantum_{j}) * quantum_{j}, noisy_{j})",
+            f"store(before, {j}, load(now, {j}))",
+            f"store(now, {j}, minimum(maximum(rounded_{j}, load(low, {j})), load(high, {j})))",
+        ]
+    head = "def measure(readings, normals, noise, resolution, low, high, now, before):"
+    return LaneProgram("\n    ".join([head, *lines]) + "\n", ("measure",))
+
+
 @compiled
 def _measure(
-    readings: Any, rows: Any, devices: Any, keys: Any, elapsed: Any, first: int, last: int, out: Any, before: Any
+    program: int, readings: Any, devices: Any, keys: Any, elapsed: Any, first: int, last: int, out: Any, before: Any
 ) -> None:
     """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before, same shape.
 
-    readings (blocks, sensors, LANES); devices: noise, resolution (0: none), low and high end of the range, (blocks, n,
-    LANES) each. A measurement is the reading plus noise, rounded to the resolution. A reading at an end of the range
-    has no noise, and noise does not lead out of the range.
+    program: address of the function of `_measurement_program`; readings (blocks, sensors, LANES); devices: noise,
+    resolution, low and high end of the range, (blocks, n, LANES) each.
     """
     noise, resolution, low, high = devices
     normals = _normals(noise, keys, elapsed, first, last)
-    for block in range(first, last):
-        reading, normal, now, previous = readings[block], normals[block - first], out[block], before[block]
-        block_noise, quanta, lowest, highest = noise[block], resolution[block], low[block], high[block]
-        for j in range(len(rows)):
-            value, size, quantum = load(reading, rows[j]), load(block_noise, j), load(quanta, j)
-            inside = (load(lowest, j) < value) & (value < load(highest, j)) & (size > 0.0)
-            value = where(inside, value + size * load(normal, j), value)
-            value = where(quantum > 0.0, rint(value / quantum) * quantum, value)
-            store(previous, j, load(now, j))
-            store(now, j, minimum(maximum(value, load(lowest, j)), load(highest, j)))
+    for b in range(first, last):
+        devices_b = noise[b], resolution[b], low[b], high[b]
+        call_at(program, readings[b], normals[b - first], *devices_b, out[b], before[b])
 
 
 @compiled
@@ -192,7 +208,8 @@ def _next_normals(noise: Any, keys: Any, elapsed: Any, channel: int, normals: An
             normals[i] = spares[i] if has_spare[i] else normals[i]
             spares[i] = spares[i] if has_spare[i] else seconds[i]
     elif noisy > 0:
-        normals[:] = spares
+        for i in range(len(noise)):
+            normals[i] = spares[i]
     for i in range(len(noise)):
         has_spare[i] = has_spare[i] != (noise[i] > 0.0)
     return noisy > 0

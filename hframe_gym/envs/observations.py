@@ -6,21 +6,21 @@ can run in several threads at once.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
-from ..dynamics.simd import any_of, inlined, load, store, where
-from ..dynamics.simd_math import maximum, minimum, write_block
+from ..dynamics.blocks import write_block
+from ..dynamics.compiled import compiled
+from ..dynamics.lane_program import LaneProgram
+from ..dynamics.native_calls import call_at
 from ..machine import Sensor
 from .batched_simulator import BatchedSimulator, block_ranges
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
-from .random_numbers import compiled
 from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
@@ -32,41 +32,41 @@ Observation = dict[str, NDArray[np.float32]]
 _FLOAT32 = np.dtype(np.float32)  # saves its construction in every step
 
 
-class StateView(NamedTuple):
+class StateView:
     """Select n positions and velocities of the simulated state for an observation; the first are the tool position.
 
+    Args:
+        simulator: Simulator of the machines.
+        signals: Specifications of the entries; the tool's axes come first.
+
     Attributes:
-        rows: Four indices per entry, shape (n, 4): row of the state array; coordinate; two coordinates whose product
-            is added, or -1 and -1. Example: if the bridge can yaw, the tool is at x + yaw * y; the entry x then has the
-            indices of x, x, yaw and y.
-        box: Lower and upper bounds of the entries (m, rad, m/s or rad/s), shape (2, n).
+        size: Number of entries n.
+        bounds: Lower, then upper bounds of the entries (m, rad, m/s or rad/s), rounded to float32, shape (2 n, LANES).
+        program: Compiled function `observe`.
     """
 
-    rows: Index
-    box: Array
-
-    @classmethod
-    def of(cls, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> StateView:
-        """Find the rows of the simulator's state array from which n observation entries are read.
-
-        Args:
-            simulator: Simulator of the machines.
-            signals: Specifications of the entries, positions and velocities; the tool's axes come first.
-
-        Returns:
-            `rows`, shape (n, 4): for each entry the row of the state array, the index of the coordinate, and the
-            indices of two coordinates whose product is added (yaw * y for a bridge that can yaw), or -1 and -1.
-            `box`, shape (2, n): lower and upper bounds in the entries' units, rounded to float32.
-        """
+    def __init__(self, simulator: BatchedSimulator, signals: Sequence[SignalSpec]) -> None:
+        self.size = len(signals)
+        box = np.stack(bounds_of(signals)).astype(np.float32) if signals else np.zeros((2, 0))
+        self.bounds = np.repeat(box.astype(np.float64).reshape(-1, 1), LANES, axis=1)
         names = simulator.machine.coordinate_names
-        rows = np.full((len(signals), 4), -1)
-        for row, signal in zip(rows, signals, strict=True):
+        lines = []
+        for j, signal in enumerate(signals):
             i = names.index(signal.coordinate)
-            row[:2] = i + len(names) * signal.velocity, i  # all positions come first in the state, then all velocities
-            if not signal.velocity:
-                row[2:] = tool_product(simulator.machine, signal.coordinate)
-        box = np.stack(bounds_of(signals)).astype(np.float32)
-        return cls(rows, box.astype(np.float64))
+            row = i + len(names) * signal.velocity  # all positions come first in the state, then all velocities
+            value = f"load(state, {row}) * load(units, {i})"
+            first, second = (-1, -1) if signal.velocity else tool_product(simulator.machine, signal.coordinate)
+            if first >= 0:  # the tool of a bridge that can yaw is at x + yaw * y
+                across = f"(load(state, {second}) * load(units, {second}))"
+                value += f" + load(state, {first}) * load(units, {first}) * {across}"
+            lines += [
+                f"value_{j} = {value}",
+                f"store(values, {j}, minimum(maximum(value_{j}, load(bounds, {j})), load(bounds, {self.size + j})))",
+            ]
+        residue = " + ".join(["load(state, 0) * 0.0", *(f"(value_{j} - value_{j})" for j in range(self.size))])
+        lines.append(f"store(values, {self.size}, {residue})")  # zero if all entries are finite
+        text = "\n    ".join(["def observe(state, units, bounds, values):", *lines]) + "\n"
+        self.program = LaneProgram(text, ("observe",))
 
 
 class ObservationBuilder:
@@ -96,20 +96,22 @@ class ObservationBuilder:
         machine, count = simulator.machine, simulator.count
         self.measured = sensors is not None
         self.entries = state_signals(machine) if sensors is None else sensor_signals(machine, sensors)
-        self._tool = StateView.of(simulator, state_signals(machine, machine.tool_axes)[: len(machine.tool_axes)])
+        self._tool = StateView(simulator, state_signals(machine, machine.tool_axes)[: len(machine.tool_axes)])
         self._sensors: SensorArray | None = None
         if sensors is None:
-            self._state = StateView.of(simulator, self.entries)
+            self._state = StateView(simulator, self.entries)
         else:
             self._sensors = SensorArray(machine, sensors, count, sampler.space.names.index)
             # Blocks are measured as a whole: environments that were never reset have the nominal noise and resolution.
             nominal = np.tile(sampler.space.nominal, (count, 1))
             self._sensors.begin(np.arange(count), np.zeros(count, np.uint64), nominal)
-            self._position = PositionFromSensors.of(machine, sensors)
-            self._box = np.stack(bounds_of(self.entries))
-            self._goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
+            position = PositionFromSensors.of(machine, sensors)
+            self._measurement_program = _measurement_program(position, len(sensors), len(machine.tool_axes))
+            goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
+            bounds = np.concatenate([np.stack(bounds_of(self.entries)).ravel(), goal_box.T.ravel()])
+            self._bounds = np.repeat(bounds[:, None], LANES, axis=1)
         self.privileged = privileged_signals(machine, sampler.normalized_bounds()) if privileged else ()
-        self._all_state = StateView.of(simulator, [s for s in self.privileged if s.coordinate])
+        self._all_state = StateView(simulator, [s for s in self.privileged if s.coordinate])
         shapes = {"observation": (count, len(self.entries)), "achieved_goal": (count, len(machine.tool_axes))}
         if privileged:
             shapes["privileged"] = count, len(self.privileged)
@@ -120,8 +122,10 @@ class ObservationBuilder:
         self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
     ) -> int:
         """Write a view to `out`, the tool position to `tool`; return an environment with a non-finite state, or -1."""
-        simulator = self._simulator
-        broken: int = _observe(simulator.state, simulator.units_per_travel, *view, first, last, out, tool)
+        simulator, program = self._simulator, view.program["observe"]
+        broken: int = _observe(
+            program, view.size, simulator.state, simulator.units_per_travel, view.bounds, first, last, out, tool
+        )
         return broken
 
     def begin(
@@ -223,25 +227,46 @@ class ObservationBuilder:
         elif evaluation is None:
             broken = self._observe(first, last, self._state, observation["observation"], tool)
         else:  # one call for both: calls are most of a step of one environment
-            state, units, (entries, box) = simulator.state, simulator.units_per_travel, self._state
+            view, state, units = self._state, simulator.state, simulator.units_per_travel
             out, desired = observation["observation"], observation["desired_goal"]
             kind, band, distance, reward = evaluation
             broken = _observe_and_evaluate(
-                state, units, entries, box, first, last, out, tool, desired, kind, band, distance, reward
+                view.program["observe"],
+                view.size,
+                state,
+                units,
+                view.bounds,
+                first,
+                last,
+                out,
+                tool,
+                desired,
+                kind,
+                band,
+                distance,
+                reward,
             )
         if self.privileged:
             rows = observation["privileged"]
             broken = max(broken, self._observe(first, last, self._all_state, rows, tool))
             block_rows = slice(first * LANES, last * LANES)
-            rows[block_rows, len(self._all_state.rows) :] = self._parameters[block_rows]
+            rows[block_rows, self._all_state.size :] = self._parameters[block_rows]
         return broken
 
     def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
         """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
-        position = self._position.belts, self._position.direct, self._position.scale
-        limits, boxes = (sensors.low, sensors.high), (self._box, self._goal_box)
-        out = observation["observation"], observation["achieved_goal"]
-        _write_measurements(sensors.measurements, self._simulator.period, limits, position, boxes, first, last, *out)
+        _write_measurements(
+            self._measurement_program["observe"],
+            sensors.measurements,
+            self._simulator.period,
+            sensors.low,
+            sensors.high,
+            self._bounds,
+            first,
+            last,
+            observation["observation"],
+            observation["achieved_goal"],
+        )
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
         """Write the true tool positions, limited to their bounds, of the environments in blocks first to last - 1.
@@ -254,85 +279,101 @@ class ObservationBuilder:
         self._observe(first, last, self._tool, tool, tool)
 
 
+def _measurement_program(position: PositionFromSensors, sensors: int, axes: int) -> LaneProgram:
+    """Compile the function that computes an observation from measurements, for n sensors.
+
+    The position along an axis is the measurement itself where that is strictly inside its range, else what the other
+    sensors give on unstretched belts. All are limited to the rows of `bounds`: lower and upper bounds of the
+    measurements and their rates, then of the axes.
+    """
+    n = sensors
+    lines = []
+
+    def limit(row: int, bound: int, count: int, value: str) -> str:
+        return f"store(values, {row}, minimum(maximum({value}, load(bounds, {bound})), load(bounds, {bound + count})))"
+
+    for j in range(n):
+        lines += [
+            limit(j, j, 2 * n, f"load(now, {j})"),
+            limit(n + j, n + j, 2 * n, f"(load(now, {j}) - load(before, {j})) / period"),
+        ]
+    for axis in range(axes):
+        terms = [f"{float(position.belts[axis, j])!r} * load(now, {j})" for j in range(n)]
+        value = " + ".join(["0.0", *terms])
+        j = int(position.direct[axis])
+        if j >= 0:
+            measured = f"{float(position.scale[axis])!r} * load(now, {j})"
+            inside = f"(load(low, {j}) < load(now, {j})) & (load(now, {j}) < load(high, {j}))"
+            value = f"where({inside}, {measured}, {value})" if position.belts[axis].any() else measured
+        lines.append(limit(2 * n + axis, 4 * n + axis, axes, value))
+    head = "def observe(now, before, low, high, bounds, period: float, values):"
+    return LaneProgram("\n    ".join([head, *lines]) + "\n", ("observe",))
+
+
 @compiled
 def _write_measurements(
-    history: Any, period: float, limits: Any, position: Any, boxes: Any, first: int, last: int, out: Any, achieved: Any
+    program: int,
+    history: Any,
+    period: float,
+    range_low: Any,
+    range_high: Any,
+    bounds: Any,
+    first: int,
+    last: int,
+    out: Any,
+    achieved: Any,
 ) -> None:
     """Write observations out (B, 2 n) and positions achieved (B, axes) of blocks first..last-1 from measurements.
 
-    history (2, blocks, n, LANES): last measurements and those before; limits: lower and upper end of the ranges,
-    (blocks, n, LANES) each; position: `PositionFromSensors`. The position along an axis is the measurement itself where
-    that is strictly inside its range, else what the other sensors give on unstretched belts. All are clipped to boxes:
-    (2, 2 n) for out, (axes, 2) for achieved.
+    program: address of the function of `_measurement_program`; history (2, blocks, n, LANES): last measurements and
+    those before; range_low, range_high (blocks, n, LANES): ends of the ranges; bounds (4 n + 2 axes, LANES).
     """
-    (range_low, range_high), (belts, direct, scale), (box, goal_box) = limits, position, boxes
     n, axes = history.shape[2], achieved.shape[1]
-    values, positions = np.empty((2 * n, LANES), np.float32), np.empty((axes, LANES), np.float32)
-    undetermined = np.array([not belts[axis].any() for axis in range(axes)])
+    values = np.empty((2 * n + axes, LANES))
     for block in range(first, last):
-        now, before, low, high = history[0, block], history[1, block], range_low[block], range_high[block]
-        for j in range(n):
-            rate = (load(now, j) - load(before, j)) / period
-            store(values, j, _clip(load(now, j), box[0, j], box[1, j]))
-            store(values, n + j, _clip(rate, box[0, n + j], box[1, n + j]))
+        now, before = history[0, block], history[1, block]
+        call_at(program, now, before, range_low[block], range_high[block], bounds, period, values)
         write_block(values, block * LANES, 2 * n, out)
-        for axis in range(axes):
-            value = 0.0 + belts[axis, 0] * load(now, 0)
-            for j in range(1, n):
-                value = value + belts[axis, j] * load(now, j)
-            j = direct[axis]
-            if j >= 0:
-                inside = (load(low, j) < load(now, j)) & (load(now, j) < load(high, j))
-                measured = scale[axis] * load(now, j)
-                value = measured if undetermined[axis] else where(inside, measured, value)
-            store(positions, axis, _clip(value, goal_box[axis, 0], goal_box[axis, 1]))
-        write_block(positions, block * LANES, axes, achieved)
-
-
-@inlined
-def _clip(value: Any, low: float, high: float) -> Any:
-    """Return a SIMD register, limited to [low, high]."""
-    return minimum(maximum(value, low), high)
+        write_block(values[2 * n :], block * LANES, axes, achieved)
 
 
 @compiled
-def _observe(state: Any, units: Any, entries: Any, box: Any, first: int, last: int, out: Any, tool: Any) -> int:
-    """Write `StateView.rows` (n, 4) of the state as float32 to out (B, n or more), the first also to tool (B, axes).
+def _observe(
+    program: int,
+    size: int,
+    state: Any,
+    units: Any,
+    bounds: Any,
+    first: int,
+    last: int,
+    out: Any,
+    tool: Any,
+) -> int:
+    """Write a view of the state with n = size entries to out (B, n or more), the first also to tool (B, axes).
 
-    units (blocks, coordinates, LANES): units per meter of travel; box (2, n): bounds. Return the index of an
-    environment whose state is not finite, or -1.
+    program: address of its function; units (blocks, coordinates, LANES): units per meter of travel; bounds (2 n,
+    LANES). Return the index of an environment whose state is not finite, or -1.
     """
-    count = entries.shape[0]
-    values, residues = np.empty((count, LANES), np.float32), np.empty((1, LANES))
+    values = np.empty((size + 1, LANES))
     broken = -1
     for block in range(first, last):
         begin = block * LANES
-        block_state, block_units = state[block], units[block]
-        residue = load(block_state, 0) * 0.0  # stays zero until a value is not finite
-        for j in range(count):
-            value = load(block_state, entries[j, 0]) * load(block_units, entries[j, 1])
-            factor, other = entries[j, 2], entries[j, 3]
-            if factor >= 0:
-                across = load(block_state, other) * load(block_units, other)
-                value = value + load(block_state, factor) * load(block_units, factor) * across
-            residue = residue + (value - value)
-            store(values, j, minimum(maximum(value, box[0, j]), box[1, j]))
-        write_block(values, begin, count, out)
+        call_at(program, state[block], units[block], bounds, values)
+        write_block(values, begin, size, out)
         write_block(values, begin, tool.shape[1], tool)
-        if any_of(where(residue == 0.0, 0.0, 1.0) > 0.0):
-            store(residues, 0, residue)
-            for lane in range(LANES):
-                if broken < 0 and not math.isfinite(residues[0, lane]):
-                    broken = begin + lane
+        for lane in range(LANES):
+            if broken < 0 and values[size, lane] != 0.0:
+                broken = begin + lane
     return broken
 
 
 @compiled
 def _observe_and_evaluate(
+    program: int,
+    size: int,
     state: Any,
     units: Any,
-    entries: Any,
-    box: Any,
+    bounds: Any,
     first: int,
     last: int,
     out: Any,
@@ -344,7 +385,8 @@ def _observe_and_evaluate(
     reward: Any,
 ) -> int:
     """Do `_observe`, and `evaluate_rows` for the same environments and their true tool positions."""
-    broken: int = _observe(state, units, entries, box, first, last, out, tool)
+    broken: int = _observe(program, size, state, units, bounds, first, last, out, tool)
     end = min(last * LANES, tool.shape[0])
-    evaluate_rows(tool, tool, False, desired, first * LANES, end, kind, band, distance, reward)
+    measured = bool(0)  # of another type than False, for which Numba would compile `evaluate_rows` once more
+    evaluate_rows(tool, tool, measured, desired, first * LANES, end, kind, band, distance, reward)
     return broken

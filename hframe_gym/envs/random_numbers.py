@@ -17,19 +17,15 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from ..dynamics import cache_folder
-from ..dynamics.simd_math import floor, where
+from ..dynamics.compiled import compiled
 
 Array = NDArray[np.float64]
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Constants of SplitMix64, as uint64, so that the arithmetic stays in integers of 64 bits.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -43,27 +39,6 @@ RESET_STEP = 2**62
 SMALLEST_UNIFORM, LARGEST_UNIFORM = 0.5 * 2.0**-53, 1.0 - 2.0**-53
 _LARGEST_NORMAL = -float(ndtri(SMALLEST_UNIFORM))
 _ROUNDING = 1e-12  # fraction of a variance below which a difference of variances is rounding
-
-
-def compiled(function: Function) -> Function:
-    """Compile a function with Numba and cache the machine code on disk; calls release Python's interpreter lock.
-
-    Args:
-        function: Function in the subset of Python that Numba supports.
-
-    Returns:
-        Compiled function with the same arguments.
-    """
-    config: Any = numba.config
-    compile_cached: Any = numba.njit(nogil=True, cache=True, error_model="numpy")
-    try:
-        return cast("Function", compile_cached(function))
-    except RuntimeError:  # neither the package's folder nor Numba's folder in HOME can be written
-        configured, config.CACHE_DIR = config.CACHE_DIR, str(cache_folder())
-        try:
-            return cast("Function", compile_cached(function))
-        finally:
-            config.CACHE_DIR = configured
 
 
 @compiled
@@ -126,7 +101,7 @@ def cos_sin_of_turns(u: Any) -> Any:
         cosine: cos(2 pi u), dimensionless.
         sine: sin(2 pi u), dimensionless.
     """
-    quarter = floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
+    quarter = np.floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
     r = (4.0 * u - quarter) * 1.5707963267948966  # rest of the angle, rad, -pi/4 to pi/4
     s = r * r
     # Taylor series to r**14 and r**15; for |r| <= pi/4 the remainders are 1e-15 and 5e-17.
@@ -136,10 +111,10 @@ def cos_sin_of_turns(u: Any) -> Any:
     sine = 1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880 - s * (1.0 / 39916800 - s * sine)))
     sine = r * (1.0 - s * (1.0 / 6 - s * sine))
     # Turn the vector (cosine, sine) of the rest by 0 to 3 quarter turns: by one if odd, then by two if at least two.
-    turns = quarter - 4.0 * floor(0.25 * quarter)
+    turns = quarter - 4.0 * np.floor(0.25 * quarter)
     odd, back = (turns == 1.0) | (turns == 3.0), turns >= 2.0
-    first, second = where(odd, -sine, cosine), where(odd, cosine, sine)
-    return where(back, -first, first), where(back, -second, second)
+    first, second = -sine if odd else cosine, cosine if odd else sine
+    return -first if back else first, -second if back else second
 
 
 @compiled

@@ -18,9 +18,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics.compiled import compiled
 from ..errors import InputError
 from ..registry import Registry
-from .random_numbers import compiled
 from .workspace import outside_workspace
 
 Array: TypeAlias = NDArray[np.float64]
@@ -93,7 +93,8 @@ def evaluate_rows(
         for b in range(first, last):
             reward[b] = row_distance(achieved, desired, b)
     else:
-        reward[first:last] = distance[first:last]
+        for b in range(first, last):
+            reward[b] = distance[b]
     if kind == _SPARSE:
         for b in range(first, last):
             reward[b] = 0.0 if reward[b] <= band else -1.0

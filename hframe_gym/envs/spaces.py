@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from ..dynamics.compiled import compiled
 from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
-from .random_numbers import compiled
 from .workspace import workspace_of
 
 Array = NDArray[np.float64]

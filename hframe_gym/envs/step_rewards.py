@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics.compiled import compiled
 from ..errors import InputError
-from .random_numbers import compiled
 from .rewards import (
     PROGRESS,
     REWARDS,

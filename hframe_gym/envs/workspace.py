@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import LANES
+from ..dynamics.compiled import compiled
 from ..dynamics.elementwise import absolute, copysign, maximum
 from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine
-from .random_numbers import compiled
 
 Array = NDArray[np.float64]
 # Rubber buffers at the ends of x and y.

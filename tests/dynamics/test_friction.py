@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from types import ModuleType
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.integrate import solve_ivp
 
-from hframe_gym.dynamics import LANES, elementwise, friction
-from hframe_gym.dynamics.friction import decay_integral, end_weight, stop_or_reverse, update_speed
-from hframe_gym.dynamics.simd import load, store, where
+from hframe_gym.dynamics import LANES, friction
+from tests.dynamics.lanes import run
 
 pytestmark = pytest.mark.oracle
 
 
-@njit(error_model="numpy")
-def flow(A, h, out):  # type: ignore[no-untyped-def]
-    v, f, coulomb, viscous, mass = load(A, 0), load(A, 1), load(A, 2), load(A, 3), load(A, 4)
+FLOW = """
+def f(A, h: float, out):
+    v = load(A, 0)
+    f = load(A, 1)
+    coulomb = load(A, 2)
+    viscous = load(A, 3)
+    mass = load(A, 4)
     z = viscous * h / mass
     gain = h / mass * decay_integral(z)
     decay = 1.0 - z * decay_integral(z)
@@ -30,6 +31,7 @@ def flow(A, h, out):  # type: ignore[no-untyped-def]
     stops = v * after < 0.0
     store(out, 0, where(stops, turned, after))
     store(out, 1, where(stops, turned_travel, travel))
+"""
 
 
 def exact(v: float, f: float, coulomb: float, viscous: float, mass: float, h: float) -> tuple[float, float]:
@@ -62,78 +64,60 @@ def test_flow_agrees_with_event_integration(viscous: float) -> None:
     f = np.resize([1.0, -1.0, -6.0, 9.0, 1.9, -2.5, 0.0, -4.0], LANES)
     A = np.array([v, f, np.full(LANES, coulomb), np.full(LANES, viscous), np.full(LANES, mass)])
     out = np.empty((2, LANES))
-    flow(A, h, out)
+    run(FLOW, A, h, out)
     expected = np.array([exact(v[i], f[i], coulomb, viscous, mass, h) for i in range(LANES)]).T
     np.testing.assert_allclose(out[0], expected[0], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(out[1], expected[1], rtol=1e-7, atol=1e-13)
     assert out[0, 4] == out[0, 6] == 0.0
 
 
-@njit(error_model="numpy")
-def weights(A, out):  # type: ignore[no-untyped-def]
-    for i in range(A.shape[0]):
+WEIGHTS = """
+def f(A, out, n: int):
+    for i in range(n):
         store(out, 2 * i, decay_integral(load(A, i)))
         store(out, 2 * i + 1, end_weight(load(A, i)))
+"""
 
 
 def test_series_agree_with_closed_forms_over_ten_decades() -> None:
     """The functions of b h/m by which a step weights force and speed."""
     z = np.logspace(-8, 2, 50 * LANES).reshape(-1, LANES)
     out = np.empty((2 * len(z), LANES))
-    weights(z, out)
+    run(WEIGHTS, z, out, len(z))
     np.testing.assert_allclose(out[0::2], -np.expm1(-z) / z, rtol=3e-12)
     # 1/(1 - e^-z) - 1/z cancels for small z; there its series is 1/2 + z/12.
     expected = np.where(z < 1e-2, 0.5 + z / 12 - z**3 / 720, -1 / np.expm1(-z) - 1 / z)
     np.testing.assert_allclose(out[1::2], expected, rtol=1e-11)
 
 
-@pytest.fixture
-def on_arrays(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Return the module with its functions as plain Python on NumPy arrays, without compilation."""
-    for name in ("absolute", "any_of", "copysign", "fma", "where", "exp"):
-        monkeypatch.setattr(friction, name, getattr(elementwise, name))
-    for name in (
-        "decay_integral",
-        "direction",
-        "end_weight",
-        "friction_force",
-        "ramp",
-        "static_friction",
-        "stop_or_reverse",
-        "update_speed",
-    ):
-        monkeypatch.setattr(friction, name, getattr(friction, name).py_func)
-    return friction
-
-
-def test_weights_without_compilation(on_arrays: ModuleType) -> None:
+def test_weights_without_compilation() -> None:
     """The series and the closed forms, on both sides of the point where they change over, to rounding."""
     for z in np.concatenate([np.linspace(1e-3, 0.5, 200), np.linspace(0.501, 30.0, 50)]):
         z_exact = Decimal(float(z))
         decay = 1 - (-z_exact).exp()
         point = np.array([z])
-        assert on_arrays.decay_integral(point)[0] == pytest.approx(float(decay / z_exact), rel=3e-14)
-        assert on_arrays.end_weight(point)[0] == pytest.approx(float(1 / decay - 1 / z_exact), rel=2e-12)
+        assert friction.decay_integral(point)[0] == pytest.approx(float(decay / z_exact), rel=3e-14)
+        assert friction.end_weight(point)[0] == pytest.approx(float(1 / decay - 1 / z_exact), rel=2e-12)
         for signed in (z, -z):
             exact = Decimal(float(signed))
             expected = float((exact - 1 + (-exact).exp()) / (exact * exact))
-            assert on_arrays.ramp(np.array([signed]))[0] == pytest.approx(expected, rel=1e-12)
+            assert friction.ramp(np.array([signed]))[0] == pytest.approx(expected, rel=1e-12)
     mixed = np.array([0.1, 3.0])  # one lane on each side
-    np.testing.assert_allclose(on_arrays.decay_integral(mixed), -np.expm1(-mixed) / mixed, rtol=1e-14)
+    np.testing.assert_allclose(friction.decay_integral(mixed), -np.expm1(-mixed) / mixed, rtol=1e-14)
 
 
 @pytest.mark.parametrize("viscous", [0.0, 3.0, 800.0])
-def test_flow_without_compilation(on_arrays: ModuleType, viscous: float) -> None:
+def test_flow_without_compilation(viscous: float) -> None:
     """The cases of `test_flow_agrees_with_event_integration`, with another coefficient after a reversal."""
     h, mass, coulomb = 1e-3, 0.3, 2.0
     v = np.array([0.5, 0.004, 0.004, -0.004, 0.0, 0.0, 0.0, -0.3, 0.0066])
     f = np.array([1.0, -1.0, -6.0, 9.0, 1.9, -2.5, 0.0, -4.0, 0.0])
     z = viscous * h / mass * np.ones_like(v)
-    gain, weight = h / mass * on_arrays.decay_integral(z), on_arrays.end_weight(z)
-    after = on_arrays.update_speed(v, f, coulomb, np.exp(-z), gain)
+    gain, weight = h / mass * friction.decay_integral(z), friction.end_weight(z)
+    after = friction.update_speed(v, f, coulomb, np.exp(-z), gain)
     stopped = v * after < 0.0
     arguments = (v, f, coulomb, viscous * np.ones_like(v))
-    turned, turned_travel = on_arrays.stop_or_reverse(*arguments, arguments[3], mass, 1.0 / mass, h)
+    turned, turned_travel = friction.stop_or_reverse(*arguments, arguments[3], mass, 1.0 / mass, h)
     travel = np.where(stopped, turned_travel, h * ((1.0 - weight) * v + weight * after))
     expected = np.array([exact(v[i], f[i], coulomb, viscous, mass, h) for i in range(len(v))]).T
     np.testing.assert_allclose(np.where(stopped, turned, after), expected[0], rtol=1e-8, atol=1e-12)
@@ -142,15 +126,15 @@ def test_flow_without_compilation(on_arrays: ModuleType, viscous: float) -> None
     # After a reversal the coefficient of the new direction acts for the rest of the step.
     lane = 2
     stop = mass / viscous * np.log1p(viscous * v[lane] / (coulomb - f[lane])) if viscous else v[lane] * mass / 8.0
-    _, other = on_arrays.stop_or_reverse(*arguments, 5.0 * np.ones_like(v), mass, 1.0 / mass, h)
+    _, other = friction.stop_or_reverse(*arguments, 5.0 * np.ones_like(v), mass, 1.0 / mass, h)
     to_rest = exact(v[lane], f[lane], coulomb, viscous, mass, stop)[1]
     away = exact(0.0, f[lane], coulomb, 5.0, mass, h - stop)[1]
     assert other[lane] == pytest.approx(to_rest + away, rel=1e-6)
 
 
-def test_directions_and_static_friction(on_arrays: ModuleType) -> None:
+def test_directions_and_static_friction() -> None:
     v, f = np.array([0.2, -0.2, 0.0, 0.0, 0.0]), np.array([-1.0, 1.0, 1.5, -1.5, 9.0])
-    np.testing.assert_array_equal(np.sign(on_arrays.direction(v, f)), [1.0, -1.0, 1.0, -1.0, 1.0])
-    np.testing.assert_array_equal(on_arrays.static_friction(f, 2.0), [-1.0, 1.0, 1.5, -1.5, 2.0])
-    np.testing.assert_array_equal(on_arrays.static_friction(-f, 2.0), [1.0, -1.0, -1.5, 1.5, -2.0])
-    np.testing.assert_array_equal(on_arrays.friction_force(v, f, 2.0), [2.0, -2.0, 1.5, -1.5, 2.0])
+    np.testing.assert_array_equal(np.sign(friction.direction(v, f)), [1.0, -1.0, 1.0, -1.0, 1.0])
+    np.testing.assert_array_equal(friction.static_friction(f, 2.0), [-1.0, 1.0, 1.5, -1.5, 2.0])
+    np.testing.assert_array_equal(friction.static_friction(-f, 2.0), [1.0, -1.0, -1.5, 1.5, -2.0])
+    np.testing.assert_array_equal(friction.friction_force(v, f, 2.0), [2.0, -2.0, 1.5, -1.5, 2.0])

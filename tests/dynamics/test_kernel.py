@@ -14,17 +14,18 @@ from numpy.typing import NDArray
 
 from hframe_gym.dynamics import (
     LANES,
+    cache_folder,
     in_blocks,
     kernel,
     kernel_for,
     kernel_source_text,
+    machine_code,
     share_kernel,
     shared_kernels,
     simulate,
     simulate_batch,
 )
 from hframe_gym.dynamics.effect_instances import instances_with_state
-from hframe_gym.dynamics.kernel import cache_folder
 from hframe_gym.dynamics.shared_kernels import rollout_kernel
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.effects import EFFECTS
@@ -75,12 +76,19 @@ def test_absent_effect_costs_nothing(name: str, site: str, trace: str, hframe: M
     assert trace not in step(hframe)
 
 
-def test_kernel_file_contains_the_generated_text(hframe: Machine) -> None:
-    """A kernel is an ordinary file in the cache folder; another shape is another file."""
-    kernel, forced = kernel_for(hframe), kernel_for(hframe, forced=True)
-    assert Path(kernel.source).parent == cache_folder()
-    assert kernel.source != forced.source
-    assert Path(kernel.source).read_text() == kernel_source_text(hframe)
+def test_compiled_code_is_kept_on_disk(hframe: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second process loads it; another shape, and external forces, need other code."""
+    monkeypatch.setenv("HFRAME_CACHE", str(tmp_path))
+    monkeypatch.setattr(machine_code, "_LOADED", {})
+    monkeypatch.setattr(kernel, "_KERNELS", {})
+    first = kernel_for(hframe)
+    (code,) = tmp_path.glob("kernel_*.o")
+    kernel_for(hframe, forced=True)
+    assert len(list(tmp_path.glob("kernel_*.o"))) == 2
+    monkeypatch.setattr(kernel, "_KERNELS", {})
+    monkeypatch.setattr(machine_code, "_compile", None)
+    assert kernel_for(hframe).layout == first.layout
+    assert code.stat().st_size > 1000
 
 
 def test_folder_without_write_access_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,10 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...dynamics import LANES
-from ...dynamics.simd import inlined, load, store
-from ...dynamics.simd_math import maximum, minimum, where, write_block
-from ..random_numbers import compiled, cos_sin_of_turns
+from ...dynamics.compiled import compiled, helper
+from ..random_numbers import cos_sin_of_turns
 
 Array = NDArray[np.float64]
 # Segments of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.
@@ -114,38 +112,27 @@ class Polyline(Curve):
 @compiled
 def _write_points(s: Any, curve: Any, points: Any) -> None:
     """Write the points (n, 2) of a `CurveData` at arc lengths s (n,)."""
-    rows = np.zeros((2, LANES))
-    for first in range(0, len(s), LANES):
-        count = min(LANES, len(s) - first)
-        rows[0, :count] = s[first : first + count]
-        x, y = points_at(load(rows, 0), curve, rows)
-        store(rows, 0, x)
-        store(rows, 1, y)
-        write_block(rows, first, 2, points)
+    for i in range(len(s)):
+        points[i, 0], points[i, 1] = point_at(s[i], curve)
 
 
-@inlined
-def points_at(s: Any, curve: Any, scratch: Any) -> Any:
-    """Compute the points of a curve at several arc lengths; only other compiled functions can call it.
+@helper
+def point_at(s: float, curve: Any) -> Any:
+    """Compute the point of a curve at an arc length; only other compiled functions can call it.
 
     Args:
-        s: Arc lengths from the start of the curve, m, any real numbers: a SIMD register with LANES (8 or 16) float64
-            values, as `simd.load` returns it. Beyond its ends, a closed curve repeats; on an open one, the point stays
-            at the end.
+        s: Arc length from the start of the curve, m, any real number. Beyond its ends, a closed curve repeats; on an
+            open one, the point stays at the end.
         curve: Radius of a circle, m, or 0 and the vertices of a polyline, m, with their arc lengths, m (`CurveData`).
-        scratch: Array for intermediate values, float64, shape (2 or more, LANES); the first two rows are overwritten.
 
     Returns:
-        x: First coordinates of the points, m, SIMD register.
-        y: Second coordinates of the points, m, SIMD register.
+        x: First coordinate of the point, m.
+        y: Second coordinate of the point, m.
     """
     if curve.radius > 0.0:
         cosine, sine = cos_sin_of_turns(s * (1.0 / curve.vertex_s[-1]))
         return curve.radius * cosine, curve.radius * sine
-    store(scratch, 0, s)
-    for i in range(LANES):
-        scratch[0, i], scratch[1, i] = _point_of_polyline(scratch[0, i], curve)
-    return load(scratch, 0), load(scratch, 1)
+    return _point_of_polyline(s, curve)
 
 
 @compiled
@@ -239,14 +226,14 @@ def _distance_to_polyline(x: float, y: float, s: float, curve: Any) -> float:
     return math.sqrt(smallest)
 
 
-@inlined
+@helper
 def _speed_up(t: Any, speed: Any, lead_s: float) -> Any:
     """Return the distance, m, after time t, s, from rest to speed."""
-    u = minimum(t / lead_s, 1.0)
-    return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + maximum(t - lead_s, 0.0))
+    u = t / lead_s if t / lead_s < 1.0 else 1.0
+    return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + (t - lead_s if t - lead_s > 0.0 else 0.0))
 
 
-@inlined
+@helper
 def traveled(t: Any, speed: Any, lead_s: float, length: float) -> Any:
     """Compute how far a goal has traveled along its path at time t. Only compiled functions can call it.
 
@@ -254,21 +241,22 @@ def traveled(t: Any, speed: Any, lead_s: float, length: float) -> Any:
     path of finite length it slows down in the same way, so that it comes to rest at the end of the path.
 
     Args:
-        t: Time since the start, s, not negative; number or SIMD register.
-        speed: Speed after the speed-up, m/s, of the same type; limited to length / lead_s.
+        t: Time since the start, s, not negative.
+        speed: Speed after the speed-up, m/s; limited to length / lead_s.
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
         length: Length of the path, m; inf for a closed path, on which the goal does not slow down.
 
     Returns:
-        Distance along the path, m, of the type of t.
+        Distance along the path, m.
     """
     if length == math.inf:
         return _speed_up(t, speed, lead_s)
-    limited = minimum(speed, length / lead_s)
+    limited = speed if speed < length / lead_s else length / lead_s
     duration = length / limited + lead_s
     # The second half is the first half reversed in time.
-    second_half = length - _speed_up(maximum(duration - t, 0.0), limited, lead_s)
-    return where(t < 0.5 * duration, _speed_up(t, limited, lead_s), second_half)
+    if t < 0.5 * duration:
+        return _speed_up(t, limited, lead_s)
+    return length - _speed_up(duration - t if duration - t > 0.0 else 0.0, limited, lead_s)
 
 
 def circle(size: float) -> Curve:

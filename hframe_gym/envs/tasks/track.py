@@ -12,14 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...dynamics import LANES
-from ...dynamics.simd import load, store
-from ...dynamics.simd_math import read_block, write_block
+from ...dynamics.compiled import compiled
 from ...errors import InputError, is_integer, is_number
 from ...recordings import read_path
-from ..random_numbers import compiled
 from .base import TASKS, Array, Metrics, Task
-from .curves import SHAPES, Curve, Polyline, points_at, traveled, write_distances
+from .curves import SHAPES, Curve, Polyline, point_at, traveled, write_distances
 
 # Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
 PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
@@ -321,19 +318,15 @@ def _goal_arc_length(t: float, plan: Any, lead_s: float, length: float) -> float
 def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any) -> None:
     """Write goals (n, 2) at times elapsed_s (n,), and previews (n, m, 2) ahead_s (m,) later, by plans (n, 6)."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
-    plans, times, scratch = np.empty((plan.shape[1], LANES)), np.empty((1, LANES)), np.empty((2, LANES))
-    points, future = np.empty((2 * len(ahead_s) + 2, LANES), np.float32), previews.reshape(len(plan), -1)
-    for first in range(0, len(plan), LANES):
-        read_block(plan, first, plans)
-        read_block(elapsed_s[:, None], first, times)
+    for i in range(len(plan)):
         for j in range(len(ahead_s) + 1):
-            t = load(times, 0) + (ahead_s[j - 1] if j > 0 else 0.0)
-            s = traveled(t, load(plans, SPEED), lead_s, length) * load(plans, DIRECTION) + load(plans, START)
-            x, y = points_at(s, curve, scratch)
-            store(points, 2 * j, x + load(plans, 1))
-            store(points, 2 * j + 1, y + load(plans, 2))
-        write_block(points, first, 2, goals)
-        write_block(points[2:], first, 2 * len(ahead_s), future)
+            t = np.float64(elapsed_s[i]) + (ahead_s[j - 1] if j > 0 else 0.0)
+            x, y = point_at(_goal_arc_length(t, plan[i], lead_s, length), curve)
+            x, y = x + plan[i, 1], y + plan[i, 2]
+            if j == 0:
+                goals[i, 0], goals[i, 1] = x, y
+            else:
+                previews[i, j - 1, 0], previews[i, j - 1, 1] = x, y
 
 
 @compiled

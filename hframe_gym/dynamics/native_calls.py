@@ -1,0 +1,41 @@
+"""Call machine code, which is known by its address, from functions that Numba compiles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+
+def _emit_call(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    """Emit the call of the function whose address is the first argument."""
+    address, packed = values
+    operands = []
+    for value, kind in zip(cgutils.unpack_tuple(builder, packed), signature.args[1], strict=True):
+        if isinstance(kind, types.Array):
+            operands.append(context.make_array(kind)(context, builder, value).data)
+        else:
+            number = types.float64 if isinstance(kind, types.Float) else types.int64
+            operands.append(context.cast(builder, value, kind, number))
+    function = ir.FunctionType(ir.VoidType(), [operand.type for operand in operands])
+    builder.call(builder.inttoptr(address, function.as_pointer()), operands)
+    return context.get_dummy_value()
+
+
+@intrinsic
+def call_at(typing_context: Any, address: Any, *arguments: Any) -> Any:
+    """Call a function of a `LaneProgram`; only compiled functions can do so.
+
+    Args:
+        typing_context: Set by Numba.
+        address: Address of the function, integer.
+        *arguments: Contiguous arrays of rows, shape (n, LANES), of which the function gets the address; numbers, of
+            which it gets float64 or int64. Neither their number nor the arrays' sizes are checked.
+
+    Returns:
+        Signature and code generator, for Numba.
+    """
+    return types.void(types.int64, types.StarArgTuple(arguments)), _emit_call
