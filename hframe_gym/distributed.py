@@ -24,9 +24,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .atomic_files import atomic_file, output_batch
+from .atomic_files import atomic_file, output_batch, scratch_folder
 from .errors import InputError
-from .locked_folders import scratch_folder
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController

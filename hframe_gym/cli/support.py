@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import shlex
 import sys
 import time
 import warnings
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
+from ..operating_system import quoted
 from .app import plain_text
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def option_words(**values: str | None) -> str:
     Returns:
         Options with a blank before each, quoted for a shell, for example " --machine axis --task reach".
     """
-    return "".join(f" --{name} {shlex.quote(value)}" for name, value in values.items() if value is not None)
+    return "".join(f" --{name} {quoted(value)}" for name, value in values.items() if value is not None)
 
 
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:

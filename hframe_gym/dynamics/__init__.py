@@ -1,8 +1,9 @@
 """Equations of motion, their linearization, and simulation: the integrator and its compiled kernel (generated code)."""
 
+from ..cache_folder import cache_folder
 from .belts import BeltState
 from .equations import Equations, ForceBalance
-from .kernel import Kernel, cache_folder, in_blocks, kernel_for, kernel_source_text
+from .kernel import Kernel, in_blocks, kernel_for, kernel_source_text
 from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, resolved_step, stiffness_matrix
 from .motion_forces import (
     belt_forces,

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from ..dynamics import cache_folder
+from ..cache_folder import cache_folder
 from ..dynamics.simd_math import floor, where
 
 Array = NDArray[np.float64]
