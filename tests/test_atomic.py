@@ -73,7 +73,16 @@ def test_a_file_is_written_into_a_new_folder_and_is_readable_by_others(tmp_path:
     assert list(path.parent.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+@pytest.mark.parametrize(
+    "make",
+    [
+        Path.mkdir,
+        pytest.param(
+            getattr(os, "mkfifo", None),
+            marks=pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes in folders"),
+        ),
+    ],
+)
 def test_what_is_no_regular_file_is_not_replaced(make: Callable[[Path], None], tmp_path: Path) -> None:
     """A device, for example: `--json /dev/null` of an administrator must not replace it."""
     path = tmp_path / "special"
@@ -139,6 +148,7 @@ def _write_new_until(folder: Path, calls: int) -> int:
 
 
 @pytest.mark.integration
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks a process for each system call at which it ends it")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_kill_at_every_system_call_leaves_the_old_or_the_new_output(tmp_path: Path) -> None:
     states, code = [], 9

@@ -18,6 +18,7 @@ from hframe_gym.cli import app
 from hframe_gym.cli.support import describe_failure
 
 ROOT = Path(__file__).parents[1]
+needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT or SIGTERM to a process")
 # Runs the entry point of the command with another command line application.
 _COMMAND = """
 import sys, time
@@ -51,6 +52,7 @@ def start(body: str) -> subprocess.Popen[str]:
     )
 
 
+@needs_signals
 @pytest.mark.parametrize(
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
@@ -66,6 +68,7 @@ def test_a_signal_ends_the_command_with_one_line(body: str, number: signal.Signa
     assert process.returncode == code
 
 
+@needs_signals
 def test_an_ignored_signal_stays_ignored() -> None:
     """Commands in the background of a script, and those started by nohup, are not interrupted."""
     body = "    print('ready', flush=True)\n    time.sleep(0.5)"
