@@ -103,7 +103,7 @@ def test_commands_run(work: Path) -> None:
     hframe_without_posix("report", "answer", folder=work)
     hframe_without_posix("evaluate", "pid", "--episodes", "2", "--html", "--out", "scores", folder=work)
     files = {path.relative_to(work).as_posix() for path in work.rglob("*") if path.is_file()}
-    expected = {"predicted 1.csv", "imported runs/run_1.csv", "answer/report.json", "answer/report.html"}
+    expected = {"predicted 1.csv", "imported runs/run 1.csv.gz", "answer/report.json", "answer/report.html"}
     assert files >= expected | {"scores/scores.json", "scores/pid.png", "scores/scorecard.html"}
     assert not [name for name in files if "/.hframe" in f"/{name}"]
 
