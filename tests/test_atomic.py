@@ -339,3 +339,16 @@ def test_a_file_named_like_a_stage_and_a_very_long_name(tmp_path: Path) -> None:
         for name in names:
             write_text(tmp_path / name, name)
     assert contents(tmp_path) == {name: name for name in names}
+
+
+def test_a_file_system_without_locks_is_written_with_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl", reason="only there, filelock uses flock")
+
+    def missing(*_: object) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(fcntl, "flock", missing)
+    with pytest.warns(UserWarning, match="flock not supported"), output_batch(tmp_path):
+        write_text(tmp_path / "a.txt", "new")
+        write_text(tmp_path / "b.txt", "new")
+    assert contents(tmp_path) == {"a.txt": "new", "b.txt": "new"}
