@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import os
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, write_recording
+from tests.without_posix.absent_names import MODULES, NAMES
 
 ROOT = Path(__file__).parents[1]
 ABSENT = ROOT / "tests" / "without_posix"
@@ -55,6 +57,29 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
         outputs = truth.simulate(time_s, inputs).outputs + rng.normal(0.0, 20e-6, (1000, 1))
         write_recording(folder / "runs" / f"run {k + 1}.csv", Recording("", time_s, inputs, outputs), axis)
     return folder
+
+
+def posix_names(source: Path) -> list[str]:
+    """Return the names of POSIX that a module uses, but for those whose presence it asks for with `hasattr`."""
+    text, found = source.read_text("utf-8"), []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names if alias.name.partition(".")[0] in MODULES]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found += [node.module] if node.module.partition(".")[0] in MODULES else []
+            found += [a.name for a in node.names if a.name in NAMES.get(node.module, ())]
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            module, name = node.value.id, node.attr
+            if name in NAMES.get(module, ()) and f'hasattr({module}, "{name}")' not in text:
+                found.append(f"{module}.{name}")
+    return found
+
+
+def test_no_module_of_the_package_uses_a_name_of_posix_without_asking_for_it() -> None:
+    """Also in code that no test executes."""
+    sources = [*(ROOT / "hframe_gym").rglob("*.py"), *(ROOT / "agents").rglob("*.py"), ROOT / "tools" / "tasks.py"]
+    assert len(sources) > 200
+    assert {str(source.relative_to(ROOT)): names for source in sources if (names := posix_names(source))} == {}
 
 
 def test_names_are_absent_for_this_project_and_present_for_others(tmp_path: Path) -> None:
