@@ -110,9 +110,13 @@ class _Stage:
         """Finish complete changes of a folder; if a call is interrupted, the next one does the rest."""
         if not self.complete.exists():
             return
-        for name in _files(self.removed):
+        new, removed = _files(self.new), _files(self.removed)
+        for name in (*new, *removed):  # a folder from elsewhere could have a stage that changes files of this user
+            if not (folder / name).parent.resolve().is_relative_to(folder):
+                raise InputError(f"{folder}: {name.parent} is a link out of this folder; delete {self.path}")
+        for name in removed:
             (folder / name).unlink(missing_ok=True)
-        for name in _files(self.new):
+        for name in new:
             _move(self.new / name, _with_parents(folder / name))
         self.complete.unlink()
         self.discard()

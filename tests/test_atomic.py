@@ -290,6 +290,19 @@ def test_the_next_writer_completes_the_commit_of_a_killed_process(tmp_path: Path
     assert contents(tmp_path) == {"a.txt": "new", "added.txt": "new", "plots/p.txt": "old plot"}
 
 
+def test_a_commit_from_elsewhere_changes_no_file_outside_its_folder(tmp_path: Path) -> None:
+    """A folder that somebody sends may have any content, also a link to a folder of this user."""
+    mine, folder = tmp_path / "mine", tmp_path / "sent"
+    write_old(mine)
+    (folder / ".hframe" / "removed" / "link").mkdir(parents=True)
+    (folder / ".hframe" / "removed" / "link" / "gone.txt").touch()
+    (folder / ".hframe" / "complete").touch()
+    (folder / "link").symlink_to(mine)
+    with pytest.raises(InputError, match="link is a link out of this folder; delete"):
+        complete_commit(folder)
+    assert contents(mine) == OLD
+
+
 def windows_error(number: int) -> PermissionError:
     """Return the error by which Windows refuses to move a file that is open in another program."""
     error = PermissionError(errno.EACCES, "The process cannot access the file")
