@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import atomic_file, output_batch, write_text
+from ..atomic_files import atomic_file, complete_commit, output_batch, write_text
 from ..controllers import Controller
 from ..envs import SensorsLike, action_space, observation_space
 from ..errors import InputError
-from ..locked_folders import complete_commit
 from ..machine import Machine, observed_coordinates
 from ..recordings import load_machine, save_machine
 from .agent_files import read_agent_json

@@ -12,15 +12,15 @@ import hashlib
 import hmac
 import os
 import secrets
-import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from ..atomic_files import complete_commit
 from ..errors import InputError
 from ..file_limits import read_json
-from ..locked_folders import complete_commit
+from ..operating_system import quoted, user_folder
 
 SCHEMA = 2  # version of the formats of agent.json and card.json
 AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
@@ -174,7 +174,7 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
         described, resumable = ", ".join(present), False
     advice = ["choose another folder"]
     if resumable:
-        command = f"hframe train {recipe.rpartition('_')[0]} --seed {seed} --resume --out {shlex.quote(str(folder))}"
+        command = f"hframe train {recipe.rpartition('_')[0]} --seed {seed} --resume --out {quoted(str(folder))}"
         by = "with --resume" if alone else f"alone with `{command}` (other options as before, without --ray)"
         advice.append(f"continue the run {by}")
     raise InputError(
@@ -226,6 +226,8 @@ def sign_checkpoint(path: Path) -> None:
     signature = _signature(path, path.stat().st_size, key)
     with open(path, "ab") as file:
         file.write(_MARK + signature)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def refuse_unsigned(path: Path) -> None:
@@ -259,10 +261,10 @@ def key_file() -> Path:
     """Return the path of the file with the secret key with which `sign_checkpoint` signs checkpoints.
 
     Returns:
-        checkpoint.key in `$XDG_DATA_HOME/hframe_gym`, by default in ~/.local/share/hframe_gym.
+        checkpoint.key in the folder hframe_gym of the user's data folder (`user_folder`), for example in
+        ~/.local/share/hframe_gym.
     """
-    root = os.environ.get("XDG_DATA_HOME") or os.path.expanduser("~/.local/share")
-    return Path(root) / "hframe_gym" / "checkpoint.key"
+    return user_folder("data") / "hframe_gym" / "checkpoint.key"
 
 
 def _installation_key(*, create: bool = True) -> bytes:

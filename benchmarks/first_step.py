@@ -59,7 +59,7 @@ def main() -> None:
         results[name] = {"empty_s": statistics.median(empty), "filled_s": statistics.median(filled)}
         table.add_row(name, *(f"{value:.2f}" for value in results[name].values()))
     Console().print(table)
-    write_results("first_step", results)
+    write_results("first_step", {"cases": results}, seed=None)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+from io import TextIOWrapper
 from types import FrameType
 
 _SECONDS_TO_CLEAN_UP = 5.0  # threads of a computation may need some time until they can stop
@@ -47,6 +48,8 @@ def main() -> None:
     for number in _LINES:
         if signal.getsignal(number) is not signal.SIG_IGN:  # ignored by nohup, or in the background of a script
             signal.signal(number, _stop)
+    if isinstance(sys.stdout, TextIOWrapper):  # the encoding of a Windows console has no Chinese, for example
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         from .cli import main as run
 

@@ -1,135 +1,154 @@
-"""Write files so that a reader finds either the complete new file or the old one, never a part.
+"""Write files so that a reader finds either the complete new file or the old one, and one writer per folder.
 
-On file systems with the flag `O_TMPFILE` (Linux), a file has no name while it is written: if the process is killed,
-nothing is left behind. `output_batch` extends this to several files of a folder, which appear together;
-`locked_folders` describes how.
+New files are written in a hidden folder beside the output, the stage, and get their names when they are complete. A
+stage has a lock, which the operating system releases when the process ends for any reason: a stage without a locked
+lock was left by a killed process. Everything here works on Linux, macOS and Windows.
 """
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import io
 import os
 import secrets
 import shutil
+import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from .errors import InputError
-from .locked_folders import COMMIT, UNFINISHED, locked_folder, move_committed, with_parents
 
-_MAX_OPEN = 200  # files without names in a batch; processes may usually have 1024 open files
-# Errors by which a file system says that it has no files without names.
-_NO_UNNAMED_FILES = {errno.EOPNOTSUPP, errno.EINVAL, errno.EISDIR, errno.ENOENT}
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
+
+STAGE = ".hframe"  # the stage of a locked folder; that of a single file is .hframe-NAME
+_SCRATCH = "hframe_gym-scratch-"
+_POLL_S = 0.01  # a file that another process writes is free after milliseconds
+# Virus scanners and indexers of Windows open new files for less than this; meanwhile these cannot be moved.
+_SCANNER_S = 1.0
+_IN_USE = (5, 32)  # error codes of Windows: access denied, sharing violation
 
 
-class _NewFile:
-    """A file that is written now and gets its name later.
+class _Stage:
+    """Hidden folder with a lock, for files that are not complete or have not got their names yet.
 
-    Args:
-        folder: Existing folder on the file system of the target.
-        target: Path that the file gets; errors name it.
+    `new` and `removed` mirror the relative paths of the files that will be written and removed. The file `complete`
+    appears when all of them are on the disk: from then on the changes count, and whoever has the lock finishes them.
     """
 
-    def __init__(self, folder: Path, target: Path) -> None:
-        self.target = target
-        self._name: Path | None = None  # only where a file needs a name from the beginning
-        try:
-            self.stream = open(os.open(folder, getattr(os, "O_TMPFILE", 0) | os.O_RDWR, 0o666), "w+b")  # noqa: SIM115
-        except OSError as error:
-            if error.errno not in _NO_UNNAMED_FILES:
-                raise _with_name(error, target) from None
-            self._name = folder / f"{UNFINISHED}{secrets.token_hex(8)}"
-            self.stream = self._name.open("x+b")
-        with suppress(OSError):  # tells `locked_folder` that the file has a living owner
-            fcntl.flock(self.stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    def __init__(self, path: Path) -> None:
+        self.path, self.lock, self.complete = path, path / "lock", path / "complete"
+        self.new, self.removed = path / "new", path / "removed"
 
-    @property
-    def readable(self) -> Path:
-        """Path by which this process can read the content before the file has its name."""
-        self.stream.flush()
-        return self._name or Path(f"/proc/self/fd/{self.stream.fileno()}")
+    @contextmanager
+    def locked(self, *, wait: bool) -> Iterator[bool]:
+        """Create and lock the folder, and remove it in the end; False if another process has locked it."""
+        from filelock import FileLock, Timeout  # takes 50 ms, and most commands begin with reading
 
-    def move_to(self, path: Path) -> None:
-        """Give the file the name `path`, which must not exist, once its content is on the disk."""
-        self.stream.flush()
-        os.fsync(self.stream.fileno())
-        if self._name is not None:
-            self._name.rename(path)
-            self._name = None
-            return
-        # Only with the descriptor of a folder does Python follow the link in /proc.
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        lock, free = FileLock(self.lock), True
+        while free and not lock.is_locked:
+            try:
+                self.path.mkdir(exist_ok=True)
+                lock.acquire(timeout=-1 if wait else 0, poll_interval=_POLL_S)
+            except Timeout:
+                free = False
+            except OSError as error:
+                # Its former owner removed the folder between the two calls; without its parent, it cannot be made.
+                if isinstance(error, FileNotFoundError) and self.path.parent.is_dir():
+                    continue
+                with suppress(OSError):  # not empty
+                    self.path.rmdir()
+                raise
         try:
-            os.link(self.readable, path.name, dst_dir_fd=folder, follow_symlinks=True)
+            yield free
         finally:
-            os.close(folder)
+            if free:
+                self._remove(lock)
 
-    def close(self) -> None:
-        """Release the file; without a name it disappears."""
-        with suppress(OSError):  # a full disk was reported when the content was flushed
-            self.stream.close()
-        if self._name is not None:
-            self._name.unlink(missing_ok=True)
+    def _remove(self, lock: BaseFileLock) -> None:
+        """Remove the folder, unless complete changes could not be finished, and end the lock."""
+        self.discard()
+        if not self.complete.exists():
+            with suppress(OSError):  # Windows removes the file itself when the lock ends, and not before
+                self.lock.unlink()  # not later: it may be another process's lock then
+        lock.release()
+        with suppress(OSError):  # not empty
+            self.path.rmdir()
 
+    def discard(self) -> None:
+        """Remove what is not complete."""
+        if self.complete.exists():
+            return
+        for path in self.path.glob("*"):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path != self.lock:
+                with suppress(OSError):
+                    path.unlink()
 
-class _Batch:
-    """New and removed files of a folder that become visible together."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.files: dict[Path, _NewFile] = {}  # by the relative path in the folder
-        self.removed: set[Path] = set()
-        self._stage = folder / f"{UNFINISHED}{secrets.token_hex(8)}"
-
-    def add(self, name: Path, file: _NewFile) -> None:
-        """Take over a complete file; with very many of them, the first ones get a temporary name."""
-        if name in self.files:
-            self.files[name].close()
-        self.files[name] = file
-        self.removed.discard(name)
-        if len(self.files) > _MAX_OPEN:
-            file.move_to(with_parents(self._stage / "new" / name))
-            file.close()
-
-    def commit(self) -> None:
-        """Make all changes visible by one rename, then move the files to their names."""
+    def commit(self, folder: Path) -> None:
+        """Make the changes of a folder together: once `complete` exists, they are made, also if this process ends."""
+        new, removed = _files(self.new), _files(self.removed)
+        if not new and not removed:
+            return
+        for name in new:
+            _with_parents(folder / name)
+        for name in (*new, *removed):
+            if (folder / name).exists():  # a file that cannot be replaced is found before the first one is
+                _move(folder / name, folder / name)
+        self.complete.touch()
         try:
-            for name in (*self.files, *self.removed):
-                with_parents(self.folder / name)
-            for name, file in self.files.items():
-                if not file.stream.closed:
-                    file.move_to(with_parents(self._stage / "new" / name))
-            for name in self.removed:
-                with_parents(self._stage / "removed" / name).touch()
-            self._stage.rename(self.folder / COMMIT)
-        except OSError as error:
-            raise _with_name(error, self.folder) from None
-        try:
-            move_committed(self.folder)
-        except BaseException:  # a signal: the changes are made, so finish them
-            move_committed(self.folder)
+            self.finish(folder)
+        except BaseException:  # a signal: the changes count, so finish them
+            self.finish(folder)
             raise
 
-    def close(self) -> None:
-        """Release all files; those that are not committed disappear."""
-        for file in self.files.values():
-            file.close()
-        shutil.rmtree(self._stage, ignore_errors=True)
+    def finish(self, folder: Path) -> None:
+        """Finish complete changes of a folder; if a call is interrupted, the next one does the rest."""
+        if not self.complete.exists():
+            return
+        new, removed = _files(self.new), _files(self.removed)
+        for name in (*new, *removed):  # a folder from elsewhere could have a stage that changes files of this user
+            if not (folder / name).parent.resolve().is_relative_to(folder):
+                raise InputError(f"{folder}: {name.parent} is a link out of this folder; delete {self.path}")
+        for name in removed:
+            (folder / name).unlink(missing_ok=True)
+        for name in new:
+            _move(self.new / name, _with_parents(folder / name))
+        self.complete.unlink()
+        self.discard()
+
+
+class _Batch(NamedTuple):
+    """The present `output_batch`: its folder, absolute, and the folder's stage."""
+
+    folder: Path
+    stage: _Stage
 
 
 _BATCH: ContextVar[_Batch | None] = ContextVar("_BATCH", default=None)
+_HELD: dict[Path, _Stage] = {}  # stages of the folders that this process has locked
+
+
+def _in_batch(path: Path) -> tuple[_Stage, Path] | None:
+    """Return the stage of the present batch and a file's relative path, if there is a batch and the file is in it."""
+    batch = _BATCH.get()
+    absolute = Path(os.path.abspath(path.parent.resolve() / path.name))
+    if batch is None or not absolute.is_relative_to(batch.folder):
+        return None
+    return batch.stage, absolute.relative_to(batch.folder)
 
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
     """Provide a binary file to write to; it replaces the file at `path` when the `with` block ends without an error.
 
-    Until then a reader sees the old file. Inside an `output_batch` of its folder, or of a folder above, the file
-    appears only at the end of the batch.
+    Until then a reader sees the old file. If another process writes the same file, this one waits for it, so that the
+    last one wins. Inside an `output_batch` of its folder, or of a folder above, the file appears only at the end of the
+    batch.
 
     Args:
         path: File to write; its folder is created if it does not exist.
@@ -138,37 +157,29 @@ def atomic_file(path: str | Path) -> Iterator[io.BufferedRandom]:
         Empty file, open for writing and reading. If the block raises an error, an existing file at `path` is unchanged.
 
     Raises:
-        InputError: If `path` exists and is not a regular file, but a folder or a device, for example.
+        InputError: If `path` exists and is not a regular file, but a folder or a device, for example; or if Windows
+            cannot replace it because it is open in another program.
         OSError: If the folder cannot be created or written, or the disk is full; the error names `path`.
     """
     target = Path(path)
     if target.exists() and not target.is_file():
         raise InputError(f"{path}: is no regular file, so it is not replaced; choose another name")
-    batch = _BATCH.get()
-    name = _name_in(batch, target)
-    if batch is None or name is None:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    file = _NewFile(target.parent if batch is None or name is None else batch.folder, target)
-    kept = False
-    try:
-        try:
-            yield file.stream
-            file.stream.flush()
-            if batch is not None and name is not None:
-                batch.add(name, file)
-                kept = True
-                return
-            temporary = target.parent / f"{UNFINISHED}{secrets.token_hex(8)}"
-            try:
-                file.move_to(temporary)
-                temporary.replace(target)
-            finally:
-                temporary.unlink(missing_ok=True)
-        except OSError as error:
-            raise _with_name(error, target) from error
-    finally:
-        if not kept:
-            file.close()
+    found = _in_batch(target)
+    with _naming(target, every=True), ExitStack() as cleanup:
+        if found is not None:
+            stage, final = found[0], _with_parents(found[0].new / found[1])
+        else:
+            # Names may have 255 bytes, that of the stage as well; files that share a stage only wait for each other.
+            stage, final = _Stage(_with_parents(target).parent / f"{STAGE}-{target.name[:50]}"), target
+            cleanup.enter_context(stage.locked(wait=True))
+            stage.discard()  # what a killed process left
+        unfinished = stage.path / f"unfinished-{secrets.token_hex(4)}"
+        cleanup.callback(unfinished.unlink, missing_ok=True)
+        with unfinished.open("x+b") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        _move(unfinished, final)
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -178,10 +189,11 @@ def write_text(path: str | Path, text: str) -> None:
 
     Args:
         path: File to write; its folder is created if it does not exist.
-        text: Content of the file.
+        text: Content of the file; line ends are written as they are, on every operating system.
 
     Raises:
-        InputError: If `path` exists and is not a regular file, but a folder or a device, for example.
+        InputError: If `path` exists and is not a regular file, but a folder or a device, for example; or if Windows
+            cannot replace it because it is open in another program.
         OSError: If the folder cannot be created or written, or the disk is full; the error names `path`.
     """
     with atomic_file(path) as file:
@@ -200,15 +212,14 @@ def remove_file(path: str | Path) -> None:
         OSError: If the file cannot be removed.
     """
     target = Path(path)
-    batch = _BATCH.get()
-    name = _name_in(batch, target)
-    if batch is None or name is None:
+    found = _in_batch(target)
+    if found is None:
         target.unlink(missing_ok=True)
         return
-    if name in batch.files:
-        batch.files.pop(name).close()
+    stage, name = found
+    (stage.new / name).unlink(missing_ok=True)
     if target.exists():
-        batch.removed.add(name)
+        _with_parents(stage.removed / name).touch()
 
 
 def newest(path: str | Path) -> Path:
@@ -223,9 +234,10 @@ def newest(path: str | Path) -> Path:
     Returns:
         Path of the temporary file, valid until the batch ends, if the present batch has written the file; else `path`.
     """
-    batch = _BATCH.get()
-    name = _name_in(batch, Path(path))
-    return batch.files[name].readable if batch is not None and name in batch.files else Path(path)
+    found = _in_batch(Path(path))
+    if found is None or not (found[0].new / found[1]).exists():
+        return Path(path)
+    return found[0].new / found[1]
 
 
 @contextmanager
@@ -243,36 +255,163 @@ def output_batch(folder: str | Path) -> Iterator[Path]:
         The folder.
 
     Raises:
-        InputError: If another process writes to the folder.
+        InputError: If another process writes to the folder, or Windows cannot replace a file because it is open in
+            another program.
         OSError: If the folder cannot be created or written, or the disk is full.
     """
-    if _name_in(_BATCH.get(), Path(folder)) is not None:
+    if _in_batch(Path(folder)) is not None:
         yield Path(folder)
         return
     with locked_folder(folder):
-        batch = _Batch(Path(folder).resolve())
-        token = _BATCH.set(batch)
+        path = Path(folder).resolve()
+        stage = _HELD[path]
+        token = _BATCH.set(_Batch(path, stage))
         try:
             yield Path(folder)
-            _BATCH.reset(token)
-            if batch.files or batch.removed:
-                batch.commit()
+            stage.commit(path)
         finally:
-            if _BATCH.get() is batch:
-                _BATCH.reset(token)
-            batch.close()
+            _BATCH.reset(token)
+            stage.discard()
 
 
-def _name_in(batch: _Batch | None, path: Path) -> Path | None:
-    """Return the path of a file relative to the folder of a batch, None if there is no batch or the file is outside."""
-    if batch is None:
-        return None
-    absolute = Path(os.path.abspath(path.parent.resolve() / path.name))
-    return absolute.relative_to(batch.folder) if absolute.is_relative_to(batch.folder) else None
+@contextmanager
+def locked_folder(folder: str | Path) -> Iterator[Path]:
+    """Lock a folder during the `with` block, so that no other process of this package writes to it.
+
+    The folder is created if it does not exist. What killed processes left in it is cleaned up first: complete changes
+    are finished, everything else is removed. The lock also ends if this process is killed. A folder that was created
+    here is removed again if it is still empty at the end. If this process has locked the folder already, the block does
+    nothing.
+
+    Args:
+        folder: Folder for the output of a command.
+
+    Yields:
+        The folder.
+
+    Raises:
+        InputError: If another process has locked the folder.
+        OSError: If the folder cannot be created or written.
+    """
+    path = Path(folder).resolve()
+    if path in _HELD:
+        yield Path(folder)
+        return
+    created = [p for p in (path, *path.parents) if not p.exists()]
+    stage = _Stage(path / STAGE)
+    try:
+        with _naming(Path(folder)):
+            path.mkdir(parents=True, exist_ok=True)
+            with stage.locked(wait=False) as mine:
+                if not mine:
+                    problem = "another hframe command is writing to this folder; wait or choose another one"
+                    raise InputError(f"{folder}: {problem}")
+                stage.finish(path)
+                stage.discard()
+                _remove_stages(path, f"{STAGE}-")
+                _HELD[path] = stage
+                try:
+                    yield Path(folder)
+                finally:
+                    del _HELD[path]
+    finally:
+        with suppress(OSError):  # not empty
+            for new in created:
+                new.rmdir()
 
 
-def _with_name(error: OSError, path: Path) -> OSError:
-    """Return an error of the operating system that names the path which the user knows."""
-    if error.filename is None or UNFINISHED in str(error.filename) or str(error.filename).startswith("/proc/"):
-        error.filename, error.filename2 = str(path), None
-    return error
+def complete_commit(folder: str | Path) -> None:
+    """Finish the changes of a folder that a killed process had completed but not finished.
+
+    `output_batch` writes the new files of a folder completely before it moves the first one to its name. If it is
+    killed between two moves, the folder holds new files beside old ones. Call this function before you read files of a
+    folder that belong together. While any process has locked the folder, the function does nothing.
+
+    Args:
+        folder: Folder that `output_batch` may have written.
+
+    Raises:
+        OSError: If there are files to move and the folder cannot be written.
+    """
+    path = Path(folder).resolve()
+    stage = _Stage(path / STAGE)
+    if path in _HELD or not stage.complete.exists():
+        return
+    with _naming(Path(folder)), stage.locked(wait=False) as mine:
+        if mine:
+            stage.finish(path)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Provide an empty temporary folder; it is deleted at the end of the `with` block.
+
+    It is for libraries that can write only to a path. Scratch folders that killed processes of the same user left are
+    deleted at the beginning.
+
+    Yields:
+        Empty folder in the system's folder for temporary files.
+
+    Raises:
+        OSError: If the folder cannot be created.
+    """
+    _remove_stages(Path(tempfile.gettempdir()), _SCRATCH)
+    stage = _Stage(Path(tempfile.mkdtemp(prefix=_SCRATCH)))
+    with stage.locked(wait=True):  # wait: another process may just look whether the folder is still used
+        stage.new.mkdir()
+        yield stage.new
+
+
+def _remove_stages(folder: Path, prefix: str) -> None:
+    """Remove the stages of killed processes in a folder; those of other users cannot be locked, so they stay."""
+    for path in folder.glob(f"{prefix}*"):
+        if path.is_symlink() or not path.is_dir():
+            continue
+        with suppress(OSError):
+            path.rmdir()  # was left before it had a lock
+        with suppress(OSError):
+            if (path / "lock").is_file():
+                with _Stage(path).locked(wait=False):
+                    pass
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the relative paths of all files below a folder in a fixed order."""
+    return sorted(path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir())
+
+
+def _move(source: Path, target: Path) -> None:
+    """Give a file another name, at which it replaces a file; moving a file to itself tells whether it can be moved."""
+    deadline = time.monotonic() + _SCANNER_S
+    while True:
+        try:
+            if source == target:
+                os.rename(source, target)
+            else:
+                os.replace(source, target)
+        except PermissionError as error:
+            if getattr(error, "winerror", None) not in _IN_USE:
+                raise
+            if time.monotonic() > deadline:
+                advice = "close it there and run the command again"
+                raise InputError(f"{target}: is open in another program, or write-protected; {advice}") from error
+            time.sleep(_POLL_S)
+        else:
+            return
+
+
+def _with_parents(path: Path) -> Path:
+    """Create the folder of a file, and the folders above it, where they do not exist; return the path of the file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+@contextmanager
+def _naming(path: Path, *, every: bool = False) -> Iterator[None]:
+    """Let errors of the operating system name a path that the user knows instead of a stage (every: or of none)."""
+    try:
+        yield
+    except OSError as error:
+        if STAGE in str(error.filename) or (every and error.filename is None):
+            error.filename, error.filename2 = str(path), None
+        raise

@@ -1,13 +1,17 @@
-"""Folder in which compiled code is kept between processes."""
+"""Find the folder in which generated simulation code and its compiled form are cached."""
 
 from __future__ import annotations
 
+import getpass
 import os
 import shutil
+import stat
 import tempfile
 import warnings
 from functools import lru_cache
 from pathlib import Path
+
+from .operating_system import user_folder
 
 _CACHE_ROOM = 32e6  # bytes that must be free; a kernel takes about 50 kB, Numba's code of all loops 2 MB
 
@@ -23,9 +27,13 @@ def cache_folder() -> Path:
         Existing folder that can be written.
     """
     explicit = os.environ.get("HFRAME_CACHE")
-    root = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    preferred = (explicit, f"{root}/hframe_gym") if explicit else (f"{root}/hframe_gym",)
-    return _first_usable(preferred, f"{tempfile.gettempdir()}/hframe_gym-{os.getuid()}")
+    usual = str(user_folder("cache") / "hframe_gym")
+    return _first_usable((explicit, usual) if explicit else (usual,), f"{tempfile.gettempdir()}/{_private_name()}")
+
+
+def _private_name() -> str:
+    """Return a name for a folder of this user in a temporary folder that users may share."""
+    return f"hframe_gym-{os.getuid() if hasattr(os, 'getuid') else getpass.getuser()}"
 
 
 @lru_cache
@@ -35,12 +43,12 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
         path = Path(folder)
         try:
             path.mkdir(parents=True, exist_ok=True, mode=0o700 if folder == temporary else 0o755)
-            details, free = path.lstat(), shutil.disk_usage(path).free
+            free = shutil.disk_usage(path).free
+            with tempfile.TemporaryFile(dir=path):  # Windows knows only in this way whether a folder can be written
+                pass
         except OSError:
             continue
-        # The code in it is executed: in the shared temporary folder it must belong to this user alone.
-        private = details.st_uid == os.getuid() and not details.st_mode & 0o077
-        if os.access(path, os.W_OK) and free > _CACHE_ROOM and (private or folder != temporary):
+        if free > _CACHE_ROOM and (folder != temporary or _private(path)):
             break
     else:
         path = Path(tempfile.mkdtemp(prefix="hframe_gym-"))
@@ -49,3 +57,11 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
         advice = "Set HFRAME_CACHE to a folder that stays, so that later runs start quickly"
         warnings.warn(f"{problem}. {advice}", RuntimeWarning, stacklevel=2)
     return path
+
+
+def _private(path: Path) -> bool:
+    """Return whether only this user can write a folder in the temporary folder: the code in it is executed."""
+    if not hasattr(os, "getuid"):
+        return True  # each user of Windows has a temporary folder
+    details = path.lstat()
+    return stat.S_ISDIR(details.st_mode) and details.st_uid == os.getuid() and not details.st_mode & 0o077

@@ -16,17 +16,16 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
-from multiprocessing import get_context, parent_process
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .atomic_files import atomic_file, output_batch
+from .atomic_files import atomic_file, output_batch, scratch_folder
 from .errors import InputError
-from .locked_folders import scratch_folder
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -220,9 +219,9 @@ class _LocalWorker:
     def stop(self) -> None:
         """End the process, also during a task."""
         self._stopped = True
-        if self._process is not None:
-            with suppress(ProcessLookupError):
-                os.kill(self._process, signal.SIGKILL)
+        for process in active_children():
+            if process.pid == self._process:
+                process.kill()
 
     def _start(self) -> ProcessPoolExecutor:
         """Start the process."""

@@ -6,6 +6,7 @@ Nothing in a file is executed.
 
 from __future__ import annotations
 
+import codecs
 import json
 import math
 import zipfile
@@ -90,25 +91,25 @@ def refuse_many_values(path: Path, rows: int, columns: int) -> None:
         raise InputError(f"{path}: has more than {MAX_VALUES:.0e} numbers; cut the recording into several runs")
 
 
-def read_document(path: Path, encoding: str = "utf-8") -> str:
+def read_document(path: Path) -> str:
     """Read a whole text file such as JSON or TOML, of at most 16 MB (`MAX_DOCUMENT`).
 
     Args:
-        path: File to read.
-        encoding: Encoding of the text.
+        path: File to read, UTF-8 with or without a byte order mark, or UTF-16 with one.
 
     Returns:
         Text of the file.
 
     Raises:
-        InputError: If the file cannot be read, is larger than 16 MB, or is not text in this encoding.
+        InputError: If the file cannot be read, is larger than 16 MB, or is not such a text.
     """
     try:
         with open(path, "rb") as file:
             content = file.read(MAX_DOCUMENT + 1)
         if len(content) > MAX_DOCUMENT:
             raise InputError(f"{path}: is larger than {MAX_DOCUMENT >> 20} MB, which is not a file of this kind")
-        return content.decode(encoding)
+        utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # `>` in Windows PowerShell writes it
+        return content.decode("utf-16" if utf_16 else "utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
@@ -119,7 +120,7 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Args:
-        path: File to read, UTF-8 with or without a byte order mark.
+        path: File to read, in an encoding of `read_document`.
 
     Returns:
         Content of the file: dictionaries, lists, texts, numbers, True, False and None.
@@ -129,7 +130,7 @@ def read_json(path: Path) -> Any:
             infinity and integers of thousands of digits are not accepted.
     """
     try:
-        return json.loads(read_document(path, "utf-8-sig"), parse_constant=_refuse_constant)
+        return json.loads(read_document(path), parse_constant=_refuse_constant)
     except InputError:
         raise
     except ValueError as error:

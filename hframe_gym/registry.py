@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import os
 import pkgutil
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -91,6 +92,18 @@ def _import_from_user(module: str) -> None:
         importlib.import_module(module)
 
 
+def names_module(name: str) -> bool:
+    """Return whether a name has the form `package.module:name`; a Windows path with a drive has not.
+
+    Args:
+        name: Name that a user has written.
+
+    Returns:
+        True if the part before the colon can be a module and the part after it is no path.
+    """
+    return re.fullmatch(r"[^\W\d][\w.]*:[^\\/:]+", name) is not None
+
+
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
     """Import every module of a package, so that the classes and functions in them register themselves by name.
 
@@ -168,8 +181,8 @@ class Registry(Generic[T]):
         Raises:
             InputError: If the module cannot be imported or the name is not registered; the message lists all names.
         """
-        module, colon, key = name.rpartition(":")
-        if colon:
+        module, _, key = name.rpartition(":") if names_module(name) else ("", "", name)
+        if module:
             try:
                 _import_from_user(module)
             except Exception as error:

@@ -649,3 +649,40 @@ def test_the_estimate_of_the_duration_does_not_refuse_a_machine_that_diverges(hf
     lines: list[str] = []
     log_time_estimate([wild], hframe, lines.append)
     assert lines == []
+
+
+@pytest.mark.parametrize(
+    ("words", "missing", "example"),
+    [
+        ("train", "Missing argument 'algorithm'", "hframe train ppo --out out/ppo"),
+        ("evaluate", "Missing argument 'controllers'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
+        ("evaluate --ray", "Missing argument 'controllers'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
+        ("evaluate pid", "Missing option '--out'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
+        ("export", "Missing argument 'controllers'", "hframe export pid ppo --episodes 100 --out out/minari"),
+        ("simulate", "Missing option '--inputs'", "hframe simulate --machine hframe --inputs examples/rig_b/"),
+        ("kernel", "Missing argument 'machine'", "hframe kernel hframe"),
+        ("examples", "Missing option '--out'", "hframe examples --out examples"),
+        ("import", "Missing argument 'logs'", "hframe import log.txt"),
+        ("check", "Missing argument 'runs_dir'", "hframe check examples/rig_a"),
+        ("identify", "Missing argument 'runs_dir'", "hframe identify examples/rig_a --out out/rig_a"),
+        ("report", "Missing argument 'folder'", "hframe report out/rig_a --open"),
+        ("effects new", "Missing argument 'name'", "hframe effects new rail_catch --from out/rig"),
+        ("machines show", "Missing argument 'machine'", "hframe machines show my.json"),
+        ("machines new", "--like and --out: missing", "hframe machines new --like corexy --out my.json"),
+    ],
+)
+def test_a_command_without_what_it_needs_says_what_is_missing_with_an_example(
+    words: str, missing: str, example: str, hframe_command: Callable[..., tuple[int, str, str]]
+) -> None:
+    code, _, errors = hframe_command(*words.split())
+    assert code == 2
+    assert errors.startswith(f"hframe: {missing}")
+    assert f"for example: {example}" in errors or f"for example {example}" in errors
+    assert errors.count("\n") == 1
+
+
+def test_play_refuses_a_machine_with_one_axis(hframe_command: Callable[..., tuple[int, str, str]]) -> None:
+    pytest.importorskip("pygame")
+    code, _, errors = hframe_command("play", "--machine", "axis", "--frames", "1")
+    assert code == 2
+    assert "machine 'axis': `hframe play` shows a tool that moves along x and y, and this one moves along x" in errors

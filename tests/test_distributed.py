@@ -75,6 +75,7 @@ def test_another_version_in_a_worker_is_refused(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.integration
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads the list of processes of Linux")
 def test_workers_end_with_a_program_that_is_killed(tmp_path: Path) -> None:
     code = (
         "import sys, time\nfrom pathlib import Path\nfrom hframe_gym.distributed import map_tasks\n"
@@ -98,6 +99,7 @@ def test_workers_end_with_a_program_that_is_killed(tmp_path: Path) -> None:
 
 
 def _runs(process: int) -> bool:
+    """Return whether a process runs, by Linux's list of processes."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:

@@ -10,14 +10,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from typer.testing import CliRunner
 
 from benchmarks.faults.determinism import determinism
-from hframe_gym import locked_folders
 from hframe_gym.cli import app
 from hframe_gym.cli.support import describe_failure
 
 ROOT = Path(__file__).parents[1]
+needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT or SIGTERM to a process")
 # Runs the entry point of the command with another command line application.
 _COMMAND = """
 import sys, time
@@ -51,6 +52,7 @@ def start(body: str) -> subprocess.Popen[str]:
     )
 
 
+@needs_signals
 @pytest.mark.parametrize(
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
@@ -66,6 +68,7 @@ def test_a_signal_ends_the_command_with_one_line(body: str, number: signal.Signa
     assert process.returncode == code
 
 
+@needs_signals
 def test_an_ignored_signal_stays_ignored() -> None:
     """Commands in the background of a script, and those started by nohup, are not interrupted."""
     body = "    print('ready', flush=True)\n    time.sleep(0.5)"
@@ -84,15 +87,14 @@ def test_an_ignored_signal_stays_ignored() -> None:
     ids=lambda words: words[0],
 )
 def test_a_folder_in_use_is_refused(words: tuple[str, ...], tmp_path: Path) -> None:
-    descriptor = os.open(tmp_path, os.O_RDONLY)
-    assert locked_folders.lock(descriptor)  # as another process would
-    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path)])
-    os.close(descriptor)
+    (tmp_path / ".hframe").mkdir()
+    with FileLock(tmp_path / ".hframe" / "lock"):  # as another process would
+        result = CliRunner().invoke(app, [*words, "--out", str(tmp_path)])
     assert result.exception is not None
     code, line = describe_failure(result.exception)  # type: ignore[arg-type]
     assert code == 2
     assert line == f"{tmp_path}: another hframe command is writing to this folder; wait or choose another one"
-    assert list(tmp_path.iterdir()) == []
+    assert [p.name for p in tmp_path.iterdir()] == [".hframe"]
 
 
 def test_a_full_disk_is_the_inputs_fault_even_without_a_path() -> None:

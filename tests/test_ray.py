@@ -36,6 +36,7 @@ def curve(folder: Path) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if key not in ("seconds", "cpu_s")} for row in rows]
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills a worker of Ray by a signal")
 def test_with_two_workers_of_which_one_is_killed_every_seed_gives_the_agent_of_the_plain_run(tmp_path: Path) -> None:
     words = [word for seed in SEEDS for word in ("--seed", seed)]
     lines, killed = [], 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import time
 from pathlib import Path
 
@@ -19,7 +18,7 @@ def draw(seed: int, folder: Path | None = None, dies: int = -1, times: int = 1) 
         with (folder / f"started_{seed}").open("a") as file:
             file.write(f"{os.getpid()}\n")
         if seed == dies and len((folder / f"started_{seed}").read_text().split()) <= times:
-            os.kill(os.getpid(), signal.SIGKILL)
+            os._exit(9)  # as if it had been killed: nothing is cleaned up
     return seed, numbers
 
 

@@ -111,7 +111,7 @@ def main() -> None:
             path.write_bytes(data)
             total += len(data)
             print(f"{path}: {len(run.time_s)} rows, {len(data) / 1024:.0f} kB", flush=True)
-    (folder / "README.md").write_text(README)
+    (folder / "README.md").write_text(README, "utf-8")
     print(f"{folder / 'README.md'}; recordings together {total / 1024:.0f} kB")
 
 

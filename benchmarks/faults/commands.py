@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.results_file import ROOT
+from hframe_gym.atomic_files import STAGE, complete_commit, locked_folder
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, write_recording
@@ -138,12 +139,17 @@ def contents(folder: Path) -> dict[str, bytes]:
     """Return the bytes of all files below a folder by relative path, times and TensorBoard logs left out."""
     files: dict[str, bytes] = {}
     for path in sorted(folder.rglob("*")):
-        name = str(path.relative_to(folder))
+        name = path.relative_to(folder).as_posix()
         if path.is_dir() and not any(path.iterdir()):
             files[f"{name}/"] = b""
         elif path.is_file() and "tensorboard" not in path.parts:
             files[name] = without_times(path)
     return files
+
+
+def without_stages(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return contents without the hidden folders of unfinished files, which a killed process leaves."""
+    return {name: content for name, content in files.items() if f"/{STAGE}" not in f"/{name}"}
 
 
 def without_times(path: Path) -> bytes:
@@ -206,9 +212,20 @@ class Stage:
         shutil.copytree(self.folder / "old" / job.name, work)
         return work
 
-    def outcome(self, job: Job, work: Path) -> str:
-        """Return "old", "new" or what a working folder has beside or instead of one of them."""
-        found = contents(work)
+    def outcome_after_kill(self, job: Job, work: Path) -> str:
+        """Return "old", "new" or what a command that reads the output finds instead; unfinished files do not count."""
+        complete_commit(work / job.output)
+        return self.outcome(job, work, without_stages(contents(work)))
+
+    def outcome_for_next_writer(self, job: Job, work: Path) -> str:
+        """Return "old", "new" or what the next command that writes to the folder finds: unfinished files are gone."""
+        with locked_folder(work if job.name == "simulate" else work / job.output):
+            pass
+        return self.outcome(job, work)
+
+    def outcome(self, job: Job, work: Path, found: Mapping[str, bytes] | None = None) -> str:
+        """Return "old", "new" or what a working folder (or `found`) has beside or instead of one of them."""
+        found = contents(work) if found is None else found
         for state in ("new", "old"):
             expected = contents(self.folder / state / job.name)
             if found == expected:

@@ -13,7 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.faults.commands import JOBS, Job, Row, Stage, contents, finish, row, run, start, words_of
+from benchmarks.faults.commands import (
+    JOBS,
+    Job,
+    Row,
+    Stage,
+    contents,
+    finish,
+    row,
+    run,
+    start,
+    without_stages,
+    words_of,
+)
+from hframe_gym.atomic_files import STAGE, complete_commit
 
 SEED = 15
 KILLS = {"simulate": 36, "report": 20, "export": 18, "identify": 14, "evaluate": 14, "train": 8}
@@ -31,23 +44,29 @@ def kills(stage: Stage, log: Log) -> list[Row]:
         if name == "train":
             continue
         job, outcomes = JOBS[name], Counter[str]()
-        failures = []
+        failures, unfinished = [], 0
         for k in range(count):
             duration = stage.seconds[name]
             moment = rng.uniform(0.0, 1.05 * duration) if k % 2 else rng.uniform(0.7 * duration, 1.05 * duration)
             work = stage.fresh(job, "killed")
             kill_after(words_of(job, job.new, stage.inputs), work, moment)
-            outcome = stage.outcome(job, work)
+            unfinished += any(work.rglob(f"{STAGE}*"))
+            outcome = stage.outcome_after_kill(job, work)
             outcomes[outcome.partition(":")[0]] += 1
             if outcome not in ("old", "new"):
                 failures.append(f"after {moment:.2f} s: {outcome}")
             if k % RUN_AGAIN_EVERY:
+                if stage.outcome_for_next_writer(job, work) != outcome:
+                    failures.append(f"after {moment:.2f} s: the next writer finds other files")
                 continue
             if run(words_of(job, job.new, stage.inputs), work).code not in _codes_of_repetition(job, outcome):
                 failures.append(f"after {moment:.2f} s: the command does not run again")
             elif stage.outcome(job, work) != "new":
                 failures.append(f"after {moment:.2f} s: running it again gives {stage.outcome(job, work)}")
-        note = f"old output {outcomes['old']} times, new output {outcomes['new']} times; run again: the new output"
+        note = (
+            f"old output {outcomes['old']} times, new output {outcomes['new']} times; unfinished files {unfinished} "
+            "times, gone at the next writer; run again: the new output"
+        )
         rows.append(row("kill -9", f"`{name}`", count, failures, note))
         log(f"kill -9 {name}: {dict(outcomes)} {failures}")
     return [*rows, _killed_training(stage, rng, log)]
@@ -78,15 +97,18 @@ def _killed_training(stage: Stage, rng: np.random.Generator, log: Log) -> Row:
         for _ in range(4):
             kill_after((*words, "--resume") if resume else words, work, rng.uniform(0.3, 1.0) * stage.seconds["train"])
             killed += 1
-            names = set(contents(work))
+            complete_commit(work / job.output)
+            names = set(without_stages(contents(work)))
             resume = "out/checkpoint.zip" in names
             complete = {"out/agent.json", "out/policy.safetensors", "out/machine.json", "out/card.json"}
             kinds["with" if resume else "without"] += 1
-            if (resume and not complete <= names) or any(Path(n).name.startswith(".") for n in names):
+            if resume and not complete <= names:
                 failures.append(f"kill {killed}: the folder holds {sorted(names)}")
         if run((*words, "--resume") if resume else words, work).code:
             failures.append(f"kill {killed}: --resume failed")
             continue
+        if left := sorted(n for n in contents(work) if f"/{STAGE}" in n):
+            failures.append(f"kill {killed}: after the end, the folder holds {left}")
         result = {n: c for n, c in contents(work).items() if _is_result(n)}
         if result != expected:
             different = sorted(n for n in result.keys() | expected.keys() if result.get(n) != expected.get(n))
@@ -166,9 +188,10 @@ def collisions(stage: Stage, log: Log) -> list[Row]:
 
 
 def _wait_for_lock(folder: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until a process has the folder open, which it does while it has it locked."""
+    """Wait until a process has the lock file of the folder open, which it has while it has the folder locked."""
+    lock = str((folder / STAGE / "lock").resolve())
     while process.poll() is None:
         links = Path(f"/proc/{process.pid}/fd").glob("*")
-        if any(os.path.realpath(link) == str(folder) for link in links if link.is_symlink()):
+        if any(os.path.realpath(link) == lock for link in links if link.is_symlink()):
             return
         time.sleep(0.02)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..atomic_files import output_batch
+from ..atomic_files import locked_folder, output_batch
 from ..distributed import map_tasks
 from ..errors import InputError
-from ..locked_folders import locked_folder
+from ..operating_system import quoted
 from .app import (
     CONTROL_PERIOD,
     MAX_SEED,
@@ -103,7 +102,7 @@ def train(
 
         run_training(algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust, force)
     options = option_words(machine=machine, task=task, randomize=randomize, out=str(out / "scores"))
-    log(f"wrote {out}. Next: hframe evaluate {shlex.quote(str(out))} pid{options} --html")
+    log(f"wrote {out}. Next: hframe evaluate {quoted(str(out))} pid{options} --html")
 
 
 def _train_seeds(out: Path, **options: Any) -> None:

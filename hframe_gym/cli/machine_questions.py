@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import typer
 
 from ..errors import InputError
 from ..machine import Machine, motion_limits
+from ..operating_system import quoted
 from ..recordings import TEMPLATES, MachineOptions, new_machine, write_machine_template
 
 # Option, question, and the templates to which it applies.
@@ -125,7 +125,7 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
     for line in motion_lines(machine):
         log(line)
     log("if one of these values is implausible, check the units of the values you entered")
-    word = shlex.quote(str(path))
+    word = quoted(str(path))
     log(f"next: edit its values, then `hframe machines show {word}` and `hframe check RUNS --machine {word}`")
 
 

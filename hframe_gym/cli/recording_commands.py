@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from ..atomic_files import output_batch, remove_file
+from ..atomic_files import locked_folder, output_batch, remove_file
 from ..distributed import files_of, map_tasks, write_files
 from ..errors import InputError
-from ..locked_folders import locked_folder
 from .app import (
     CommandWithChoices,
     MachineOption,

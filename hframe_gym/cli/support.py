@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-import shlex
+import re
 import sys
 import time
 import warnings
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
+from ..operating_system import quoted
 from .app import plain_text
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def option_words(**values: str | None) -> str:
     Returns:
         Options with a blank before each, quoted for a shell, for example " --machine axis --task reach".
     """
-    return "".join(f" --{name} {shlex.quote(value)}" for name, value in values.items() if value is not None)
+    return "".join(f" --{name} {quoted(value)}" for name, value in values.items() if value is not None)
 
 
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
@@ -198,7 +199,7 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     usage = getattr(error, "format_message", None)  # of Typer's errors about options
     text = plain_text(" ".join((usage() if usage else str(error)).split()))
     if usage:
-        return INPUT_AT_FAULT, f"{text} (see --help)"
+        return INPUT_AT_FAULT, f"{text.rstrip('.')} ({_example(error)}see --help)"
     if isinstance(error, InputError | ImportError):
         return INPUT_AT_FAULT, text
     if isinstance(error, NotFiniteError):
@@ -209,6 +210,13 @@ def describe_failure(error: Exception) -> tuple[int, str]:
         return INPUT_AT_FAULT, plain_text(f"{place}: {error.strerror}{advice}")
     hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
+
+
+def _example(error: Exception) -> str:
+    """Return the example of the command in whose words something is missing, empty if nothing is or it has none."""
+    command = getattr(getattr(error, "ctx", None), "command", None)
+    found = re.search(r"Examples?:\s+(hframe .+)", getattr(command, "help", None) or "")
+    return f"for example: {found[1].strip()}; " if found and type(error).__name__ == "MissingParameter" else ""
 
 
 def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..machine import Machine, Trajectory, rest_state
+from ..operating_system import cores
 from .effect_instances import instances_with_state
 from .kernel import Kernel
 from .machine_code import LANES
@@ -41,13 +42,7 @@ def threads() -> int:
         ValueError: If `$HFRAME_THREADS` is not an integer.
     """
     explicit = os.environ.get("HFRAME_THREADS")
-    return max(1, int(explicit)) if explicit else _cores(os.getpid())
-
-
-@lru_cache(maxsize=1)
-def _cores(process: int) -> int:
-    """Return the number of cores that this process may use; evaluated once per process."""
-    return len(os.sched_getaffinity(0))
+    return max(1, int(explicit)) if explicit else cores()
 
 
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:

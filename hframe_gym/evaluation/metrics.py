@@ -316,7 +316,7 @@ def condition_digests(conditions: EpisodeConditions) -> list[str]:
 @cache
 def _bounds_by_digest() -> dict[str, float]:
     """Return the stored settling times to 0.2 mm, s, by digest; `python -m benchmarks.bound` computes them."""
-    content = json.loads((resources.files("hframe_gym.evaluation") / BOUNDS_FILE).read_text())
+    content = json.loads((resources.files("hframe_gym.evaluation") / BOUNDS_FILE).read_text("utf-8"))
     return {row["draw"]: row["time_s"] for row in content["draws"] if row["time_s"] is not None}
 
 

@@ -19,12 +19,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from ..atomic_files import atomic_file, output_batch
+from ..atomic_files import atomic_file, output_batch, scratch_folder
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
 from ..envs import HFrameVectorEnv, as_task
 from ..errors import InputError
-from ..locked_folders import scratch_folder
 from ..machine import BUILTIN_MACHINES
 from ..recordings import machine_to_dict, save_machine
 from .scenario import Scenario, make_controller

@@ -172,6 +172,12 @@ class Game:
     ) -> None:
         if not (math.isfinite(speed) and speed > 0.0):
             raise InputError(f"speed is {speed!r}, it must be a positive number")
+        machine = scenario.declared_machine
+        if len(machine.tool_axes) != 2:
+            raise InputError(
+                f"machine {machine.name!r}: `hframe play` shows a tool that moves along x and y, and this one moves "
+                f"along {' and '.join(machine.tool_axes) or 'no axis'} only; `hframe evaluate` plots its episodes"
+            )
         self._model = MotionModel(scenario.declared_machine)
         self.stages = [PlayedStage(scenario, controller)] + ([PlayedStage(scenario, beside)] if beside else [])
         import pygame  # the stages' views have found it

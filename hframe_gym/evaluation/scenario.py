@@ -30,7 +30,7 @@ from ..envs import (
 )
 from ..errors import InputError
 from ..machine import Machine
-from ..registry import Registry, load_plugins
+from ..registry import Registry, load_plugins, names_module
 
 Array = NDArray[np.float64]
 LONGEST_EPISODE = 3600.0  # s
@@ -290,7 +290,7 @@ def make_controller(
     """
     scenario = machine if isinstance(machine, Scenario) else Scenario(machine, task, sensors=sensors, period=period)
     load_plugins()
-    if name in CONTROLLERS or (":" in name and not Path(name).exists()):
+    if name in CONTROLLERS or (names_module(name) and not Path(name).exists()):
         return _make_registered(name, scenario)
     for source_name in CONTROLLER_SOURCES:
         controller = CONTROLLER_SOURCES.get(source_name).make(name, scenario)
@@ -298,7 +298,7 @@ def make_controller(
             return controller
     sources = [CONTROLLER_SOURCES.get(source_name).describe(scenario) for source_name in CONTROLLER_SOURCES]
     choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
-    problem = ": there is no such folder" if "/" in name else " is unknown"
+    problem = ": there is no such folder" if "/" in name or "\\" in name else " is unknown"
     raise InputError(f"controller {name!r}{problem}; choose {'; or '.join(choices)}")
 
 

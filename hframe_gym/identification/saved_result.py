@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from ..atomic_files import newest
+from ..atomic_files import complete_commit, newest
 from ..effects import EFFECTS
 from ..errors import InputError
 from ..file_limits import read_arrays, read_document
-from ..locked_folders import complete_commit
 from ..machine import Machine
 from ..recordings import load_machine
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of

@@ -128,7 +128,7 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
     path = Path(path)
     try:
         is_json = path.suffix.lower() == ".json"
-        content = read_json(path) if is_json else tomllib.loads(read_document(path, "utf-8-sig"))
+        content = read_json(path) if is_json else tomllib.loads(read_document(path))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is not a valid TOML file: {error}") from None
     tables: dict[str, dict[str, str | float]] = {"map": {}, "unit": {}, "scale": {}}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..errors import InputError
 from ..machine import Machine
+from ..operating_system import quoted
 from .log_file import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
 from .measurement_units import (
     ALL_SPEED_UNITS,
@@ -347,4 +347,4 @@ class _LogMapping:
 
 def _map_option(channel: str, reference: str) -> str:
     """Return the option that assigns a column to a channel, quoted for a shell."""
-    return f"--map {shlex.quote(f'{channel}={reference}')}"
+    return f"--map {quoted(f'{channel}={reference}')}"

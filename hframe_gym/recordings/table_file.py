@@ -6,7 +6,6 @@ Rows are counted from 1, the first row below the header. An empty cell is NaN.
 from __future__ import annotations
 
 import gzip
-import shlex
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import IO, Any
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..file_limits import refuse_expansion, refuse_many_values
+from ..operating_system import quoted
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
 
@@ -101,7 +101,7 @@ def import_command(path: Path) -> str:
     Returns:
         Command line for a shell; its output folder RUNS is a placeholder.
     """
-    return f"hframe import {shlex.quote(str(path))} --out RUNS"
+    return f"hframe import {quoted(str(path))} --out RUNS"
 
 
 def cell_text(path: Path, name: str, column: Array, row: int) -> str:

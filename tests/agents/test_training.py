@@ -2,10 +2,8 @@
 
 import io
 import json
-import os
 import random
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -116,7 +114,7 @@ def test_a_killed_run_resumes_from_its_checkpoint(tmp_path):
         deadline = time.monotonic() + 240.0
         while len(learning_curve(tmp_path)) < 2 and time.monotonic() < deadline and process.poll() is None:
             time.sleep(0.05)
-        os.kill(process.pid, signal.SIGKILL)
+        process.kill()
     before = learning_curve(tmp_path)
     assert before[-1]["steps"] > 0
     Agent.load(tmp_path)

@@ -1,0 +1,59 @@
+"""What differs between operating systems, calculated for each of them here."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from hframe_gym import operating_system
+from hframe_gym.cache_folder import cache_folder
+from hframe_gym.operating_system import cores, quoted, user_folder
+
+
+@pytest.mark.parametrize(
+    ("kind", "system", "variables", "folder"),
+    [
+        ("cache", "linux", {}, "HOME/.cache"),
+        ("cache", "linux", {"XDG_CACHE_HOME": "/fast"}, "/fast"),
+        ("cache", "darwin", {}, "HOME/Library/Caches"),
+        ("cache", "win32", {"LOCALAPPDATA": "C:/Users/me/AppData/Local"}, "C:/Users/me/AppData/Local"),
+        ("cache", "win32", {}, "HOME/AppData/Local"),
+        ("cache", "freebsd14", {}, "HOME/.cache"),
+        ("data", "linux", {}, "HOME/.local/share"),
+        ("data", "darwin", {}, "HOME/Library/Application Support"),
+        ("data", "win32", {"LOCALAPPDATA": "C:/Users/me/AppData/Local"}, "C:/Users/me/AppData/Local"),
+    ],
+)
+def test_folders_of_a_user(kind: str, system: str, variables: dict[str, str], folder: str) -> None:
+    expected = Path(folder.replace("HOME", os.path.expanduser("~")))
+    assert user_folder(kind, system, variables) == expected  # type: ignore[arg-type]
+
+
+def test_words_are_quoted_for_the_shell_of_the_system() -> None:
+    assert quoted(r"C:\logs\run 1.csv", "win32") == r'"C:\logs\run 1.csv"'
+    assert quoted(r"C:\logs\run_1.csv", "win32") == r"C:\logs\run_1.csv"
+    assert quoted("/logs/run 1.csv", "linux") == "'/logs/run 1.csv'"
+
+
+@pytest.mark.parametrize("absent", [(), ("process_cpu_count",), ("process_cpu_count", "sched_getaffinity")])
+def test_cores_are_counted_by_what_the_system_offers(absent: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in absent:
+        monkeypatch.delattr(os, name, raising=False)
+    operating_system._cores.cache_clear()
+    assert 1 <= cores() <= (os.cpu_count() or 1)
+    operating_system._cores.cache_clear()
+
+
+def test_the_cache_is_in_a_private_temporary_folder_where_users_have_no_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    monkeypatch.delenv("HFRAME_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setenv("LOGNAME", "me")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.delattr(os, "getuid", raising=False)
+    with pytest.warns(RuntimeWarning, match="is cached in"):
+        assert cache_folder() == tmp_path / "hframe_gym-me"
