@@ -7,10 +7,8 @@ millisecond, compiling it a tenth of a second.
 from __future__ import annotations
 
 import hashlib
-import itertools
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import llvmlite
@@ -22,8 +20,7 @@ from ..atomic_files import atomic_file
 from ..cache_folder import cache_folder
 
 _LOCK = threading.RLock()
-_NUMBERS = itertools.count()  # a library's name can be used once
-_LOADED: dict[str, Any] = {}  # libraries by the hash of their code; code is unloaded with the last reference to it
+_LOADED: dict[str, Any] = {}  # engines by the hash of their code, which exists as long as they do
 
 
 def processor() -> tuple[str, str]:
@@ -65,25 +62,17 @@ def native_functions(key: str, names: Sequence[str], build: Callable[[], ir.Modu
                 code = _compile(build())
                 with atomic_file(path) as file:
                     file.write(code)
-            _LOADED[name] = _load(name, code, names)
-        library = _LOADED[name]
-    return {function: library[function] for function in names}
+            _LOADED[name] = _load(code)
+        return {function: _LOADED[name].get_function_address(function) for function in names}
 
 
-@lru_cache(maxsize=1)
 def _target_machine() -> Any:
-    """Return LLVM's description of this processor."""
+    """Return a description of the processor for LLVM."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     cpu, features = processor()
     target = llvm.Target.from_default_triple()
     return target.create_target_machine(cpu=cpu, features=features, opt=3, codemodel="jitdefault", jit=True)
-
-
-@lru_cache(maxsize=1)
-def _linker() -> Any:
-    """Return the linker that loads object code into this process."""
-    return llvm.create_lljit_compiler(_target_machine())
 
 
 def _compile(module: ir.Module) -> bytes:
@@ -97,11 +86,9 @@ def _compile(module: ir.Module) -> bytes:
     return bytes(machine.emit_object(parsed))
 
 
-def _load(name: str, code: bytes, functions: Sequence[str]) -> Any:
-    """Load object code into this process; return an object from which addresses can be read by function name."""
-    library = (
-        llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
-    )  # which has `fma`, where no instruction
-    for function in functions:
-        library.export_symbol(function)
-    return library.link(_linker(), f"{name}_{next(_NUMBERS)}")
+def _load(code: bytes) -> Any:
+    """Load object code into this process with MCJIT, which Numba uses on all systems; return its engine."""
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return engine
