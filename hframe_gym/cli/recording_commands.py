@@ -26,6 +26,7 @@ from .app import (
     RecordingsArgument,
     RunFormats,
     app,
+    closed_output_tolerated,
     console,
     log,
     plain_text,
@@ -90,7 +91,7 @@ def import_logs(
         float, typer.Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
     ] = 0.5,
     split_every: Annotated[
-        float | None, typer.Option(min=0.5, max=3600.0, help="Cut each log into runs of about so many s, in motion.")
+        float | None, typer.Option(min=0.5, max=3600.0, help="Cut each log into runs of about this duration, s, also where the machine moves.")
     ] = None,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
@@ -306,7 +307,8 @@ def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _Identifie
 
     def log(line: str) -> None:
         if show_progress:
-            print(plain_text(f"{rig.runs_dir.name}: {line}"), flush=True)
+            with closed_output_tolerated():
+                print(plain_text(f"{rig.runs_dir.name}: {line}"))
 
     try:
         if isinstance(rig.recordings, InputError):
