@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..file_limits import refuse_expansion
-from .measurement_units import ALL_SPEED_UNITS, normalize_unit, split_unit
+from .quantities import Meaning, is_unit, meaning_of, normalize_unit, split_unit
 from .table_file import open_parquet, parquet_numbers, read_parquet_column
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
@@ -51,6 +51,13 @@ class LogColumn:
     unit: str
     kind: str
     rows: int | None = None
+
+    @property
+    def meaning(self) -> Meaning:
+        """Physical quantity of the column by its name and unit."""
+        if self.kind == "stamp":
+            return Meaning("time", "", "unit", "")
+        return meaning_of(self.name, self.unit)
 
 
 @dataclass(frozen=True)
@@ -114,12 +121,11 @@ class Log:
 
         Returns:
             The column whose header equals the channel's name. If there is none: all columns with the same name without
-            unit (case, blanks and punctuation do not matter), except those in a unit of speed such as mm/s.
+            unit (case, blanks and punctuation do not matter).
         """
         name = plain_name(split_unit(channel)[0])
         named = [column for column in self.columns if plain_name(column.name) == name]
-        positions = [column for column in named if column.unit not in ALL_SPEED_UNITS]
-        return [column for column in self.columns if column.header == channel] or positions
+        return [column for column in self.columns if column.header == channel] or named
 
 
 def plain_name(name: str) -> str:
@@ -181,6 +187,8 @@ def _columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str])
     for position, (written, unit, kind) in enumerate(zip(headers, units, kinds, strict=True), start=1):
         header = written.strip() or f"#{position}"
         name, unit_in_header = split_unit(header)
+        if is_unit(unit) and not is_unit(unit_in_header):  # the brackets in the header have a remark, no unit
+            unit_in_header = ""
         repeats = sum(column.header == header or column.header.startswith(f"{header}.") for column in columns)
         number = f".{repeats + 1}" if any(column.header == header for column in columns) else ""
         columns.append(LogColumn(header + number, name, unit_in_header or normalize_unit(unit), kind))

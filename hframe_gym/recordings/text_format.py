@@ -17,7 +17,7 @@ from typing import BinaryIO, TextIO, cast
 
 from ..errors import InputError
 from ..file_limits import MAX_LINE, refuse_long_line
-from .measurement_units import is_unit
+from .quantities import is_unit
 
 _SAMPLE = MAX_LINE  # bytes that determine the format
 _WHITESPACE = " "  # as a separator: one or more blanks
