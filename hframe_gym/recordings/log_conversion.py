@@ -123,7 +123,8 @@ class LogConverter:
         time_s = self._seconds(log, time, by_header)
         has_time = np.isfinite(time_s)
         if not has_time.all():
-            remarks.append(f"{int(np.sum(~has_time))} rows without a time left out")
+            count = int(np.sum(~has_time))
+            remarks.append(f"{count} row{'s' if count > 1 else ''} without a time left out")
         rows = has_time if not has_time.all() else slice(None)
         time_s = time_s[rows]
         refuse_decreasing_times(log.path, time_s)

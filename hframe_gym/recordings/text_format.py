@@ -24,11 +24,24 @@ _WHITESPACE = " "  # as a separator: one or more blanks
 # In the order of preference; a table with semicolons or tabs may have decimal commas.
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "vertical bars", ",": "commas", _WHITESPACE: "blanks"}
 _CONSECUTIVE = 3  # rows of numbers that mark the beginning of the data
+# The same where a row begins with a text, as lines above the data do in some logs ("Delta_X 0.001 0.001").
+_CONSECUTIVE_TEXTS = 10
 _COMMENT_SIGNS = ("#", "%", "//")
+_COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
+_ROW_ENDS = ";,|\t"  # separators that may end each row although other separators are between its cells
+_MOST = 0.9  # fraction of the rows that have such an end
+_COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for
+_LABEL = re.compile(r"[^\W\d][^:;,|\t]*:\s*")  # before a number: "speed:1.5"
 
+_NO_HEADER = "it has no header"
 MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
 _MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
-_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+# Also a number whose thousands are separated, which is refused later with advice; "1.0,0.5,0.2" is a row of numbers.
+_NUMBER = re.compile(
+    r"[+-]?(?:\d+(?:[.,]\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:,\d{3})+(?:\.\d*)?|[.,]\d+)(?:e[+-]?\d+)?"
+    r"|[+-]?inf(?:inity)?",
+    re.IGNORECASE,
+)
 _DATE = r"(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})"
 _TIME_STAMP = re.compile(rf"(?:{_DATE}[T ]+)?\d{{1,2}}:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|{_DATE}")
 
@@ -45,6 +58,8 @@ class TextFormat:
         names: Names of the columns as written; "#1", "#2", ... if the file has no header.
         units: Units in the row below the header, "" where there is none, in the order of the names.
         kinds: What each column contains: "number", "stamp" (time, with or without a date) or "text".
+        row_end: Separator at the end of each row that does not separate its cells; "" if there is none.
+        labels: Whether each cell begins with the name of its column and a colon, as for Arduino's serial plotter.
         deviations: What distinguishes the file from a recording (UTF-8, commas, points, a header in the first line), in
             words; empty for a plain file.
     """
@@ -57,6 +72,8 @@ class TextFormat:
     units: tuple[str, ...]
     kinds: tuple[str, ...]
     deviations: tuple[str, ...]
+    row_end: str = ""
+    labels: bool = False
 
 
 def detect_format(path: Path) -> TextFormat:
@@ -83,10 +100,21 @@ def detect_format(path: Path) -> TextFormat:
     if len(sample) == _SAMPLE:
         lines.pop()  # it may be incomplete
     declared = lines[0].strip()[4:] if lines[0].lower().startswith("sep=") else ""
-    separator = declared[:1] or _detect_separator(lines)
+    row_end = _row_end(lines)
+    shortened = [without_row_end(line, row_end) for line in lines] if row_end else lines
+    separator = declared[:1] or _detect_separator(shortened)
+    if row_end == separator:
+        row_end = ""
+    elif row_end:
+        lines = shortened
+        deviations.append(f"rows end with {_SEPARATORS[row_end]}")
     cells = [[] if _is_comment(line) else split_row(line, separator) for line in lines]
     if declared:
         cells[0] = []
+    labels = _labels(cells)
+    if labels:
+        cells = [[without_labels(cell) for cell in row] for row in cells]
+        deviations.append("each cell begins with the name of its column")
     first, width = _first_row(cells)
     rows = [row for row in cells[first:] if any(row)]
     names_above = max((len(row) for row in cells[:first]), default=0)
@@ -95,6 +123,9 @@ def detect_format(path: Path) -> TextFormat:
         advice = "if commas are also decimal marks, export it with semicolons between the columns"
         raise InputError(f"{path}: {problem}; {advice}")
     header, units, layout = _detect_header(lines, cells, first, width, separator)
+    if labels:
+        header, units = labels, [""] * len(labels)
+        layout = [remark for remark in layout if remark != _NO_HEADER]
     if rows and all(len(row) > len(header) and not any(row[len(header) :]) for row in rows):
         layout.append("rows end with a separator")
     deviations += layout
@@ -103,7 +134,18 @@ def detect_format(path: Path) -> TextFormat:
     decimal, kinds = _decimal_and_kinds(rows, len(header))
     if decimal == ",":
         deviations.append("numbers have decimal commas")
-    return TextFormat(encoding, separator, decimal, first, tuple(header), tuple(units), tuple(kinds), tuple(deviations))
+    return TextFormat(
+        encoding,
+        separator,
+        decimal,
+        first,
+        tuple(header),
+        tuple(units),
+        tuple(kinds),
+        tuple(deviations),
+        row_end,
+        bool(labels),
+    )
 
 
 @contextmanager
@@ -159,6 +201,31 @@ def split_row(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
+def without_row_end(line: str, row_end: str) -> str:
+    """Return a line without the separator that ends it.
+
+    Args:
+        line: Line of a table.
+        row_end: Separator at the end of the rows.
+
+    Returns:
+        The line up to the separator, without blanks at its end.
+    """
+    return line.rstrip(" ").removesuffix(row_end)
+
+
+def without_labels(text: str) -> str:
+    """Return a cell or line without the names and colons before its numbers.
+
+    Args:
+        text: Cell or line, such as "target:1.0,actual:0.98".
+
+    Returns:
+        The text with numbers alone, such as "1.0,0.98".
+    """
+    return _LABEL.sub("", text)
+
+
 def is_missing(cell: str) -> bool:
     """Return whether a cell has no value: whether it is empty or a word such as NA, NaN, null or #N/A.
 
@@ -208,6 +275,28 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(_COMMENT_SIGNS) and not is_missing(re.split(r"[,;\t ]", line.lstrip())[0])
 
 
+def _row_end(lines: Sequence[str]) -> str:
+    """Return the separator that ends most rows of numbers, "" if there is none."""
+    rows = [line.rstrip(" ") for line in lines if not _is_comment(line) and any(map(str.isdigit, line))]
+    for row_end in _ROW_ENDS:
+        if rows and sum(row.endswith(row_end) for row in rows) >= _MOST * len(rows):
+            return row_end
+    return ""
+
+
+def _labels(cells: Sequence[Sequence[str]]) -> list[str]:
+    """Return the names before the numbers in each row of labelled cells; empty if the cells have no labels."""
+    rows = [row for row in cells if any(row)]
+    if not rows or any(is_stamp(cell) for cell in rows[-1]):
+        return []
+    labels = [match[0].rstrip(": ") if (match := _LABEL.match(cell)) else "" for cell in rows[-1]]
+    for row in rows[-_CONSECUTIVE:]:
+        for cell, label in zip(row, labels, strict=False):
+            if not label or not cell.startswith(label) or not _is_number_or_stamp(without_labels(cell)):
+                return []
+    return labels
+
+
 def _detect_separator(lines: Sequence[str]) -> str:
     """Return the separator under which most lines are rows of numbers, else that of the last line."""
     scores = {}
@@ -238,6 +327,11 @@ def _is_data(row: Sequence[str], least: float = 0.5) -> bool:
     return numbers > 0 and numbers >= least * (numbers + texts)
 
 
+def _is_row(row: Sequence[str]) -> bool:
+    """Return whether a row belongs to the data: whether it has numbers, or states that it has no values."""
+    return _is_data(row) or (any(row) and all(map(is_missing, row)))
+
+
 def _is_number_or_stamp(cell: str) -> bool:
     """Return whether a cell is a number or a time stamp."""
     return _NUMBER.fullmatch(cell) is not None or is_stamp(cell)
@@ -254,17 +348,43 @@ def _first_row(cells: Sequence[Sequence[str]]) -> tuple[int, int]:
         return len(cells), len(cells[filled[-1]]) if filled else 0
     width = widths.most_common(1)[0][0]
     for k, i in enumerate(filled):
-        following = filled[k : k + _CONSECUTIVE]
-        is_first = len(cells[i]) == width and (width > 2 or _is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0]))
-        if is_first and all(_is_data(cells[j]) for j in following):
-            return i, width
+        begins_with_value = _is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0])
+        following = filled[k : k + (_CONSECUTIVE if begins_with_value else _CONSECUTIVE_TEXTS)]
+        is_first = len(cells[i]) == width and (width > 2 or begins_with_value)
+        if is_first and _is_data(cells[i]) and all(_is_row(cells[j]) for j in following):
+            while k and len(cells[filled[k - 1]]) == width and all(map(is_missing, cells[filled[k - 1]])):
+                k -= 1
+            return filled[k], width
     return len(cells), width
+
+
+@dataclass(frozen=True)
+class _LineAbove:
+    """Line above the data that may have the names or units of the columns: its number, and its cells if they fit."""
+
+    number: int
+    cells: list[str]
+    is_comment: bool
+
+    @property
+    def has_units(self) -> bool:
+        """Whether at least half of the filled cells are units."""
+        filled = [cell for cell in self.cells if cell]
+        return bool(filled) and 2 * sum(map(is_unit, filled)) >= len(filled)
+
+    @property
+    def has_only_bracketed_units(self) -> bool:
+        """Whether all cells are units in brackets, which are no names."""
+        return self.has_units and all(cell[:1] in "([{<" for cell in self.cells if cell)
 
 
 def _detect_header(
     lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, width: int, separator: str
 ) -> tuple[list[str], list[str], list[str]]:
     """Find the names and units of the columns above the first row of numbers.
+
+    They are in the last line above the data and in the line before it, in either order; if the last line that is no
+    comment does not fit, they are in comments.
 
     Args:
         lines: Lines of the file.
@@ -276,38 +396,63 @@ def _detect_header(
     Returns:
         Names ("#1", ... if there is no header), units ("" where there is none), and deviations from a recording.
     """
-    above = [i for i in range(first) if any(cells[i])]
-    comments = [i for i in range(first) if _is_comment(lines[i])]
     deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
-    units: list[str] = []
-
-    def names_in(row: Sequence[str]) -> list[str]:
-        trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
-        return trimmed if len(trimmed) in (width, width - 1) else []
-
-    def is_units_row(row: Sequence[str]) -> bool:
-        filled = [cell for cell in row if cell]
-        return bool(filled) and 2 * sum(map(is_unit, filled)) >= len(filled)
-
-    if len(above) > 1 and is_units_row(cells[above[-1]]) and names_in(cells[above[-2]]):
-        units = list(cells[above.pop()])
-        deviations.append("a row of units is below the header")
-    header = names_in(cells[above[-1]]) if above else []
-    if header:
-        above.pop()
-    elif comments:
-        header = names_in(split_row(lines[comments[-1]].lstrip(" \t#%/"), separator))
-        if header:
-            comments.pop()
-            deviations.append("the header is in a comment line")
-    if not header:
-        header = [f"#{k + 1}" for k in range(width)]
-        deviations.append("it has no header")
-    for skipped, what in ((comments, "comment"), (above, "other")):
+    above = []
+    for i in range(first):
+        if _is_comment(lines[i]):
+            above.append(_LineAbove(i, _cells_of_comment(lines[i], width, separator), True))
+        elif any(cells[i]):
+            above.append(_LineAbove(i, _fitting(cells[i], width), False))
+    names, units = _names_and_units(above)
+    used = [line.number for line in (names, units) if line is not None]
+    if names is None:
+        deviations.append(_NO_HEADER)
+    elif names.is_comment:
+        deviations.append("the header is in a comment line")
+    if units is not None:
+        place = "above" if names is not None and units.number < names.number else "below"
+        in_comment = " in a comment line" if units.is_comment else ""
+        deviations.append(f"a row of units is {place} the header{in_comment}")
+    for is_comment, what in ((True, "comment"), (False, "other")):
+        skipped = sum(line.is_comment == is_comment and line.number not in used for line in above)
         if skipped:
-            plural = "lines are" if len(skipped) > 1 else "line is"
-            deviations.append(f"{len(skipped)} {what} {plural} above the data")
-    return header, [*units, *[""] * len(header)][: len(header)], deviations
+            plural = "lines are" if skipped > 1 else "line is"
+            deviations.append(f"{skipped} {what} {plural} above the data")
+    header = names.cells if names is not None else [f"#{k + 1}" for k in range(width)]
+    texts = units.cells if units is not None else []
+    return header, [*texts, *[""] * len(header)][: len(header)], deviations
+
+
+def _fitting(row: Sequence[str], width: int) -> list[str]:
+    """Return the cells of a line above the data if their number fits that of the columns, else none."""
+    trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
+    if len(trimmed) == width + 1 and trimmed[-1].lower() == "comment":  # LabVIEW's last column, mostly without cells
+        trimmed.pop()
+    return trimmed if len(trimmed) in (width, width - 1) else []
+
+
+def _cells_of_comment(line: str, width: int, separator: str) -> list[str]:
+    """Return the cells of a comment, which may have another separator than the data, if their number fits."""
+    text = _COMMENT_SIGN.sub("", line, count=1)
+    splits = (_fitting(split_row(text, candidate), width) for candidate in (separator, *_SEPARATORS))
+    return next(filter(None, splits), [])
+
+
+def _names_and_units(above: Sequence[_LineAbove]) -> tuple[_LineAbove | None, _LineAbove | None]:
+    """Return the lines above the data that have the names and the units; None where there is none."""
+    plain = [line for line in above if not line.is_comment][-1:]
+    comments = [line for line in above if line.is_comment][: -_COMMENTS_WITH_NAMES - 1 : -1]
+    start = next((line for line in (*plain, *comments) if line.cells), None)
+    if start is None:
+        return None, None
+    place = above.index(start)
+    before = above[place - 1] if place and above[place - 1].cells else None
+    after = above[place + 1] if place + 1 < len(above) and above[place + 1].cells else None
+    if start.has_units and before is not None and not before.has_only_bracketed_units:
+        return before, start
+    if start.has_only_bracketed_units:
+        return None, start
+    return start, next((line for line in (after, before) if line is not None and line.has_units), None)
 
 
 def _decimal_and_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, list[str]]:
