@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
+from .log_clock import continued_counter, continued_over_midnight, repair_of_times
 from .log_file import ROW_NUMBER, Log
 from .log_mapping import ChannelSource
 from .measurement_units import TIME, Conversion, WrongUnitError
@@ -24,6 +25,8 @@ Values = dict[str, NDArray[Any]]  # values of the log's columns by header
 # Samples of several time columns that differ by less than this fraction of the shortest sampling period form one row.
 _SAME_TIME = 1e-3
 _LONG_STEP = 0.5  # s; times without a unit at longer steps are probably in another unit than seconds
+# Likely unit of times without a unit by their step: below a limit, unit, steps per second. Logs have 20 Hz to 20 kHz.
+_TIME_UNITS = ((50.0, "ms", 1e3), (50e3, "us", 1e6), (np.inf, "ns", 1e9))
 
 # A channel is at rest while its peak-to-peak variation is below a tolerance, the largest of:
 _REST_NOISE = 10.0  # standard deviations of its noise,
@@ -92,8 +95,6 @@ class LogConverter:
             origins = [
                 f"{channel} is the column {header!r}" for channel, header in header_of.items() if channel in message
             ]
-            if "goes back" in message:
-                message += "; did the clock restart? Cut the file there"
             raise InputError("; ".join([message, *origins])) from None
 
     def _columns(
@@ -120,14 +121,17 @@ class LogConverter:
         self, log: Log, time: ChannelSource, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
     ) -> tuple[Array, dict[str, Array]]:
         """Return one column of time, s, and the values of its channels, without rows that have no time."""
-        time_s = self._seconds(log, time, by_header)
+        time_s = self._seconds(log, time, by_header, remarks)
         has_time = np.isfinite(time_s)
         if not has_time.all():
             count = int(np.sum(~has_time))
             remarks.append(f"{count} row{'s' if count > 1 else ''} without a time left out")
         rows = has_time if not has_time.all() else slice(None)
         time_s = time_s[rows]
-        refuse_decreasing_times(log.path, time_s)
+        try:
+            refuse_decreasing_times(log.path, time_s)
+        except InputError as error:
+            raise InputError(f"{error}{repair_of_times(time_s)}") from None
         channels = {}
         for source in sources:
             if source.time is not None and source.time.column is time.column and source.column is not None:
@@ -135,8 +139,8 @@ class LogConverter:
                 channels[source.channel] = _integrate(time_s, values) if source.integrate else values
         return time_s, channels
 
-    def _seconds(self, log: Log, source: ChannelSource, by_header: Values) -> Array:
-        """Return the times of a column, s; NaN where a cell is empty."""
+    def _seconds(self, log: Log, source: ChannelSource, by_header: Values, remarks: list[str]) -> Array:
+        """Return the times of a column, s; NaN where a cell is empty. A clock that starts anew is continued."""
         assert source.column is not None
         values = by_header[source.column.header]
         if source.column.kind == "stamp":
@@ -144,14 +148,20 @@ class LogConverter:
             if self.day is None and len(stamps):
                 self.day = stamps[0].astype("datetime64[D]")
             nanoseconds = (values - (self.day or np.datetime64(0, "D"))).astype("timedelta64[ns]")
-            return np.where(np.isnat(values), np.nan, nanoseconds.astype(np.int64) / 1e9)
-        time_s = source.conversion.apply(values)
+            time_s = np.where(np.isnat(values), np.nan, nanoseconds.astype(np.int64) / 1e9)
+        else:
+            values, remark = continued_counter(values)
+            remarks += [remark] * bool(remark)
+            time_s = source.conversion.apply(values)
+        time_s, remark = continued_over_midnight(time_s)
+        remarks += [remark] * bool(remark)
         finite = time_s[np.isfinite(time_s)]
         step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
-        if source.unit_is_assumed and step >= _LONG_STEP:
+        if source.column.kind != "stamp" and source.unit_is_assumed and step >= _LONG_STEP:
+            unit, factor = next(((u, f) for longest, u, f in _TIME_UNITS if step < longest), _TIME_UNITS[-1][1:])
             raise InputError(
                 f"{log.path}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
-                f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
+                f"seconds; state its unit by --unit {TIME}={unit} (rows at {factor / step:.4g} Hz), or ms, us, ns, s"
             )
         return time_s
 
