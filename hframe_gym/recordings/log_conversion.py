@@ -14,10 +14,12 @@ from ..machine import Machine
 from .log_clock import continued_counter, continued_over_midnight, repair_of_times
 from .log_file import ROW_NUMBER, Log
 from .log_mapping import ChannelSource
-from .measurement_units import TIME, Conversion, WrongUnitError
+from .measurement_units import TIME, Conversion, WrongUnitError, channel_dimension
+from .quantization import exact_quantum
 from .recording import Recording, recording_from_columns
 from .table_file import Array, refuse_decreasing_times
 from .text_reader import Progress
+from .wrapping import find_wrap, known_moduli, unwrapped
 
 Mask = NDArray[np.bool_]
 Values = dict[str, NDArray[Any]]  # values of the log's columns by header
@@ -135,9 +137,24 @@ class LogConverter:
         channels = {}
         for source in sources:
             if source.time is not None and source.time.column is time.column and source.column is not None:
-                values = source.conversion.apply(by_header[source.column.header])[rows]
+                values = by_header[source.column.header]
+                if source.channel in self.machine.output_channels and not source.integrate:
+                    values, remark = self._without_wrap(source.channel, values)
+                    remarks += [remark] * bool(remark)
+                values = source.conversion.apply(values)[rows]
                 channels[source.channel] = _integrate(time_s, values) if source.integrate else values
         return time_s, channels
+
+    def _without_wrap(self, channel: str, values: Array) -> tuple[Array, str]:
+        """Unwrap the values of an output, in the unit of the log, and say so; other values are returned as given."""
+        # Encoders of motors may measure the travel of a carriage, so that turns may wrap in a channel in m as well.
+        sensor = self.machine.sensor(channel)
+        angle = channel_dimension(self.machine, channel) == "angle" or sensor.kind == "encoder"
+        wrap = find_wrap(values, known_moduli(exact_quantum(values), angle=angle))
+        if wrap is None:
+            return values, ""
+        jumps = f"{wrap.jumps} jump{'s' if wrap.jumps > 1 else ''}"
+        return unwrapped(values, wrap.modulus), f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
 
     def _seconds(self, log: Log, source: ChannelSource, by_header: Values, remarks: list[str]) -> Array:
         """Return the times of a column, s; NaN where a cell is empty. A clock that starts anew is continued."""
