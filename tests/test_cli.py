@@ -612,7 +612,7 @@ def test_import_converts_a_folder_of_logs_that_check_then_accepts(hframe_command
     assert not (tmp_path / "runs").exists()
     code, out, _ = hframe_command("import", tmp_path / "logs", *options, "--map", "v2_V=U2", "--format", "parquet")
     assert code == 0
-    assert "  phi1_rad <- phi1 [deg] (deg to rad)" in out
+    assert "phi1 [deg] angle deg phi1_rad (deg to rad)" in " ".join(out.split())
     assert f"wrote 2 runs to {tmp_path / 'runs'}. Next: hframe check {tmp_path / 'runs'} --machine hframe" in out
     run = load_recording(tmp_path / "runs" / "b.parquet", BUILTIN_MACHINES["hframe"]())
     np.testing.assert_allclose(np.column_stack([run.time_s, run.inputs, run.outputs]), source, rtol=1e-10)
