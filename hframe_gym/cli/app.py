@@ -6,12 +6,12 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -19,6 +19,9 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..distributed import LOCAL_RAY
 from ..registry import load_plugins
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class RunFormats(StrEnum):
@@ -84,7 +87,9 @@ class CommandGroup(TyperGroup):
 class Application(typer.Typer):
     """Typer application whose commands are of the class `Command` unless another one is given."""
 
-    def command(self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **settings: Any) -> Any:
+    def command(
+        self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **settings: Any
+    ) -> Callable[[_Function], _Function]:
         """Return a decorator that makes a function a command.
 
         Args:

@@ -91,7 +91,10 @@ def import_logs(
         float, typer.Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
     ] = 0.5,
     split_every: Annotated[
-        float | None, typer.Option(min=0.5, max=3600.0, help="Cut each log into runs of about this duration, s, also where the machine moves.")
+        float | None,
+        typer.Option(
+            min=0.5, max=3600.0, help="Cut each log into runs of about this duration, s, also where the machine moves."
+        ),
     ] = None,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:

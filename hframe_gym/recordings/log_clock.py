@@ -21,9 +21,9 @@ _COUNTERS = {
     2.0**32 / 1e6: "a counter of 32 bits in millionths",
     2.0**16 / 1e3: "a counter of 16 bits in thousandths",
 }
-# A clock goes back to the value that the next row would have had without the restart: the step across it, plus the
-# modulus, is at most this many sampling periods. A clock that restarts anywhere else passes by chance in so many periods
-# of all that the counter has, which is one in a million for a counter of 32 bits at 1 kHz.
+# The step across the start, plus the modulus, is at most this many sampling periods. A clock that was set back to any
+# other value passes by chance in so many periods of all that the counter has: one in a million for 32 bits in
+# microseconds at 1 kHz.
 _PERIODS_ACROSS = 3.0
 _RARE = 0.1  # fraction of rows; fewer repeated times are single repeated rows, more are those of a coarse clock
 

@@ -141,6 +141,8 @@ class LogConverter:
                 if source.channel in self.machine.output_channels and not source.integrate:
                     values, remark = self._without_wrap(source.channel, values)
                     remarks += [remark] * bool(remark)
+                if source.column.unit == "%" and not source.set_by_user and _is_fraction(values):
+                    remarks.append(f"{source.channel}: never exceeds 1 %; if 1 is full, add --unit {source.channel}=pu")
                 values = source.conversion.apply(values)[rows]
                 channels[source.channel] = _integrate(time_s, values) if source.integrate else values
         return time_s, channels
@@ -216,6 +218,12 @@ def _integrate(time_s: Array, speed: Array) -> Array:
     if measured.any():
         position[measured] = cumulative_trapezoid(speed[measured], time_s[measured], initial=0.0)
     return position
+
+
+def _is_fraction(values: Array) -> bool:
+    """Return whether values that are stated in percent are probably fractions of 1: none exceeds 1, some reach 0.1."""
+    largest = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
+    return 0.1 <= largest <= 1.0
 
 
 def _common_length(log: Log, by_header: Values) -> int:

@@ -28,12 +28,17 @@ from .quantities import QUANTITIES, normalize_unit
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
 # Names of a column of sample times, in lower case, without blanks and punctuation.
-_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec")
+_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue")  # the last: LabVIEW
 # First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for lengths; "phi",
 # "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms it.
 _FIRST_LETTERS: dict[Dimension, str] = {
-    **{"voltage": "uv", "length": "xyzp", "angle": "paqe", "time": "t"},
-    **{"current": "i", "torque": "tm", "force": "f"},
+    "voltage": "uv",
+    "length": "xyzp",
+    "angle": "paqe",
+    "time": "t",
+    "current": "i",
+    "torque": "tm",
+    "force": "f",
 }
 
 

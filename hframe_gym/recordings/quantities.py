@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -45,9 +46,7 @@ QUANTITIES: dict[str, Quantity] = {
             *("clock", "date", "datum", "messzeit", "laufzeit"),
         ),
     ),
-    "voltage": Quantity(
-        "a", {"V": (1, 1), "mV": (1, 1e3)}, ("voltage", "volt", "volts", "spannung", "vbus", "vbat")
-    ),
+    "voltage": Quantity("a", {"V": (1, 1), "mV": (1, 1e3)}, ("voltage", "volt", "volts", "spannung", "vbus", "vbat")),
     "duty cycle": Quantity(
         "a", {"%": (1, 100), "pu": (1, 1)}, ("duty", "dutycycle", "pwm", "throttle", "tastgrad", "aussteuerung")
     ),
@@ -150,7 +149,9 @@ _NEEDS_NAME = {"A": "i", "N": "f", "C": "t", "K": "t", "W": "p", "g": "a", "Hz":
 # Names of a voltage or current before "_m" and "_in", which then stand for the motor and the input.
 _ELECTRICAL = re.compile(r"[uvi][a-z]?\d*")
 
+_LONGEST_HEADER = 200  # characters; a longer text is no name with a unit, and the patterns would take long
 _BRACKETED = re.compile(r"(?P<name>.*?)[\s_]*[\[(<{]\s*(?P<unit>[^\])>}]*?)\s*[\])>}]\s*")
+_AFTER_BLANK = re.compile(r"(?P<name>.*\S)(?:\s+in\s+|[\s_]+)(?P<unit>\S+/\S+)")  # "n in 1/min", "v m/s"
 _SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./]+)")
 # Units of speeds and accelerations in names that have no room for a slash: "vel_rad_s", "acc_m_per_s2", "feed_mm_min".
 _QUOTIENT = re.compile(
@@ -245,17 +246,19 @@ def split_unit(header: str) -> tuple[str, str]:
             unit. Without brackets, only known units are recognized, and those of one letter, such as "A", only if the
             name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none.
     """
+    plain = header.strip()
+    if len(plain) > _LONGEST_HEADER:
+        return plain, ""
     match = _BRACKETED.fullmatch(header)
     if match and match["name"]:
         return match["name"].strip(), normalize_unit(match["unit"])
-    plain = header.strip()
     match = _QUOTIENT.fullmatch(plain)
     if match:
         per = "min" if match["time"].lower() == "min" else "s"
         unit = normalize_unit(f"{match['unit']}/{per}{'^2' if match['square'] else ''}")
         if unit in _QUANTITY_OF_UNIT:
             return match["name"], unit
-    match = _SUFFIX.fullmatch(plain)
+    match = _AFTER_BLANK.fullmatch(plain) or _SUFFIX.fullmatch(plain)
     if match and _is_ending(match["name"], match["unit"]):
         return re.sub(r"\s+in$", "", match["name"]).strip(), normalize_unit(match["unit"])
     return plain, ""
@@ -277,6 +280,7 @@ def _is_ending(name: str, ending: str) -> bool:
     return True
 
 
+@lru_cache(maxsize=4096)
 def meaning_of(name: str, unit: str) -> Meaning:
     """Determine what a column contains from its name and unit.
 

@@ -1,13 +1,12 @@
 """Read the JSON files of SysId, the identification tool of WPILib: up to four tests, which become one run each.
 
-The file has an object with the entries "sysid" (true), "test" (kind of the mechanism), "units", "unitsPerRotation", and
-a list of rows for each test. Positions and velocities are in rotations; a rotation is `unitsPerRotation` of `units`. The
-angle of the gyroscope is in radians.
+The file has an object with the entries "sysid" (true), "test" (kind of the mechanism), "units" and
+"unitsPerRotation", and a list of rows for each test. Positions and velocities are in rotations; a rotation is
+`unitsPerRotation` of `units`. The angle of the gyroscope is in radians.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,12 @@ Array = NDArray[np.float64]
 TESTS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
 # Unit in which positions are given, and its number in one of the entry "units".
 _UNITS = {
-    **{"meters": ("m", 1.0), "feet": ("m", 0.3048), "inches": ("m", 0.0254)},
-    **{"radians": ("rad", 1.0), "degrees": ("deg", 1.0), "rotations": ("rev", 1.0)},
+    "meters": ("m", 1.0),
+    "feet": ("m", 0.3048),
+    "inches": ("m", 0.0254),
+    "radians": ("rad", 1.0),
+    "degrees": ("deg", 1.0),
+    "rotations": ("rev", 1.0),
 }
 # Columns by their number, with the columns to convert from rotations marked by a star.
 _COLUMNS = {
@@ -102,19 +105,17 @@ def _tests(content: Any) -> dict[str, list[Any]]:
 
 def _unit(path: Path, content: dict[str, Any]) -> tuple[str, float]:
     """Return the unit of positions, and their value after one rotation."""
-    units, per_rotation = content.get("units"), content.get("unitsPerRotation")
+    units: Any = content.get("units")
+    per_rotation: Any = content.get("unitsPerRotation")
     if not isinstance(units, str) or units.lower() not in _UNITS:
         raise InputError(f"{path}, units: {units!r} is none of Meters, Feet, Inches, Radians, Degrees, Rotations")
-    is_number = isinstance(per_rotation, int | float) and not isinstance(per_rotation, bool)
-    if not is_number or not math.isfinite(per_rotation) or per_rotation == 0:
+    if type(per_rotation) not in (int, float) or not 1e-30 <= abs(per_rotation) <= 1e30:
         raise InputError(f"{path}, unitsPerRotation: {per_rotation!r} is not a number of units")
     unit, factor = _UNITS[units.lower()]
     return unit, float(per_rotation) * factor
 
 
-def _read_test(
-    path: Path, name: str, rows: list[Any], unit: str, factor: float, content: dict[str, Any]
-) -> SysIdTest:
+def _read_test(path: Path, name: str, rows: list[Any], unit: str, factor: float, content: dict[str, Any]) -> SysIdTest:
     """Convert the rows of a test to columns."""
     width = len(rows[0]) if isinstance(rows[0], list) else 0
     if width not in _COLUMNS:

@@ -31,7 +31,11 @@ _COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
 _ROW_ENDS = ";,|\t"  # separators that may end each row although other separators are between its cells
 _MOST = 0.9  # fraction of the rows that have such an end
 _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for
-_LABEL = re.compile(r"[^\W\d][^:;,|\t]*:\s*")  # before a number: "speed:1.5"
+# Name before a number, as for Arduino's serial plotter: "speed:1.5". The "e" of "1e-3" begins none.
+_LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
+_ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")  # between time stamp and text in Arduino's serial monitor
+# Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an oscilloscope.
+_NOT_A_COLUMN = re.compile(r"comment|start|increment|(?:t0|tinc)\s*=.*", re.IGNORECASE)
 
 _NO_HEADER = "it has no header"
 MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
@@ -58,8 +62,8 @@ class TextFormat:
         names: Names of the columns as written; "#1", "#2", ... if the file has no header.
         units: Units in the row below the header, "" where there is none, in the order of the names.
         kinds: What each column contains: "number", "stamp" (time, with or without a date) or "text".
-        row_end: Separator at the end of each row that does not separate its cells; "" if there is none.
-        labels: Whether each cell begins with the name of its column and a colon, as for Arduino's serial plotter.
+        edits: Patterns that are replaced in the text before it is split into cells, with their replacements: separators
+            at the end of rows, names before numbers.
         deviations: What distinguishes the file from a recording (UTF-8, commas, points, a header in the first line), in
             words; empty for a plain file.
     """
@@ -72,8 +76,13 @@ class TextFormat:
     units: tuple[str, ...]
     kinds: tuple[str, ...]
     deviations: tuple[str, ...]
-    row_end: str = ""
-    labels: bool = False
+    edits: tuple[tuple[re.Pattern[str], str], ...] = ()
+
+    def edited(self, text: str) -> str:
+        """Return lines without the parts that do not belong to a table, see `edits`."""
+        for pattern, replacement in self.edits:
+            text = pattern.sub(replacement, text)
+        return text
 
 
 def detect_format(path: Path) -> TextFormat:
@@ -100,21 +109,14 @@ def detect_format(path: Path) -> TextFormat:
     if len(sample) == _SAMPLE:
         lines.pop()  # it may be incomplete
     declared = lines[0].strip()[4:] if lines[0].lower().startswith("sep=") else ""
-    row_end = _row_end(lines)
-    shortened = [without_row_end(line, row_end) for line in lines] if row_end else lines
-    separator = declared[:1] or _detect_separator(shortened)
-    if row_end == separator:
-        row_end = ""
-    elif row_end:
-        lines = shortened
-        deviations.append(f"rows end with {_SEPARATORS[row_end]}")
+    edits, labels, remarks = _edits(lines)
+    deviations += remarks
+    for pattern, replacement in edits:
+        lines = [line if _is_comment(line) else pattern.sub(replacement, line) for line in lines]
+    separator = declared[:1] or _detect_separator(lines)
     cells = [[] if _is_comment(line) else split_row(line, separator) for line in lines]
     if declared:
         cells[0] = []
-    labels = _labels(cells)
-    if labels:
-        cells = [[without_labels(cell) for cell in row] for row in cells]
-        deviations.append("each cell begins with the name of its column")
     first, width = _first_row(cells)
     rows = [row for row in cells[first:] if any(row)]
     names_above = max((len(row) for row in cells[:first]), default=0)
@@ -124,7 +126,7 @@ def detect_format(path: Path) -> TextFormat:
         raise InputError(f"{path}: {problem}; {advice}")
     header, units, layout = _detect_header(lines, cells, first, width, separator)
     if labels:
-        header, units = labels, [""] * len(labels)
+        header, units = [label or f"#{k}" for k, label in enumerate(labels, start=1)], [""] * len(labels)
         layout = [remark for remark in layout if remark != _NO_HEADER]
     if rows and all(len(row) > len(header) and not any(row[len(header) :]) for row in rows):
         layout.append("rows end with a separator")
@@ -143,8 +145,7 @@ def detect_format(path: Path) -> TextFormat:
         tuple(units),
         tuple(kinds),
         tuple(deviations),
-        row_end,
-        bool(labels),
+        tuple(edits),
     )
 
 
@@ -201,31 +202,6 @@ def split_row(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def without_row_end(line: str, row_end: str) -> str:
-    """Return a line without the separator that ends it.
-
-    Args:
-        line: Line of a table.
-        row_end: Separator at the end of the rows.
-
-    Returns:
-        The line up to the separator, without blanks at its end.
-    """
-    return line.rstrip(" ").removesuffix(row_end)
-
-
-def without_labels(text: str) -> str:
-    """Return a cell or line without the names and colons before its numbers.
-
-    Args:
-        text: Cell or line, such as "target:1.0,actual:0.98".
-
-    Returns:
-        The text with numbers alone, such as "1.0,0.98".
-    """
-    return _LABEL.sub("", text)
-
-
 def is_missing(cell: str) -> bool:
     """Return whether a cell has no value: whether it is empty or a word such as NA, NaN, null or #N/A.
 
@@ -275,26 +251,43 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(_COMMENT_SIGNS) and not is_missing(re.split(r"[,;\t ]", line.lstrip())[0])
 
 
-def _row_end(lines: Sequence[str]) -> str:
-    """Return the separator that ends most rows of numbers, "" if there is none."""
+def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], list[str], list[str]]:
+    """Find the parts of lines that do not belong to a table.
+
+    Args:
+        lines: Lines of the file.
+
+    Returns:
+        Patterns with their replacements, the names of the columns if they stand before the numbers, else none, and
+        deviations from a recording.
+    """
     rows = [line.rstrip(" ") for line in lines if not _is_comment(line) and any(map(str.isdigit, line))]
+    edits: list[tuple[re.Pattern[str], str]] = []
+    labels: list[str] = []
+    remarks = []
+    if rows and sum(_ARROW.match(row) is not None for row in rows) >= _MOST * len(rows):
+        separator = _detect_separator([_ARROW.sub("", row) for row in rows])
+        edits.append((_ARROW, rf"\1{separator}"))
+        remarks.append("an arrow follows the time stamps")
+    last = [_ARROW.sub("", row) for row in rows[-_CONSECUTIVE:]]
+    names = [tuple(match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)) for row in last]
+    if names and names[0] and len(set(names)) == 1 and all(_is_number_per_label(row, len(names[0])) for row in last):
+        edits.append((_LABEL, ""))
+        labels = ([""] if edits[0][0] is _ARROW else []) + list(names[0])
+        remarks.append("each cell begins with the name of its column")
     for row_end in _ROW_ENDS:
         if rows and sum(row.endswith(row_end) for row in rows) >= _MOST * len(rows):
-            return row_end
-    return ""
+            pattern = re.compile(rf"(?m){re.escape(row_end)} *$")
+            if _detect_separator([pattern.sub("", row) for row in rows]) != row_end:
+                edits.append((pattern, ""))
+                remarks.append(f"rows end with {_SEPARATORS[row_end]}")
+    return edits, labels, remarks
 
 
-def _labels(cells: Sequence[Sequence[str]]) -> list[str]:
-    """Return the names before the numbers in each row of labelled cells; empty if the cells have no labels."""
-    rows = [row for row in cells if any(row)]
-    if not rows or any(is_stamp(cell) for cell in rows[-1]):
-        return []
-    labels = [match[0].rstrip(": ") if (match := _LABEL.match(cell)) else "" for cell in rows[-1]]
-    for row in rows[-_CONSECUTIVE:]:
-        for cell, label in zip(row, labels, strict=False):
-            if not label or not cell.startswith(label) or not _is_number_or_stamp(without_labels(cell)):
-                return []
-    return labels
+def _is_number_per_label(row: str, count: int) -> bool:
+    """Return whether a row has one number for each of its labels."""
+    cells = [cell for cell in re.split(r"[;,|\t ]+", _LABEL.sub(" ", row)) if cell]
+    return len(cells) == count and all(_NUMBER.fullmatch(cell) or is_missing(cell) for cell in cells)
 
 
 def _detect_separator(lines: Sequence[str]) -> str:
@@ -410,9 +403,9 @@ def _detect_header(
     elif names.is_comment:
         deviations.append("the header is in a comment line")
     if units is not None:
-        place = "above" if names is not None and units.number < names.number else "below"
+        place = "below the header" if names is not None and units.number > names.number else "above the header"
         in_comment = " in a comment line" if units.is_comment else ""
-        deviations.append(f"a row of units is {place} the header{in_comment}")
+        deviations.append(f"a row of units is {place if names is not None else 'above the data'}{in_comment}")
     for is_comment, what in ((True, "comment"), (False, "other")):
         skipped = sum(line.is_comment == is_comment and line.number not in used for line in above)
         if skipped:
@@ -426,7 +419,7 @@ def _detect_header(
 def _fitting(row: Sequence[str], width: int) -> list[str]:
     """Return the cells of a line above the data if their number fits that of the columns, else none."""
     trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
-    if len(trimmed) == width + 1 and trimmed[-1].lower() == "comment":  # LabVIEW's last column, mostly without cells
+    while len(trimmed) > width - 1 and (_NOT_A_COLUMN.fullmatch(trimmed[-1]) or _NUMBER.fullmatch(trimmed[-1])):
         trimmed.pop()
     return trimmed if len(trimmed) in (width, width - 1) else []
 

@@ -22,8 +22,6 @@ from .text_format import (
     is_missing,
     open_text,
     split_row,
-    without_labels,
-    without_row_end,
 )
 
 Array = NDArray[np.float64]
@@ -187,10 +185,7 @@ class _BlockReader:
             if any(sign in block for sign in ("#", "%", "//")):
                 block, count = _COMMENT.subn("", block)
                 self.comments += count
-            if self._layout.row_end:
-                block = "".join(f"{without_row_end(line, self._layout.row_end)}\n" for line in block.splitlines())
-            if self._layout.labels:
-                block = without_labels(block)
+            block = self._layout.edited(block)
             if self._layout.separator != " ":
                 block = _SEPARATORS_ONLY.sub("", block)
         # The last row may be incomplete, which the next block decides.
