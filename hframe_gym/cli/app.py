@@ -20,7 +20,6 @@ from typer.core import TyperCommand, TyperGroup
 from ..distributed import LOCAL_RAY
 from ..registry import load_plugins
 
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 

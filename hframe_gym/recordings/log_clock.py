@@ -96,8 +96,16 @@ def repair_of_times(time_s: Array) -> str:
     span = float(time_s[-1] - time_s[0])
     if span <= 0.0:
         return f"; if the rows are equally spaced, state their rate, e.g. --map {TIME}=1000Hz"
-    option = f"--map {TIME}={(len(time_s) - 1) / span:.4g}Hz"
+    resolution = float(np.min(steps[steps > 0.0]))
+    option = f"--map {TIME}={_rate(len(time_s), span, resolution):g}Hz"
     if np.mean(steps == 0.0) < _RARE:
         return f"; delete one of the two rows or, if all rows are equally spaced, state their rate: {option}"
-    resolution = float(np.min(steps[steps > 0.0]))
     return f"; the clock has steps of {resolution:.3g} s: if the rows are equally spaced, state their rate: {option}"
+
+
+def _rate(count: int, span: float, resolution: float) -> float:
+    """Return the roundest rate, Hz, of a number of rows whose times extend over a span and have a resolution, s."""
+    rate = count / (span + resolution)  # the times are rounded down, so that those of the last step extend beyond it
+    tolerance = rate * resolution / span
+    digits = next((d for d in range(1, 6) if abs(float(f"{rate:.{d - 1}e}") - rate) <= tolerance), 6)
+    return float(f"{rate:.{digits - 1}e}")

@@ -94,7 +94,7 @@ def import_logs(
         raise InputError(f"--out {folder}: is a file, but must be a folder")
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     if other_files:
-        log(f"skipped (by their names, no logs): {', '.join(p.name for p in other_files)}")
+        log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
     # Each byte counts twice: once for reading, once for writing, which take about as long.
     total = 2 * sum(path.stat().st_size for path in paths)
     importer = _Importer(machine, settings, log, cumulative(progress, total))

@@ -54,7 +54,9 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
         return True  # counts of an encoder, which are also called ticks
     if channel in machine.output_channels:
         if family == "speed":
-            return unit is None or unit not in accepted_units(machine, channel) or unit in _speed_units()
+            if unit is None:
+                return column.evidence == "unit"
+            return unit in _speed_units() or unit not in accepted_units(machine, channel)
         return scaled and (column.unit in _ANALOG_UNITS or (family == "voltage" and not column.unit))
     if family == "duty cycle":
         return True

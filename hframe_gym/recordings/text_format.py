@@ -128,6 +128,11 @@ def detect_format(path: Path) -> TextFormat:
     if labels:
         header, units = [label or f"#{k}" for k, label in enumerate(labels, start=1)], [""] * len(labels)
         layout = [remark for remark in layout if remark != _NO_HEADER]
+    while (
+        len(header) > 1 and _NOT_A_COLUMN.fullmatch(header[-1]) and not any(any(row[len(header) - 1 :]) for row in rows)
+    ):
+        header.pop()
+        units.pop()
     if rows and all(len(row) > len(header) and not any(row[len(header) :]) for row in rows):
         layout.append("rows end with a separator")
     deviations += layout
@@ -419,7 +424,7 @@ def _detect_header(
 def _fitting(row: Sequence[str], width: int) -> list[str]:
     """Return the cells of a line above the data if their number fits that of the columns, else none."""
     trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
-    while len(trimmed) > width - 1 and (_NOT_A_COLUMN.fullmatch(trimmed[-1]) or _NUMBER.fullmatch(trimmed[-1])):
+    while len(trimmed) > max(width, 1) and (_NOT_A_COLUMN.fullmatch(trimmed[-1]) or _NUMBER.fullmatch(trimmed[-1])):
         trimmed.pop()
     return trimmed if len(trimmed) in (width, width - 1) else []
 

@@ -308,7 +308,7 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
     import_logs(tmp_path / "logs", tmp_path / "runs", hframe, log=lines.append)
     a, b = load_recordings(tmp_path / "runs", hframe)
     np.testing.assert_array_equal(b.time_s, np.round(a.time_s + 86400.0, 3))
-    assert "skipped (by their names, no logs): README.txt, notes.md" in lines
+    assert "skipped (by their names or content, no logs): README.txt, notes.md" in lines
     assert "b.csv: same format and columns as the log before" in lines
 
 
@@ -707,6 +707,51 @@ def test_existing_runs_are_not_replaced(table: Table, hframe: Machine, tmp_path:
     path.rename(tmp_path / "other.txt")
     import_logs(tmp_path / "other.txt", tmp_path / "runs", hframe, log=lambda line: None)
     assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == ["log.csv.gz", "other.csv.gz"]
+
+
+@pytest.mark.parametrize(
+    ("header", "per_rad", "modulus", "options", "what"),
+    [
+        ("phi1 [deg]", 180 / np.pi, 360.0, {}, "one turn in degrees"),
+        ("phi1 [turns]", 0.5 / np.pi, 1.0, {}, "one turn in turns"),
+        ("phi1_rad", 1.0, 2 * np.pi, {}, "one turn"),
+        ("phi1", 5000.0, 65536, {"scales": {"phi1_rad": 1 / 5000.0}}, "a counter of 16 bits"),
+        ("phi1", 4096 / 2 / np.pi, 4096, {"scales": {"phi1_rad": 2 * np.pi / 4096}}, "a counter of 12 bits"),
+    ],
+)
+def test_an_angle_or_counter_that_starts_anew_is_made_continuous(
+    header: str, per_rad: float, modulus: float, options: dict[str, dict[str, object]], what: str, tmp_path: Path
+) -> None:
+    machine = BUILTIN_MACHINES["hframe"]()
+    time_s = np.arange(2000) * 1e-3
+    angle = 12.0 * np.sin(2 * np.pi * time_s) + 3.0
+    raw = angle * per_rad
+    raw = (np.rint(raw) if modulus > 360 else raw) % modulus
+    columns = {"time_s": time_s, "v1_V": np.sin(time_s), "v2_V": np.cos(time_s), header: raw}
+    columns |= {"phi2_rad": 0.0 * time_s, "x_m": 0.0 * time_s, "y_m": 0.0 * time_s}
+    lines: list[str] = []
+    run = convert(in_text(text_of)(tmp_path, columns), machine, lines=lines, **options)
+    moved = run.outputs[:, 0] - run.outputs[0, 0]
+    np.testing.assert_allclose(moved, angle - angle[0], atol=1.0 / per_rad if modulus > 360 else 1e-9)
+    assert re.search(rf"phi1_rad: starts anew after {what}, made continuous \(\d+ jumps\)", "\n".join(lines))
+
+
+def test_a_percentage_that_never_exceeds_one_is_doubted(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    logged = {("v1 [%]" if c == "v1_V" else c): (v / 12 if c == "v1_V" else v) for c, v in table.items()}
+    lines: list[str] = []
+    convert(in_text(text_of)(tmp_path, logged), hframe, lines=lines)
+    assert "  v1_V: never exceeds 1 %; if 1 is full, add --unit v1_V=pu" in lines
+    (tmp_path / "again").mkdir()
+    run = convert(in_text(text_of)(tmp_path / "again", logged), hframe, lines=lines, units={"v1_V": "pu"})
+    np.testing.assert_allclose(run.inputs[:, 0], table["v1_V"], atol=1e-12)
+
+
+def test_a_log_of_many_columns_gets_a_short_table(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    lines: list[str] = []
+    path = in_text(text_of)(tmp_path, table | {f"extra{k}": table["x_m"] for k in range(30)})
+    convert(path, hframe, lines=lines)
+    assert sum(line.endswith("not used") for line in lines) == 20
+    assert any(line.startswith("  and 10 more that are not used: extra20, extra21") for line in lines)
 
 
 @pytest.fixture
