@@ -152,7 +152,9 @@ class LogConverter:
         # Encoders of motors may measure the travel of a carriage, so that turns may wrap in a channel in m as well.
         sensor = self.machine.sensor(channel)
         angle = channel_dimension(self.machine, channel) == "angle" or sensor.kind == "encoder"
-        wrap = find_wrap(values, known_moduli(exact_quantum(values), angle=angle))
+        measured = values[np.isfinite(values)]
+        quantum = 1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)  # 1 for counts
+        wrap = find_wrap(values, known_moduli(quantum, angle=angle))
         if wrap is None:
             return values, ""
         jumps = f"{wrap.jumps} jump{'s' if wrap.jumps > 1 else ''}"
