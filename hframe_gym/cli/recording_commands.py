@@ -70,7 +70,7 @@ def examples(
 
 @app.command("import")
 def import_logs(
-    logs: Annotated[Path, typer.Argument(help="A log, or a folder of logs: text, MATLAB .mat or Parquet.")],
+    logs: Annotated[Path, typer.Argument(help="A log, or a folder of logs: text, MATLAB .mat, Parquet or SysId JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the recordings; existing runs are never replaced.")],
     machine: MachineOption = "hframe",
     map: Annotated[
@@ -79,7 +79,10 @@ def import_logs(
             help="CHANNEL=COLUMN, e.g. v1_V=U1, x_m='#4' (fourth column), y_m=none, or time_s=200Hz without a column."
         ),
     ] = None,
-    unit: Annotated[list[str] | None, typer.Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms.")] = None,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms, or time_s=8kHz for a counter."),
+    ] = None,
     scale: Annotated[list[str] | None, typer.Option(help="CHANNEL=FACTOR to the channel's unit: x_m=0.001.")] = None,
     mapping: Annotated[
         Path | None, typer.Option(help="TOML or JSON file with the tables map, unit and scale; options override it.")
@@ -102,7 +105,8 @@ def import_logs(
 
     Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates. A column
     is assigned by --map, or if it alone has the name of a channel, with any unit ("X (mm)" for x_m). Nothing else is
-    guessed. Everything that is converted, assumed or left out is printed. docs/import.md lists what is handled.
+    guessed, and a column of another physical quantity is refused. A table shows what each column was taken for.
+    docs/import.md lists what is handled.
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests
     """

@@ -35,7 +35,8 @@ def continued_counter(times: Array) -> tuple[Array, str]:
         times: Times in the unit of the log, NaN where there is none, shape (n,).
 
     Returns:
-        times: Times that go on across each start, or those given if they do not go back, or go back otherwise.
+        times: Times in the unit of the log, shape (n,), that go on across each start; those given if they do not go
+            back, or go back otherwise.
         remark: What was done, for the user; "" for nothing.
     """
     for modulus, words in _COUNTERS.items():
@@ -52,7 +53,7 @@ def continued_over_midnight(times: Array) -> tuple[Array, str]:
         times: Times of day, s, NaN where there is none, shape (n,).
 
     Returns:
-        times: Times that go on after midnight, or those given if they do not go back by about a day.
+        times: Times, s, shape (n,), that go on after midnight; those given if they do not go back by about a day.
         remark: What was done, for the user; "" for nothing.
     """
     continued, midnights = _continued(times, _DAY, _LONGEST_GAP)

@@ -402,6 +402,8 @@ class _LogMapping:
         is_output = channel in self.machine.output_channels
         if is_output and meaning.role:
             return False
+        if meaning.quantity == "duty cycle" and channel in self.machine.input_channels:
+            return True
         counts_for_input = meaning.family in ("count", "row number") and not is_output
         return not counts_for_input and not obstacle(self.machine, channel, meaning, None, scaled=False)
 

@@ -10,13 +10,14 @@ from .quantities import QUANTITIES, Meaning
 # to an amplifier. For these the user may state a unit of voltage.
 _COMMANDED = ("current", "torque", "force", "power", "speed", "position")
 _VOLTS = ("V", "mV")
-# Percent and per unit mean a fraction of the supply voltage for these names, a fraction of a rated value for others.
-_FRACTION_OF_VOLTAGE = ("speed", "position")
+# What a sketch writes to its PWM is often called "speed" or "power".
+_WRITTEN_TO_PWM = ("speed", "power")
+# Percent and per unit mean a fraction of the supply voltage for these names ("throttle position"), and a fraction of a
+# rated value for others, such as a torque.
+_FRACTION_OF_VOLTAGE = (*_WRITTEN_TO_PWM, "position")
 # Units of the signals of sensors and amplifiers with an analog output; a factor converts them to what they stand for.
 _ANALOG_UNITS = ("V", "mV", "mA")
 _COUNTS = ("row number", "count")
-# Scaling a speed gives a voltage only for an amplifier whose command is a speed, which the user knows.
-_SCALED_TO_VOLTAGE = ("speed",)
 
 
 def obstacle(machine: Machine, channel: str, column: Meaning, unit: str | None, *, scaled: bool) -> str:
@@ -59,15 +60,18 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
             return unit in _speed_units() or unit not in accepted_units(machine, channel)
         return scaled and (column.unit in _ANALOG_UNITS or (family == "voltage" and not column.unit))
     if family == "duty cycle":
-        return True
+        return column.unit != "" or unit is not None or scaled
     if column.evidence == "unit":
         if column.unit in accepted_units(machine, channel):
             return True
-        return scaled and (family in _SCALED_TO_VOLTAGE or (column.unit in _VOLTS and dimension != "voltage"))
+        # The command of an amplifier that controls the speed, or the monitor of one that controls the current.
+        return scaled and (family == "speed" or (column.unit in _VOLTS and dimension != "voltage"))
     if unit in _VOLTS and dimension == "voltage":
         return family in _COMMANDED
-    if unit in ("%", "pu") or (scaled and unit is None):
-        return family in _FRACTION_OF_VOLTAGE if unit else family in _SCALED_TO_VOLTAGE
+    if unit in ("%", "pu"):
+        return family in _FRACTION_OF_VOLTAGE
+    if scaled and unit is None:
+        return family in _WRITTEN_TO_PWM
     return unit is not None and unit in accepted_units(machine, channel) and family in _COMMANDED
 
 
@@ -86,6 +90,11 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
     if channel in machine.input_channels:
         if family in ("current", "torque", "force"):
             return _advice_about_commands(channel, column)
+        if family == "duty cycle":
+            return (
+                f"state its unit by --unit {channel}=% or --unit {channel}=pu (1 is the rated voltage), or the volts "
+                f"of one step by --scale {channel}=FACTOR"
+            )
         advice = "map the voltage or the duty cycle that was applied"
         if family in _COMMANDED and column.evidence == "name":
             return f"{advice}, or add --unit {channel}=V if the column is a voltage in spite of its name"

@@ -85,11 +85,22 @@ QUANTITIES: dict[str, Quantity] = {
         "speed",
     ),
     "speed": Quantity(
-        "a", {}, ("speed", "velocity", "vel", "geschwindigkeit", "vitesse", "tacho", "tachometer"), "speed"
+        "a",
+        {},
+        (
+            *("speed", "velocity", "vel", "geschwindigkeit", "vitesse", "tacho", "tachometer", "rate"),
+            *("dot", "xdot", "ydot", "qdot", "phidot", "thetadot", "dphi", "dtheta"),
+        ),
+        "speed",
     ),
     "linear acceleration": Quantity("a", {"m/s^2": (1, 1), "mm/s^2": (1, 1e3), "g": (9.80665, 1)}, (), "acceleration"),
     "angular acceleration": Quantity("an", {"rad/s^2": (1, 1), "deg/s^2": (np.pi, 180)}, (), "acceleration"),
-    "acceleration": Quantity("an", {}, ("acceleration", "accel", "acc", "beschleunigung"), "acceleration"),
+    "acceleration": Quantity(
+        "an",
+        {},
+        ("acceleration", "accel", "acc", "beschleunigung", "ddot", "xddot", "yddot", "qddot", "phiddot", "thetaddot"),
+        "acceleration",
+    ),
     "temperature": Quantity("a", {"degC": (1, 1), "K": (1, 1), "degF": (1, 1)}, ("temperature", "temp", "temperatur")),
     "power": Quantity("a", {"W": (1, 1), "kW": (1e3, 1)}, ("power", "leistung", "puissance")),
     "frequency": Quantity("a", {"Hz": (1, 1), "kHz": (1e3, 1)}, ("frequency", "freq", "frequenz")),

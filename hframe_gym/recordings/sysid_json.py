@@ -79,7 +79,7 @@ def read_tests(path: Path) -> list[SysIdTest]:
         path: JSON file.
 
     Returns:
-        Tests that have rows, slow ones first.
+        Tests that have rows, slow ones first; columns of the shape (rows,).
 
     Raises:
         InputError: If the file cannot be read, is another JSON file, or a row has not 4 or 9 numbers. The message names

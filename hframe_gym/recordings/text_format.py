@@ -79,7 +79,14 @@ class TextFormat:
     edits: tuple[tuple[re.Pattern[str], str], ...] = ()
 
     def edited(self, text: str) -> str:
-        """Return lines without the parts that do not belong to a table, see `edits`."""
+        """Remove from lines the parts that do not belong to a table, see `edits`.
+
+        Args:
+            text: Complete lines below the header.
+
+        Returns:
+            The same lines without these parts.
+        """
         for pattern, replacement in self.edits:
             text = pattern.sub(replacement, text)
         return text

@@ -69,6 +69,9 @@ def test_name_and_unit_of_a_header_are_separated(header: str, name: str, unit: s
         ("pos error [mm]", "length", "control error"),
         ("accel_x", "acceleration", ""),
         ("Temperatur", "temperature", ""),
+        ("theta_dot", "speed", ""),
+        ("phiDdot", "acceleration", ""),
+        ("yaw rate", "speed", ""),
         ("sample", "row number", ""),
         ("enable", "state", ""),
         ("counter [#]", "count", ""),
@@ -134,6 +137,7 @@ IMPOSSIBLE = [
     ("torque", {"scales": {"v_V": 2.0}}, "torque is a torque by its name"),
     ("a__[m/s^2]", {"scales": {"v_V": 2.0}}, "is a linear acceleration in m/s.2, and v_V is a voltage"),
     ("temperature", {"units": {"v_V": "V"}}, "temperature is a temperature by its name, and v_V is a voltage"),
+    ("position", {"scales": {"v_V": 2.0}}, "position is a position by its name, and v_V is a voltage"),
     ("position", {}, "position is a position by its name, and v_V is a voltage"),
 ]
 
@@ -211,6 +215,9 @@ def test_a_counter_of_rows_is_a_time_at_a_stated_rate(axis: Machine, tmp_path: P
         ("speed", {"units": {"v_V": "%"}}, 0.12),
         ("speed", {"scales": {"v_V": 0.5}}, 0.5),
         ("u__[mV]", {}, 1e-3),
+        ("power", {"units": {"v_V": "pu"}}, 12.0),
+        ("pwm", {"scales": {"v_V": 0.047}}, 0.047),
+        ("pwm", {"units": {"v_V": "%"}}, 0.12),
         ("Wert", {}, 1.0),
         ("Wert", {"scales": {"v_V": 2.0}}, 2.0),
         ("u_cmd__[V]", {}, 1.0),
@@ -222,6 +229,14 @@ def test_what_the_user_states_overrides_a_name(
     path = log_of(tmp_path / "log.csv", **{"time_s": TIME, header: INPUT, "x_m": POSITION})
     run = run_of(path, axis, columns={"v_V": header.replace("__", " ")}, **options)
     np.testing.assert_allclose(run.inputs[:, 0], factor * INPUT, rtol=1e-8, atol=1e-12)
+
+
+def test_a_duty_cycle_without_a_unit_is_proposed_and_its_unit_asked_for(axis: Machine, tmp_path: Path) -> None:
+    path = log_of(tmp_path / "log.csv", time_s=TIME, PWM=INPUT, x_m=POSITION)
+    with pytest.raises(InputError, match="--map v_V=PWM"):
+        run_of(path, axis)
+    with pytest.raises(InputError, match=r"PWM is a duty cycle by its name, .*--unit v_V=% or --unit v_V=pu .*--scale"):
+        run_of(path, axis, columns={"v_V": "PWM"})
 
 
 def test_the_signal_of_an_analog_sensor_and_counts_are_positions_by_a_factor(axis: Machine, tmp_path: Path) -> None:
