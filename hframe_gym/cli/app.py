@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import inspect
 import os
 import re
@@ -127,19 +128,21 @@ class _TolerantStream:
         """Write a text, or discard it if nobody reads the stream any more."""
         try:
             return int(self._stream.write(text))
-        except BrokenPipeError:
-            self._discard()
+        except OSError as error:
+            self._discard(error)
             return len(text)
 
     def flush(self) -> None:
         """Pass on what was written, or discard it if nobody reads the stream any more."""
         try:
             self._stream.flush()
-        except BrokenPipeError:
-            self._discard()
+        except OSError as error:
+            self._discard(error)
 
-    def _discard(self) -> None:
-        """Connect the stream to the null device, to which its buffer can be written at the end of the process."""
+    def _discard(self, error: OSError) -> None:
+        """Connect a stream without a reader to the null device, to which its buffer can be written; raise others."""
+        if error.errno != errno.EPIPE and not (os.name == "nt" and error.errno == errno.EINVAL):
+            raise error
         with suppress(OSError, ValueError):  # a stream without a file, such as that of a test
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, self._stream.fileno())

@@ -17,6 +17,8 @@ _WRITTEN_TO_PWM = ("speed", "power")
 _FRACTION_OF_VOLTAGE = (*_WRITTEN_TO_PWM, "position")
 # Units of the signals of sensors and amplifiers with an analog output; a factor converts them to what they stand for.
 _ANALOG_UNITS = ("V", "mV", "mA")
+_AMPLIFIER_COMMANDS = ("current", "torque", "force")
+_MOTIONS = ("length", "angle")
 _COUNTS = ("row number", "count")
 
 
@@ -48,7 +50,9 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
     """Return whether a column of a known quantity can be a channel."""
     dimension, family = channel_dimension(machine, channel), column.family
     if family == (QUANTITIES[dimension].family or dimension):
-        return True
+        # A name may say that the motion is of the other kind, which only a unit or a factor converts.
+        other_motion = column.evidence == "name" and column.quantity in _MOTIONS and column.quantity != dimension
+        return not other_motion or scaled or unit is not None
     if channel == TIME:
         return family in _COUNTS and (scaled or unit is not None)
     if family == "count" or (family == "row number" and scaled and channel in machine.output_channels):
@@ -71,8 +75,13 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
     if unit in ("%", "pu"):
         return family in _FRACTION_OF_VOLTAGE
     if scaled and unit is None:
-        return family in _WRITTEN_TO_PWM
+        return family in _WRITTEN_TO_PWM or (family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel))
     return unit is not None and unit in accepted_units(machine, channel) and family in _COMMANDED
+
+
+def _has_no_back_emf(machine: Machine, channel: str) -> bool:
+    """Return whether the drive of an input is declared as an amplifier that controls the current."""
+    return machine.drives[machine.input_channels.index(channel)].Ke == 0.0
 
 
 def _speed_units() -> tuple[str, ...]:
@@ -88,7 +97,10 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
             return f"state the rate of its steps by --unit {TIME}=8kHz, or a factor to s by --scale {TIME}=FACTOR"
         return f"for a log without a column of time state the rate of its rows, e.g. --map {TIME}=200Hz"
     if channel in machine.input_channels:
-        if family in ("current", "torque", "force"):
+        if family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel):
+            units = ", ".join(accepted_units(machine, channel))
+            return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
+        if family in _AMPLIFIER_COMMANDS:
             return _advice_about_commands(channel, column)
         if family == "duty cycle":
             return (
@@ -99,6 +111,9 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
         if family in _COMMANDED and column.evidence == "name":
             return f"{advice}, or add --unit {channel}=V if the column is a voltage in spite of its name"
         return advice
+    if family == "position":
+        units = ", ".join(accepted_units(machine, channel))
+        return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
     if family == "speed":
         si_units = ", ".join(unit for unit in accepted_units(machine, channel) if unit in _speed_units())
         return f"a speed is integrated to it if its unit is one of {si_units}: --unit {channel}=UNIT"

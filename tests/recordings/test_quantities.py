@@ -167,6 +167,7 @@ def test_a_column_of_another_quantity_is_no_voltage(
         ("force__[N]", {"scales": {"x_m": 0.1}}, "is a force in N"),
         ("current_A", {"scales": {"x_m": 0.1}}, "is a current in A"),
         ("u__[V]", {}, "if it is the signal of a sensor, state the factor to m by --scale x_m=FACTOR"),
+        ("angle", {}, "angle is an angle by its name, and x_m is a length; state its unit by --unit x_m=UNIT"),
         ("zeit", {}, "zeit is a time by its name, and x_m is a length"),
     ],
 )
@@ -275,6 +276,27 @@ def test_a_drive_without_back_emf_takes_currents_and_torques_in_its_voltage_chan
         path = log_of(tmp_path / header[0] / "log.csv", **{"time_s": TIME, header: INPUT, "x_m": POSITION})
         run = run_of(path, machine, columns={"v_V": header.replace("__", " ")})
         np.testing.assert_allclose(run.inputs[:, 0], factor * INPUT, rtol=1e-8, atol=1e-12)
+
+
+def test_a_current_without_a_unit_needs_one_or_a_factor_for_a_drive_without_back_emf(
+    axis: Machine, tmp_path: Path
+) -> None:
+    machine = dataclasses.replace(axis, drives=(dataclasses.replace(axis.drives[0], Ke=0.0, resistance=1.0),))
+    path = log_of(tmp_path / "log.csv", time_s=TIME, current=INPUT, x_m=POSITION)
+    with pytest.raises(InputError, match=r"current is a current by its name, and v_V is a voltage; state its unit by"):
+        run_of(path, machine, columns={"v_V": "current"})
+    run = run_of(path, machine, columns={"v_V": "current"}, scales={"v_V": 1.0})
+    np.testing.assert_allclose(run.inputs[:, 0], INPUT, rtol=1e-8, atol=1e-12)
+    (tmp_path / "again").mkdir()
+    path = log_of(tmp_path / "again" / "log.csv", time_s=TIME, current=INPUT * 1e3, x_m=POSITION)
+    run = run_of(path, machine, columns={"v_V": "current"}, units={"v_V": "mA"})
+    np.testing.assert_allclose(run.inputs[:, 0], INPUT, rtol=1e-8, atol=1e-12)
+
+
+def test_an_angle_by_its_name_becomes_a_length_by_a_factor(axis: Machine, tmp_path: Path) -> None:
+    path = log_of(tmp_path / "log.csv", time_s=TIME, v_V=INPUT, angle=POSITION * 50)
+    run = run_of(path, axis, columns={"x_m": "angle"}, scales={"x_m": 0.02})
+    np.testing.assert_allclose(run.outputs[:, 0], POSITION, rtol=1e-6, atol=1e-9)
 
 
 def test_a_machine_whose_current_input_is_taken_for_a_voltage_is_refused(current_axis: Machine, tmp_path: Path) -> None:
