@@ -88,7 +88,7 @@ class LogConverter:
             by_header[counter.header] = np.arange(_common_length(log, by_header), dtype=np.float64)
         try:
             time_s, columns = self._columns(log, sources, by_header, remarks)
-            return recording_from_columns(log.path, {TIME: time_s, **columns}, self.machine), remarks
+            return recording_from_columns(log.place, {TIME: time_s, **columns}, self.machine), remarks
         except WrongUnitError as error:
             raise InputError(_unit_advice(error, sources)) from None
         except InputError as error:
@@ -131,7 +131,7 @@ class LogConverter:
         rows = has_time if not has_time.all() else slice(None)
         time_s = time_s[rows]
         try:
-            refuse_decreasing_times(log.path, time_s)
+            refuse_decreasing_times(log.place, time_s)
         except InputError as error:
             raise InputError(f"{error}{repair_of_times(time_s)}") from None
         channels = {}
@@ -181,7 +181,7 @@ class LogConverter:
         if source.column.kind != "stamp" and source.unit_is_assumed and step >= _LONG_STEP:
             unit, factor = next(((u, f) for longest, u, f in _TIME_UNITS if step < longest), _TIME_UNITS[-1][1:])
             raise InputError(
-                f"{log.path}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
+                f"{log.place}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
                 f"seconds; state its unit by --unit {TIME}={unit} (rows at {factor / step:.4g} Hz), or ms, us, ns, s"
             )
         return time_s
@@ -233,7 +233,9 @@ def _common_length(log: Log, by_header: Values) -> int:
     lengths = {header: len(values) for header, values in by_header.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{header} has {length}" for header, length in lengths.items())
-        raise InputError(f"{log.path}: the columns have different numbers of rows ({listed}), so one rate does not fit")
+        raise InputError(
+            f"{log.place}: the columns have different numbers of rows ({listed}), so one rate does not fit"
+        )
     return next(iter(lengths.values()))
 
 

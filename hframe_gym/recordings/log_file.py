@@ -80,6 +80,11 @@ class Log:
     part: str = ""
 
     @property
+    def place(self) -> Path:
+        """The file, with the part of it after a comma, for messages."""
+        return self.path.with_name(self.title)
+
+    @property
     def title(self) -> str:
         """Name of the file and of the part of it, for the user."""
         return f"{self.path.name}, {self.part}" if self.part else self.path.name

@@ -162,7 +162,12 @@ class _LogMapping:
         """
         reference = self.options.columns.get(TIME)
         if reference is None:
-            named = [column for column in self.log.columns if plain_name(column.name.rpartition(".")[2]) in _TIME_NAMES]
+            named = [
+                column
+                for column in self.log.columns
+                if plain_name(column.name.rpartition(".")[2]) in _TIME_NAMES
+                and (column.meaning.evidence != "unit" or column.meaning.quantity == "time")
+            ]
             return [column for column in self.log.columns if column.header == TIME] or named
         if parse_rate(reference) is not None:
             return [LogColumn(f"row number at {reference.strip()}", "row number", "", ROW_NUMBER)]

@@ -203,6 +203,13 @@ def test_a_column_of_another_quantity_is_no_time(
             run_of(path, axis)
 
 
+def test_a_temperature_called_t_is_no_time(axis: Machine, tmp_path: Path) -> None:
+    path = log_of(tmp_path / "log.csv", time_s=TIME, v_V=INPUT, x_m=POSITION)
+    path.write_text(path.read_text().replace("time_s,v_V,x_m", "t [s],v_V,x_m").replace("\n", ",20.5\n"))
+    path.write_text(path.read_text().replace("x_m,20.5", "x_m,T [°C]", 1))
+    np.testing.assert_allclose(run_of(path, axis).time_s, TIME, rtol=1e-9)
+
+
 def test_a_counter_of_rows_is_a_time_at_a_stated_rate(axis: Machine, tmp_path: Path) -> None:
     path = log_of(tmp_path / "log.csv", sample=np.arange(0, 400, 2), v_V=INPUT, x_m=POSITION)
     run = run_of(path, axis, columns={"time_s": "sample"}, units={"time_s": "2kHz"})
