@@ -26,7 +26,8 @@ FOREIGN_SUFFIXES = (
     *(".xlsx", ".xls", ".xlsm", ".ods", ".wpilog", ".mcap", ".bag", ".db3", ".ulg", ".tdms", ".mf4", ".mdf", ".hdf5"),
     *(".h5", ".json", ".jsonl"),
 )
-_JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*[\[{]\s*[\"\[{\]}\d-]")
+# An object, or a list of texts, lists, objects or numbers; a row of units begins with "[-]" or "[1]".
+_JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\"\[{]|-?\d[\d.eE+-]*\s*,))")
 
 
 def refuse_foreign_file(path: Path, start: bytes) -> None:

@@ -26,10 +26,12 @@ _SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "vertical bars", ",": "comm
 _CONSECUTIVE = 3  # rows of numbers that mark the beginning of the data
 # The same where a row begins with a text, as lines above the data do in some logs ("Delta_X 0.001 0.001").
 _CONSECUTIVE_TEXTS = 10
+MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
 _COMMENT_SIGNS = ("#", "%", "//")
 _COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
 _ROW_ENDS = ";,|\t"  # separators that may end each row although other separators are between its cells
-_MOST = 0.9  # fraction of the rows that have such an end
+_MOST = 0.5  # fraction of the rows of numbers that have such an end; their last one may be incomplete
+_ROW_START = re.compile(rf"[ \t]*\"?(?:[+-]?[.,]?\d|(?:nan|{MISSING_WORDS})\b)", re.IGNORECASE)  # in a row of numbers
 _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for
 # Name before a number, as for Arduino's serial plotter: "speed:1.5". The "e" of "1e-3" begins none.
 _LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
@@ -38,7 +40,6 @@ _ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")  # between time stamp and
 _NOT_A_COLUMN = re.compile(r"comment|start|increment|(?:t0|tinc)\s*=.*", re.IGNORECASE)
 
 _NO_HEADER = "it has no header"
-MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
 _MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
 # Also a number whose thousands are separated, which is refused later with advice; "1.0,0.5,0.2" is a row of numbers.
 _NUMBER = re.compile(
@@ -131,7 +132,13 @@ def detect_format(path: Path) -> TextFormat:
         problem = f"the rows have {width} cells under {names_above} names"
         advice = "if commas are also decimal marks, export it with semicolons between the columns"
         raise InputError(f"{path}: {problem}; {advice}")
-    header, units, layout = _detect_header(lines, cells, first, width, separator)
+    without_last = all(not any(row[width - 1 :]) for row in rows)  # the rows end with a separator
+    widths = (width, width - 1) if without_last else (width,)
+    header, units, layout = _detect_header(lines, cells, first, widths, separator)
+    if _NO_HEADER in layout and not without_last and width > 2:
+        # A name may be missing, which the reader refuses with the numbers of names and cells.
+        other = _detect_header(lines, cells, first, (width, width - 1), separator)
+        header, units, layout = other if len(other[0]) < width else (header, units, layout)
     if labels:
         header, units = [label or f"#{k}" for k, label in enumerate(labels, start=1)], [""] * len(labels)
         layout = [remark for remark in layout if remark != _NO_HEADER]
@@ -274,10 +281,11 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
         deviations from a recording.
     """
     rows = [line.rstrip(" ") for line in lines if not _is_comment(line) and any(map(str.isdigit, line))]
+    starting = [row for row in rows if _ROW_START.match(row)]
     edits: list[tuple[re.Pattern[str], str]] = []
     labels: list[str] = []
     remarks = []
-    if rows and sum(_ARROW.match(row) is not None for row in rows) >= _MOST * len(rows):
+    if sum(_ARROW.match(row) is not None for row in starting) > _MOST * len(starting):
         separator = _detect_separator([_ARROW.sub("", row) for row in rows])
         edits.append((_ARROW, rf"\1{separator}"))
         remarks.append("an arrow follows the time stamps")
@@ -288,9 +296,9 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
         labels = ([""] if edits[0][0] is _ARROW else []) + list(names[0])
         remarks.append("each cell begins with the name of its column")
     for row_end in _ROW_ENDS:
-        if rows and sum(row.endswith(row_end) for row in rows) >= _MOST * len(rows):
+        if sum(row.endswith(row_end) for row in starting) > _MOST * len(starting):
             pattern = re.compile(rf"(?m){re.escape(row_end)} *$")
-            if _detect_separator([pattern.sub("", row) for row in rows]) != row_end:
+            if _detect_separator([pattern.sub("", row) for row in starting]) != row_end:
                 edits.append((pattern, ""))
                 remarks.append(f"rows end with {_SEPARATORS[row_end]}")
     return edits, labels, remarks
@@ -384,7 +392,7 @@ class _LineAbove:
 
 
 def _detect_header(
-    lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, width: int, separator: str
+    lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, widths: Sequence[int], separator: str
 ) -> tuple[list[str], list[str], list[str]]:
     """Find the names and units of the columns above the first row of numbers.
 
@@ -395,7 +403,7 @@ def _detect_header(
         lines: Lines of the file.
         cells: Cells of each line, none of a comment.
         first: Line of the first row of numbers.
-        width: Number of cells of the rows.
+        widths: Number of cells of the rows, and that of other numbers of names that fit.
         separator: Character between cells.
 
     Returns:
@@ -405,9 +413,9 @@ def _detect_header(
     above = []
     for i in range(first):
         if _is_comment(lines[i]):
-            above.append(_LineAbove(i, _cells_of_comment(lines[i], width, separator), True))
+            above.append(_LineAbove(i, _cells_of_comment(lines[i], widths, separator), True))
         elif any(cells[i]):
-            above.append(_LineAbove(i, _fitting(cells[i], width), False))
+            above.append(_LineAbove(i, _fitting(cells[i], widths), False))
     names, units = _names_and_units(above)
     used = [line.number for line in (names, units) if line is not None]
     if names is None:
@@ -423,23 +431,24 @@ def _detect_header(
         if skipped:
             plural = "lines are" if skipped > 1 else "line is"
             deviations.append(f"{skipped} {what} {plural} above the data")
-    header = names.cells if names is not None else [f"#{k + 1}" for k in range(width)]
+    header = names.cells if names is not None else [f"#{k + 1}" for k in range(widths[0])]
     texts = units.cells if units is not None else []
     return header, [*texts, *[""] * len(header)][: len(header)], deviations
 
 
-def _fitting(row: Sequence[str], width: int) -> list[str]:
+def _fitting(row: Sequence[str], widths: Sequence[int]) -> list[str]:
     """Return the cells of a line above the data if their number fits that of the columns, else none."""
+    width = widths[0]
     trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
     while len(trimmed) > max(width, 1) and (_NOT_A_COLUMN.fullmatch(trimmed[-1]) or _NUMBER.fullmatch(trimmed[-1])):
         trimmed.pop()
-    return trimmed if len(trimmed) in (width, width - 1) else []
+    return trimmed if len(trimmed) in widths else []
 
 
-def _cells_of_comment(line: str, width: int, separator: str) -> list[str]:
+def _cells_of_comment(line: str, widths: Sequence[int], separator: str) -> list[str]:
     """Return the cells of a comment, which may have another separator than the data, if their number fits."""
     text = _COMMENT_SIGN.sub("", line, count=1)
-    splits = (_fitting(split_row(text, candidate), width) for candidate in (separator, *_SEPARATORS))
+    splits = (_fitting(split_row(text, candidate), widths) for candidate in (separator, *_SEPARATORS))
     return next(filter(None, splits), [])
 
 

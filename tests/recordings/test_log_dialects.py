@@ -167,6 +167,62 @@ def test_a_short_log_whose_rows_end_with_another_separator_is_read(count: int, t
     assert [column.name for column in log.columns] == ["t", "u", "x"]
 
 
+NAMES = ("time", "voltage", "position", "speed_rpm", "I1", "status word", "x", "Zeit", "Winkel 1", "u_cmd")
+UNITS = ("s", "V", "mm", "rpm", "A", "-", "rad", "ms", "deg", "V")
+# Lines above the data, from the names, the units and the sign of a comment.
+HEADERS = {
+    "names": (("{names}",), False),
+    "names in quotation marks": (("{quoted}",), False),
+    "names in a comment": (("{sign}{names}",), False),
+    "names and units in comments": (("{sign}{names}", "{sign}{units}"), True),
+    "units and names in comments": (("{sign}{units}", "{sign}{names}"), True),
+    "names, then units": (("{names}", "{units}"), True),
+    "units, then names": (("{units}", "{names}"), True),
+    "names, then units in a comment": (("{names}", "{sign}{units}"), True),
+}
+
+
+@pytest.mark.parametrize("header", HEADERS)
+@pytest.mark.parametrize("number", range(40))
+def test_tables_of_random_dialects_are_read_as_they_were_written(header: str, number: int, tmp_path: Path) -> None:
+    random = np.random.default_rng([number, len(header)])
+
+    def choose(*texts: str) -> str:
+        return str(random.choice(texts))
+
+    width, count = int(random.integers(2, 7)), int(random.choice([1, 2, 3, 5, 30, 200]))
+    separator, form = choose(",", ";", "\t", " ", "|"), choose("{:.6g}", "{:.4f}", "{:.6e}")
+    decimal = choose(".", ",") if separator in ";\t|" else "."
+    columns = random.permutation(10)[:width]
+    values = random.normal(0.0, random.choice([1e-3, 1.0, 100.0]), (count, width))
+    values[:, 0] = np.arange(count) * random.choice([1e-3, 0.1, 1.0, 5.0])
+    texts = [[form.format(value) for value in row] for row in values]
+    blanks = random.choice([0, 0, 1, 4]) if count > 2 else 0
+    lines = [separator.join(["nan"] * width)] * blanks
+    lines += [separator.join(row).replace(".", decimal) for row in texts]
+    end = choose("", "", "" if separator == " " else separator, "" if separator == ";" else ";")
+    sign, bracket = choose("#", "# ", "%", "% ", "//", "##"), choose("{}", "[{}]", "({})")
+    names = [NAMES[k].replace(" ", "_" if separator == " " else " ") for k in columns]
+    parts = {
+        "sign": sign,
+        "names": separator.join(names),
+        "quoted": separator.join(name if separator == " " else f'"{name}"' for name in names),
+        "units": separator.join(bracket.format(UNITS[k]) for k in columns),
+    }
+    above, has_units = HEADERS[header]
+    title = choose("", "Bench 3\n" if separator != " " else "", f"{sign}logger 7, run 3\n", f"{sign}date: 2024\n\n")
+    text = title + "\n".join([*(line.format(**parts) for line in above), *(line + end for line in lines)])
+    text = (text + choose("", "\n", "\n\n")).replace("\n", choose("\n", "\r\n"))
+    (tmp_path / "log.txt").write_bytes(text.encode(choose("utf-8", "utf-8-sig", "utf-16")))
+    (log,) = open_logs(tmp_path / "log.txt")
+    assert [column.header for column in log.columns] == names
+    if has_units:
+        assert [column.unit for column in log.columns] == [UNITS[k] for k in columns]
+    read = np.column_stack(log.read(log.columns)[0])
+    assert np.isnan(read[:blanks]).all()
+    np.testing.assert_allclose(read[blanks:], np.array(texts, float), rtol=1e-12)
+
+
 def test_the_serial_monitor_puts_an_arrow_after_its_time_stamps(tmp_path: Path) -> None:
     text = "".join(f"12:00:{t:06.3f} -> {u:.2f},{x:.7f}\n" for t, u, x in zip(TIME, VOLTAGE, POSITION, strict=True))
     log = opened(tmp_path, text)
