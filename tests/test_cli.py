@@ -483,6 +483,38 @@ def test_names_are_complete_in_a_pipe(command: str) -> None:
         assert max(map(len, run.stdout.splitlines())) <= 80
 
 
+def closed_pipe_command(*words: object, both: bool = False) -> tuple[int, str]:
+    """Run a command whose output nobody reads; return its exit code and its standard error."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    errors = write_end if both else subprocess.PIPE
+    command = [sys.executable, "-m", "hframe_gym", *map(str, words)]
+    run = subprocess.run(command, stdout=write_end, stderr=errors, env=environment, check=False)
+    os.close(write_end)
+    return run.returncode, (run.stderr or b"").decode()
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_a_command_completes_its_work_if_nobody_reads_its_output(both: bool, tmp_path: Path) -> None:
+    log = ROOT / "examples/rig_b/run_01.csv.gz"
+    assert closed_pipe_command("import", log, "--out", tmp_path / "runs", both=both) == (0, "")
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["run_01.csv.gz"]
+    assert closed_pipe_command("effects", both=both) == (0, "")
+    assert closed_pipe_command("--help", both=both) == (0, "")
+    assert closed_pipe_command("check", tmp_path / "none", both=both)[0] == 2
+
+
+def test_the_line_of_usage_names_arguments_in_capitals(hframe_command: Command) -> None:
+    for words, usage in (
+        (("check",), "check [OPTIONS] RUNS_DIR"),
+        (("play",), "play [OPTIONS] [CONTROLLER]"),
+        (("machines", "show"), "machines show [OPTIONS] MACHINE"),
+        (("evaluate",), "evaluate [OPTIONS] CONTROLLERS..."),
+    ):
+        assert usage in hframe_command(*words, "--help")[1]
+
+
 def test_kernel_prints_python_source(hframe_command: Command) -> None:
     code, out, _ = hframe_command("kernel", "hframe")
     assert code == 0
@@ -580,7 +612,7 @@ def test_import_converts_a_folder_of_logs_that_check_then_accepts(hframe_command
     assert not (tmp_path / "runs").exists()
     code, out, _ = hframe_command("import", tmp_path / "logs", *options, "--map", "v2_V=U2", "--format", "parquet")
     assert code == 0
-    assert "  phi1_rad <- phi1 [deg] (deg to rad)" in out
+    assert "phi1 [deg] angle deg phi1_rad (deg to rad)" in " ".join(out.split())
     assert f"wrote 2 runs to {tmp_path / 'runs'}. Next: hframe check {tmp_path / 'runs'} --machine hframe" in out
     run = load_recording(tmp_path / "runs" / "b.parquet", BUILTIN_MACHINES["hframe"]())
     np.testing.assert_allclose(np.column_stack([run.time_s, run.inputs, run.outputs]), source, rtol=1e-10)

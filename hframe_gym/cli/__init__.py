@@ -18,7 +18,7 @@ import typer
 
 from .. import __version__
 from . import control_commands, machine_commands, recording_commands
-from .app import app, log
+from .app import app, closed_output_tolerated, log
 from .support import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
 
 __all__ = ["app", "control_commands", "machine_commands", "main", "recording_commands"]
@@ -53,7 +53,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> None:
         SystemExit: With exit code 0 (success), 1 (internal error, a fault that `hframe check` found, or a question that
             the user ended) or 2 (faulty input or arguments).
     """
-    with warnings.catch_warnings():
+    with closed_output_tolerated(), warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = print_warning
         try:

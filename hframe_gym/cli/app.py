@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import inspect
+import os
 import re
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -18,6 +22,8 @@ from typer.core import TyperCommand, TyperGroup
 from ..distributed import LOCAL_RAY
 from ..registry import load_plugins
 
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
 
 class RunFormats(StrEnum):
     """File formats of recordings."""
@@ -25,6 +31,22 @@ class RunFormats(StrEnum):
     CSV_GZ = "csv.gz"
     CSV = "csv"
     PARQUET = "parquet"
+
+
+class Command(TyperCommand):
+    """Typer command whose line of usage names its arguments in capitals, such as RUNS_DIR."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the words of the line of usage after the name of the command.
+
+        Args:
+            ctx: Click context of the command.
+
+        Returns:
+            "[OPTIONS]" and the arguments. Typer writes a required one as "{runs_dir}", which looks like a placeholder
+            that was not filled in.
+        """
+        return [piece.replace("{", "").replace("}", "").upper() for piece in super().collect_usage_pieces(ctx)]
 
 
 class CommandGroup(TyperGroup):
@@ -63,7 +85,26 @@ class CommandGroup(TyperGroup):
         return command
 
 
-app = typer.Typer(
+class Application(typer.Typer):
+    """Typer application whose commands are of the class `Command` unless another one is given."""
+
+    def command(
+        self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **settings: Any
+    ) -> Callable[[_Function], _Function]:
+        """Return a decorator that makes a function a command.
+
+        Args:
+            name: Name of the command. Default: that of the function.
+            cls: Class of the command.
+            **settings: Other arguments of `typer.Typer.command`.
+
+        Returns:
+            The decorator.
+        """
+        return super().command(name, cls=cls, **settings)
+
+
+app = Application(
     cls=CommandGroup,
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
     no_args_is_help=True,
@@ -73,6 +114,58 @@ app = typer.Typer(
 )
 MAX_SEED = 2**31 - 1
 _RAY_ADDRESS = re.compile(rf"auto|{LOCAL_RAY}|[^\s/]+:\d+")  # other words after --ray are no address
+
+
+class _TolerantStream:
+    """Text stream that discards what is written after its reader has gone, and passes on everything else."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text, or discard it if nobody reads the stream any more."""
+        try:
+            return int(self._stream.write(text))
+        except OSError as error:
+            self._discard(error)
+            return len(text)
+
+    def flush(self) -> None:
+        """Pass on what was written, or discard it if nobody reads the stream any more."""
+        try:
+            self._stream.flush()
+        except OSError as error:
+            self._discard(error)
+
+    def _discard(self, error: OSError) -> None:
+        """Connect a stream without a reader to the null device, to which its buffer can be written; raise others."""
+        if error.errno != errno.EPIPE and not (os.name == "nt" and error.errno == errno.EINVAL):
+            raise error
+        with suppress(OSError, ValueError):  # a stream without a file, such as that of a test
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self._stream.fileno())
+            os.close(null)
+
+
+@contextmanager
+def closed_output_tolerated() -> Iterator[None]:
+    """Let the work inside a `with` block go on if the reader of its output ends, as in `hframe import LOGS | head`.
+
+    Yields:
+        Nothing. Within the block, texts that nobody reads are discarded.
+    """
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = _TolerantStream(sys.stdout), _TolerantStream(sys.stderr)
+    try:
+        yield
+        sys.stdout.flush()
+    finally:
+        sys.stdout, sys.stderr = streams
+
+
 console = Console(soft_wrap=True)
 
 MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
@@ -166,8 +259,8 @@ def registered_choices() -> dict[str, str]:
     return {placeholder: ", ".join(names) for placeholder, names in choices.items()}
 
 
-class CommandWithChoices(TyperCommand):
-    """Typer command whose help texts may contain placeholders of `registered_choices`, for example {tasks}.
+class CommandWithChoices(Command):
+    """Command whose help texts may contain placeholders of `registered_choices`, for example {tasks}.
 
     They are replaced when the help is printed, so that no other command waits for the imports of the registries. The
     option --ray may have no value.

@@ -11,7 +11,7 @@ import typer
 
 from ..errors import InputError
 from ..registry import PLUGIN_VARIABLE
-from .app import CommandGroup, MachineOption, app, console, log
+from .app import Application, CommandGroup, MachineOption, app, console, log
 
 _EFFECTS_HELP = """List the effects that identification can add to a machine's model (the default), or write a new one.
 
@@ -21,8 +21,8 @@ _MACHINES_HELP = """List the built-in machines (the default), show a machine, cr
 
 Example:  hframe machines
 """
-app.add_typer(effects_app := typer.Typer(cls=CommandGroup, help=_EFFECTS_HELP), name="effects")
-app.add_typer(machines_app := typer.Typer(cls=CommandGroup, help=_MACHINES_HELP), name="machines")
+app.add_typer(effects_app := Application(cls=CommandGroup, help=_EFFECTS_HELP), name="effects")
+app.add_typer(machines_app := Application(cls=CommandGroup, help=_MACHINES_HELP), name="machines")
 
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 

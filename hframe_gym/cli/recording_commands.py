@@ -25,6 +25,7 @@ from .app import (
     RecordingsArgument,
     RunFormats,
     app,
+    closed_output_tolerated,
     console,
     log,
     plain_text,
@@ -68,7 +69,7 @@ def examples(
 
 @app.command("import")
 def import_logs(
-    logs: Annotated[Path, typer.Argument(help="A log, or a folder of logs: text, MATLAB .mat or Parquet.")],
+    logs: Annotated[Path, typer.Argument(help="A log, or a folder of logs: text, MATLAB .mat, Parquet or SysId JSON.")],
     out: Annotated[Path, typer.Option(help="Folder for the recordings; existing runs are never replaced.")],
     machine: MachineOption = "hframe",
     map: Annotated[
@@ -77,7 +78,10 @@ def import_logs(
             help="CHANNEL=COLUMN, e.g. v1_V=U1, x_m='#4' (fourth column), y_m=none, or time_s=200Hz without a column."
         ),
     ] = None,
-    unit: Annotated[list[str] | None, typer.Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms.")] = None,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms, or time_s=8kHz for a counter."),
+    ] = None,
     scale: Annotated[list[str] | None, typer.Option(help="CHANNEL=FACTOR to the channel's unit: x_m=0.001.")] = None,
     mapping: Annotated[
         Path | None, typer.Option(help="TOML or JSON file with the tables map, unit and scale; options override it.")
@@ -89,7 +93,10 @@ def import_logs(
         float, typer.Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
     ] = 0.5,
     split_every: Annotated[
-        float | None, typer.Option(min=0.5, max=3600.0, help="Cut each log into runs of about so many s, in motion.")
+        float | None,
+        typer.Option(
+            min=0.5, max=3600.0, help="Cut each log into runs of about this duration, s, also where the machine moves."
+        ),
     ] = None,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
@@ -97,7 +104,8 @@ def import_logs(
 
     Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates. A column
     is assigned by --map, or if it alone has the name of a channel, with any unit ("X (mm)" for x_m). Nothing else is
-    guessed. Everything that is converted, assumed or left out is printed. docs/import.md lists what is handled.
+    guessed, and a column of another physical quantity is refused. A table shows what each column was taken for.
+    docs/import.md lists what is handled.
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests
     """
@@ -305,7 +313,8 @@ def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _Identifie
 
     def log(line: str) -> None:
         if show_progress:
-            print(plain_text(f"{rig.runs_dir.name}: {line}"), flush=True)
+            with closed_output_tolerated():
+                print(plain_text(f"{rig.runs_dir.name}: {line}"))
 
     try:
         if isinstance(rig.recordings, InputError):

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
+from .log_clock import continued_counter, continued_over_midnight, repair_of_times
 from .log_file import ROW_NUMBER, Log
 from .log_mapping import ChannelSource
-from .measurement_units import TIME, Conversion, WrongUnitError
+from .measurement_units import TIME, Conversion, WrongUnitError, channel_dimension
+from .quantization import exact_quantum
 from .recording import Recording, recording_from_columns
 from .table_file import Array, refuse_decreasing_times
 from .text_reader import Progress
+from .wrapping import find_wrap, known_moduli, unwrapped
 
 Mask = NDArray[np.bool_]
 Values = dict[str, NDArray[Any]]  # values of the log's columns by header
@@ -24,6 +27,8 @@ Values = dict[str, NDArray[Any]]  # values of the log's columns by header
 # Samples of several time columns that differ by less than this fraction of the shortest sampling period form one row.
 _SAME_TIME = 1e-3
 _LONG_STEP = 0.5  # s; times without a unit at longer steps are probably in another unit than seconds
+# Likely unit of times without a unit by their step: below a limit, unit, steps per second. Logs have 20 Hz to 20 kHz.
+_TIME_UNITS = ((50.0, "ms", 1e3), (50e3, "us", 1e6), (np.inf, "ns", 1e9))
 
 # A channel is at rest while its peak-to-peak variation is below a tolerance, the largest of:
 _REST_NOISE = 10.0  # standard deviations of its noise,
@@ -83,7 +88,7 @@ class LogConverter:
             by_header[counter.header] = np.arange(_common_length(log, by_header), dtype=np.float64)
         try:
             time_s, columns = self._columns(log, sources, by_header, remarks)
-            return recording_from_columns(log.path, {TIME: time_s, **columns}, self.machine), remarks
+            return recording_from_columns(log.place, {TIME: time_s, **columns}, self.machine), remarks
         except WrongUnitError as error:
             raise InputError(_unit_advice(error, sources)) from None
         except InputError as error:
@@ -92,8 +97,6 @@ class LogConverter:
             origins = [
                 f"{channel} is the column {header!r}" for channel, header in header_of.items() if channel in message
             ]
-            if "goes back" in message:
-                message += "; did the clock restart? Cut the file there"
             raise InputError("; ".join([message, *origins])) from None
 
     def _columns(
@@ -120,22 +123,45 @@ class LogConverter:
         self, log: Log, time: ChannelSource, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
     ) -> tuple[Array, dict[str, Array]]:
         """Return one column of time, s, and the values of its channels, without rows that have no time."""
-        time_s = self._seconds(log, time, by_header)
+        time_s = self._seconds(log, time, by_header, remarks)
         has_time = np.isfinite(time_s)
         if not has_time.all():
-            remarks.append(f"{int(np.sum(~has_time))} rows without a time left out")
+            count = int(np.sum(~has_time))
+            remarks.append(f"{count} row{'s' if count > 1 else ''} without a time left out")
         rows = has_time if not has_time.all() else slice(None)
         time_s = time_s[rows]
-        refuse_decreasing_times(log.path, time_s)
+        try:
+            refuse_decreasing_times(log.place, time_s)
+        except InputError as error:
+            raise InputError(f"{error}{repair_of_times(time_s)}") from None
         channels = {}
         for source in sources:
             if source.time is not None and source.time.column is time.column and source.column is not None:
-                values = source.conversion.apply(by_header[source.column.header])[rows]
+                values = by_header[source.column.header]
+                if source.channel in self.machine.output_channels and not source.integrate:
+                    values, remark = self._without_wrap(source.channel, values)
+                    remarks += [remark] * bool(remark)
+                if source.column.unit == "%" and not source.set_by_user and _is_fraction(values):
+                    remarks.append(f"{source.channel}: never exceeds 1 %; if 1 is full, add --unit {source.channel}=pu")
+                values = source.conversion.apply(values)[rows]
                 channels[source.channel] = _integrate(time_s, values) if source.integrate else values
         return time_s, channels
 
-    def _seconds(self, log: Log, source: ChannelSource, by_header: Values) -> Array:
-        """Return the times of a column, s; NaN where a cell is empty."""
+    def _without_wrap(self, channel: str, values: Array) -> tuple[Array, str]:
+        """Unwrap the values of an output, in the unit of the log, and say so; other values are returned as given."""
+        # Encoders of motors may measure the travel of a carriage, so that turns may wrap in a channel in m as well.
+        sensor = self.machine.sensor(channel)
+        angle = channel_dimension(self.machine, channel) == "angle" or sensor.kind == "encoder"
+        measured = values[np.isfinite(values)]
+        quantum = 1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)  # 1 for counts
+        wrap = find_wrap(values, known_moduli(quantum, angle=angle))
+        if wrap is None:
+            return values, ""
+        jumps = f"{wrap.jumps} jump{'s' if wrap.jumps > 1 else ''}"
+        return unwrapped(values, wrap.modulus), f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
+
+    def _seconds(self, log: Log, source: ChannelSource, by_header: Values, remarks: list[str]) -> Array:
+        """Return the times of a column, s; NaN where a cell is empty. A clock that starts anew is continued."""
         assert source.column is not None
         values = by_header[source.column.header]
         if source.column.kind == "stamp":
@@ -143,14 +169,20 @@ class LogConverter:
             if self.day is None and len(stamps):
                 self.day = stamps[0].astype("datetime64[D]")
             nanoseconds = (values - (self.day or np.datetime64(0, "D"))).astype("timedelta64[ns]")
-            return np.where(np.isnat(values), np.nan, nanoseconds.astype(np.int64) / 1e9)
-        time_s = source.conversion.apply(values)
+            time_s = np.where(np.isnat(values), np.nan, nanoseconds.astype(np.int64) / 1e9)
+        else:
+            values, remark = continued_counter(values)
+            remarks += [remark] * bool(remark)
+            time_s = source.conversion.apply(values)
+        time_s, remark = continued_over_midnight(time_s)
+        remarks += [remark] * bool(remark)
         finite = time_s[np.isfinite(time_s)]
         step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
-        if source.unit_is_assumed and step >= _LONG_STEP:
+        if source.column.kind != "stamp" and source.unit_is_assumed and step >= _LONG_STEP:
+            unit, factor = next(((u, f) for longest, u, f in _TIME_UNITS if step < longest), _TIME_UNITS[-1][1:])
             raise InputError(
-                f"{log.path}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
-                f"seconds; state its unit by --unit {TIME}=ms (or us, ns, s)"
+                f"{log.place}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
+                f"seconds; state its unit by --unit {TIME}={unit} (rows at {factor / step:.4g} Hz), or ms, us, ns, s"
             )
         return time_s
 
@@ -190,12 +222,20 @@ def _integrate(time_s: Array, speed: Array) -> Array:
     return position
 
 
+def _is_fraction(values: Array) -> bool:
+    """Return whether values that are stated in percent are probably fractions of 1: none exceeds 1, some reach 0.1."""
+    largest = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
+    return 0.1 <= largest <= 1.0
+
+
 def _common_length(log: Log, by_header: Values) -> int:
     """Return the number of rows that all columns have; refuse a log whose columns differ."""
     lengths = {header: len(values) for header, values in by_header.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{header} has {length}" for header, length in lengths.items())
-        raise InputError(f"{log.path}: the columns have different numbers of rows ({listed}), so one rate does not fit")
+        raise InputError(
+            f"{log.place}: the columns have different numbers of rows ({listed}), so one rate does not fit"
+        )
     return next(iter(lengths.values()))
 
 

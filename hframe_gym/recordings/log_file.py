@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..file_limits import refuse_expansion
-from .measurement_units import ALL_SPEED_UNITS, normalize_unit, split_unit
+from .foreign_files import FOREIGN_SUFFIXES, is_json, refuse_foreign_file
+from .quantities import Meaning, is_unit, meaning_of, normalize_unit, split_unit
+from .sysid_json import SysIdTest, is_sysid_file, read_tests
 from .table_file import open_parquet, parquet_numbers, read_parquet_column
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
 
-LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".mat", ".parquet")
+LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".lvm", ".mat", ".parquet")
 
 ROW_NUMBER = "row number"  # kind of a column that is not in the file, but counts its rows from 0
 
@@ -31,7 +33,6 @@ _MAT_HEADER = 128  # bytes before the first variable in MATLAB files of version 
 _MAT_COMPRESSED = 15  # type of a compressed variable
 # Compressed bytes per step. A byte expands to 1032 at most, a step to 64 MB; the size is checked after each step.
 _MAT_BLOCK = 1 << 16
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,13 @@ class LogColumn:
     kind: str
     rows: int | None = None
 
+    @property
+    def meaning(self) -> Meaning:
+        """Physical quantity of the column by its name and unit."""
+        if self.kind == "stamp":
+            return Meaning("time", "", "unit", "")
+        return meaning_of(self.name, self.unit)
+
 
 @dataclass(frozen=True)
 class Log:
@@ -62,12 +70,24 @@ class Log:
         columns: Its columns in the order of the file.
         remarks: Remarks for the user on the file's format, where it differs from that of a recording.
         reader: Function that reads the values of columns by index, see `read`.
+        part: Name of the part of the file that this log is; "" if the file is one log.
     """
 
     path: Path
     columns: tuple[LogColumn, ...]
     remarks: tuple[str, ...]
     reader: Callable[[Sequence[int], Progress | None], tuple[list[NDArray[Any]], list[str]]]
+    part: str = ""
+
+    @property
+    def place(self) -> Path:
+        """The file, with the part of it after a comma, for messages."""
+        return self.path.with_name(self.title)
+
+    @property
+    def title(self) -> str:
+        """Name of the file and of the part of it, for the user."""
+        return f"{self.path.name}, {self.part}" if self.part else self.path.name
 
     def read(
         self, columns: Sequence[LogColumn], progress: Progress | None = None
@@ -114,12 +134,11 @@ class Log:
 
         Returns:
             The column whose header equals the channel's name. If there is none: all columns with the same name without
-            unit (case, blanks and punctuation do not matter), except those in a unit of speed such as mm/s.
+            unit (case, blanks and punctuation do not matter).
         """
         name = plain_name(split_unit(channel)[0])
         named = [column for column in self.columns if plain_name(column.name) == name]
-        positions = [column for column in named if column.unit not in ALL_SPEED_UNITS]
-        return [column for column in self.columns if column.header == channel] or positions
+        return [column for column in self.columns if column.header == channel] or named
 
 
 def plain_name(name: str) -> str:
@@ -146,16 +165,17 @@ def headers_text(columns: Sequence[LogColumn]) -> str:
     return ", ".join(c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns)
 
 
-def open_log(path: Path) -> Log:
-    """Open a log of a controller or data logger (text, MATLAB or Parquet file), and determine its columns.
+def open_logs(path: Path) -> list[Log]:
+    """Open a log of a controller or data logger (text, MATLAB, Parquet or SysId file), and determine its columns.
 
-    The kind is detected from the content of the file; the ending of its name matters only for MATLAB files.
+    The kind is detected from the content of the file; the ending of its name matters only for MATLAB and JSON files.
 
     Args:
         path: File of the log.
 
     Returns:
-        The log with the names, units and numbers of rows of its columns; values, shape (rows,), are read by `Log.read`.
+        The logs of the file with the names, units and numbers of rows of their columns: one for each test in a JSON
+        file of SysId, else one. Values, shape (rows,), are read by `Log.read`.
 
     Raises:
         InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
@@ -164,15 +184,13 @@ def open_log(path: Path) -> Log:
     with open(path, "rb") as file:
         start = file.read(128)
     if start.startswith(b"PAR1"):
-        return _open_parquet(path)
-    if start.startswith(_HDF5) or b"MATLAB 7.3" in start:
-        advice = "save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7'), or export it as CSV"
-        raise InputError(f"{path}: is an HDF5 file (MATLAB version 7.3), which is not read; {advice}")
+        return [_open_parquet(path)]
+    refuse_foreign_file(path, start)
     if start.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        return _open_mat(path)
-    if start.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
-        raise InputError(f"{path}: is a spreadsheet or an archive, not a table in text; save the sheet as CSV")
-    return _open_text(path)
+        return [_open_mat(path)]
+    if is_json(path, start):
+        return [_open_test(path, test) for test in read_tests(path)]
+    return [_open_text(path)]
 
 
 def _columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> tuple[LogColumn, ...]:
@@ -181,6 +199,8 @@ def _columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str])
     for position, (written, unit, kind) in enumerate(zip(headers, units, kinds, strict=True), start=1):
         header = written.strip() or f"#{position}"
         name, unit_in_header = split_unit(header)
+        if is_unit(unit) and not is_unit(unit_in_header):  # the brackets in the header have a remark, no unit
+            unit_in_header = ""
         repeats = sum(column.header == header or column.header.startswith(f"{header}.") for column in columns)
         number = f".{repeats + 1}" if any(column.header == header for column in columns) else ""
         columns.append(LogColumn(header + number, name, unit_in_header or normalize_unit(unit), kind))
@@ -195,6 +215,16 @@ def _open_text(path: Path) -> Log:
         return read_columns(path, layout, indices, lenient=True, progress=progress)
 
     return Log(path, _columns(layout.names, layout.units, layout.kinds), layout.deviations, read)
+
+
+def _open_test(path: Path, test: SysIdTest) -> Log:
+    """Open a test of a JSON file of SysId, whose values are in memory."""
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        return [test.columns[index] for index in indices], []
+
+    columns = _columns(test.names, [""] * len(test.names), ["number"] * len(test.names))
+    return Log(path, columns, test.remarks, read, test.name)
 
 
 def _open_parquet(path: Path) -> Log:
@@ -310,7 +340,7 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
 
     Returns:
         logs: Files of the folder, in alphabetical order, that end in one of `LOG_SUFFIXES` (.csv, .txt, .mat, ...),
-            possibly followed by .gz, except documents such as readme.txt; or the one log.
+            possibly followed by .gz, except documents such as readme.txt, and JSON files of SysId; or the one log.
         other_files: The remaining files of the folder, except hidden ones.
 
     Raises:
@@ -323,8 +353,11 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
     if not path.is_dir():
         raise InputError(f"{path}: no such file or folder")
     files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
-    logs = [p for p in files if p.name.lower().removesuffix(".gz").endswith(LOG_SUFFIXES) and not _is_document(p)]
+    logs = [p for p in files if _is_log(p)]
     if not logs:
+        for file in files:
+            if file.name.lower().endswith(FOREIGN_SUFFIXES):
+                open_logs(file)  # which says why it is not read
         raise InputError(f"{path}: no logs ({', '.join(LOG_SUFFIXES)}) in this folder")
     for first, second in pairwise(sorted(logs, key=log_name)):
         if log_name(first) == log_name(second):
@@ -342,6 +375,14 @@ def log_name(path: Path) -> str:
         The name, for example "test_3" for test_3.csv.gz.
     """
     return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
+
+
+def _is_log(path: Path) -> bool:
+    """Return whether a file of a folder is a log by its name; a JSON file, which may be a machine, by its content."""
+    name = path.name.lower()
+    if name.endswith(".json"):
+        return is_sysid_file(path)
+    return name.removesuffix(".gz").endswith(LOG_SUFFIXES) and not _is_document(path)
 
 
 def _is_document(path: Path) -> bool:

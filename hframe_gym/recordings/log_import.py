@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -20,9 +20,9 @@ from ..file_limits import read_document, read_json
 from ..machine import Machine
 from .cleaning import GAP_PERIODS
 from .log_conversion import LogConverter, split_at_rests
-from .log_file import Log, find_logs, log_name, open_log
+from .log_file import Log, find_logs, headers_text, log_name, open_logs
 from .log_mapping import ChannelSource, MappingOptions, map_columns
-from .measurement_units import TIME
+from .measurement_units import TIME, channel_dimension
 from .recording import Recording, run_name
 from .table_file import SUFFIXES, Array, compressed_by_name
 from .text_reader import Progress, cumulative
@@ -32,6 +32,7 @@ RunFormat = Literal["csv.gz", "csv", "parquet"]
 _ROWS_PER_WRITE = 50_000  # so many rows are held in memory as text, a few tens of MB
 # s; a single motion takes a few seconds, so that a longer log probably holds several, with rests between them.
 _LONG_RUN = 60.0
+_UNUSED_ROWS = 20  # columns that are not used and get a row of the table; logs of machine tools have hundreds
 _COMPRESSION = 4  # level of gzip; higher levels take several times as long and save a few percent
 
 
@@ -93,7 +94,7 @@ def import_logs(
         raise InputError(f"--out {folder}: is a file, but must be a folder")
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     if other_files:
-        log(f"skipped (by their names, no logs): {', '.join(p.name for p in other_files)}")
+        log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
     # Each byte counts twice: once for reading, once for writing, which take about as long.
     total = 2 * sum(path.stat().st_size for path in paths)
     importer = _Importer(machine, settings, log, cumulative(progress, total))
@@ -221,14 +222,19 @@ class _Importer:
         self._last_mapping: list[str] = []
         self._bytes_per_row = 0.0
 
-    def runs(self, path: Path) -> list[Recording]:
-        """Convert a log and return its runs."""
-        log = open_log(path)
+    def runs(self, path: Path) -> Iterator[Recording]:
+        """Convert a file and yield its runs, one log of the file after the other."""
+        logs = open_logs(path)
+        for log in logs:
+            yield from self._runs_of(log, path.stat().st_size / len(logs))
+
+    def _runs_of(self, log: Log, size: float) -> list[Recording]:
+        """Convert a log, which takes a size in bytes of its file, and return its runs."""
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._log_mapping(log, sources)
         recording, remarks = self._converter.convert(log, sources, self._progress)
-        recording = dataclasses.replace(recording, name=log_name(path))
-        self._bytes_per_row = path.stat().st_size / len(recording.time_s)
+        recording = dataclasses.replace(recording, name="_".join(filter(None, (log_name(log.path), log.part))))
+        self._bytes_per_row = size / len(recording.time_s)
         remarks += _clock_remarks(recording.time_s)
         runs = [recording]
         if self._settings.split:
@@ -253,23 +259,42 @@ class _Importer:
         self._progress(round(rows * self._bytes_per_row))
 
     def _log_mapping(self, log: Log, sources: Sequence[ChannelSource]) -> None:
-        """Report the format of a log and the column of each channel, unless they are those of the log before."""
-        lines = [f"  {remark}" for remark in log.remarks]
-        width = max(len(source.channel) for source in sources)
-        for source in sources:
-            origin = source.column.header if source.column else "no column"
-            remark = f" ({source.remark})" if source.remark else ""
-            lines.append(f"  {source.channel:{width}} <- {origin}{remark}")
-        used = [source.column for source in sources]
-        unused = [column.header for column in log.columns if column not in used]
-        lines += [f"  not used: {', '.join(unused)}"] if unused else []
+        """Report the format of a log and what each column was taken for, unless it is as for the log before."""
+        lines = [f"  {line}" for line in (*log.remarks, *_column_table(log, sources, self._machine))]
         if lines == self._last_mapping:
-            self._log(f"{log.path.name}: same format and columns as the log before")
+            self._log(f"{log.title}: same format and columns as the log before")
         else:
-            self._log(f"{log.path.name}:")
+            self._log(f"{log.title}:")
             for line in lines:
                 self._log(line)
         self._last_mapping = lines
+
+
+def _column_table(log: Log, sources: Sequence[ChannelSource], machine: Machine) -> list[str]:
+    """Return lines of a table of the log's columns: quantity, unit, and the channel that each became."""
+    rows = [("column", "quantity", "unit", "channel")]
+    for source in sources:
+        remark = f" ({source.remark})" if source.remark else ""
+        if source.column is None:
+            rows.append(("none", "", "", f"{source.channel}{remark}"))
+            continue
+        meaning = source.column.meaning
+        quantity = meaning.quantity or channel_dimension(machine, source.channel)
+        role = f", {meaning.role}" * bool(meaning.role)
+        rows.append((source.column.header, f"{quantity}{role}", source.column.unit, f"{source.channel}{remark}"))
+    used = [source.column for source in sources]
+    unused = [column for column in log.columns if column not in used]
+    for column in unused[:_UNUSED_ROWS]:
+        role = f", {column.meaning.role}" * bool(column.meaning.role)
+        quantity = column.meaning.quantity or ("text" if column.kind == "text" else "")
+        rows.append((column.header, f"{quantity}{role}".strip(", "), column.unit, "not used"))
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    lines = []
+    for row in rows:
+        cells = [(cell or "-").ljust(width) for cell, width in zip(row, widths, strict=False)]
+        lines.append("  ".join([*cells, row[3]]))
+    others = unused[_UNUSED_ROWS:]
+    return [*lines, f"and {len(others)} more that are not used: {headers_text(others)}"] if others else lines
 
 
 def _equal_parts(recording: Recording, seconds: float) -> list[Recording]:

@@ -18,18 +18,28 @@ from .measurement_units import (
     UnitConversion,
     accepted_units,
     channel_dimension,
-    normalize_unit,
     parse_rate,
     scaled_speed_message,
     wrong_unit_message,
 )
+from .possible_maps import obstacle
+from .quantities import QUANTITIES, normalize_unit
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
+_NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
 # Names of a column of sample times, in lower case, without blanks and punctuation.
-_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec")
+_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue")  # the last: LabVIEW
 # First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for lengths; "phi",
 # "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms it.
-_FIRST_LETTERS: dict[Dimension, str] = {"voltage": "uv", "length": "xyzp", "angle": "paqe", "time": "t"}
+_FIRST_LETTERS: dict[Dimension, str] = {
+    "voltage": "uv",
+    "length": "xyzp",
+    "angle": "paqe",
+    "time": "t",
+    "current": "i",
+    "torque": "tm",
+    "force": "f",
+}
 
 
 @dataclass(frozen=True)
@@ -112,6 +122,7 @@ class _LogMapping:
     def sources(self) -> list[ChannelSource]:
         """Return the sources of the times and of all channels, see `map_columns`."""
         self._refuse_unknown_channels()
+        self._refuse_back_emf()
         times = self._time_columns()
         columns = self._assigned_columns(times)
         time_sources = {time.header: self._source(TIME, time, None) for time in times}
@@ -135,6 +146,15 @@ class _LogMapping:
                 if channel not in (TIME, *self.channels):
                     raise InputError(f"--{option} {channel}=...: no such channel; {self._channels_text()}")
 
+    def _refuse_back_emf(self) -> None:
+        """Refuse a machine with the input current_A or torque_Nm whose drive takes it for a voltage."""
+        for channel, drive in zip(self.machine.input_channels, self.machine.drives, strict=True):
+            dimension = channel_dimension(self.machine, channel)
+            if dimension != "voltage" and drive.Ke != 0.0:
+                problem = f"{channel} is a {dimension} by its name, but its drive {drive.name} has a back-EMF"
+                advice = f"an amplifier that controls the {dimension} has Ke 0 and resistance 1 (docs/own_machine.md)"
+                raise InputError(f"machine {self.machine.name!r}: {problem}; {advice}")
+
     def _time_columns(self) -> list[LogColumn]:
         """Return the columns of time: those that the user names, or else those named like a time.
 
@@ -142,7 +162,12 @@ class _LogMapping:
         """
         reference = self.options.columns.get(TIME)
         if reference is None:
-            named = [column for column in self.log.columns if plain_name(column.name.rpartition(".")[2]) in _TIME_NAMES]
+            named = [
+                column
+                for column in self.log.columns
+                if plain_name(column.name.rpartition(".")[2]) in _TIME_NAMES
+                and (column.meaning.evidence != "unit" or column.meaning.quantity == "time")
+            ]
             return [column for column in self.log.columns if column.header == TIME] or named
         if parse_rate(reference) is not None:
             return [LogColumn(f"row number at {reference.strip()}", "row number", "", ROW_NUMBER)]
@@ -161,7 +186,7 @@ class _LogMapping:
         taken = [*times, *columns.values()]
         missing = [] if times else [TIME]
         for channel in [channel for channel in self.channels if channel not in columns]:
-            named = [column for column in self.log.columns_named_like(channel) if column not in taken]
+            named = [column for column in self._named_like(channel) if column not in taken]
             if len(named) == 1:
                 columns[channel] = named[0]
             else:
@@ -171,6 +196,22 @@ class _LogMapping:
         if missing and (unused or not set(missing) <= set(self.machine.output_channels)):
             raise InputError(self._missing_text(missing, unused))
         return columns | dict.fromkeys(missing)
+
+    def _named_like(self, channel: str) -> list[LogColumn]:
+        """Return the columns that have the name of a channel, except those whose unit is that of another quantity."""
+        return [
+            column
+            for column in self.log.columns_named_like(channel)
+            if column.header == channel
+            or column.meaning.evidence != "unit"
+            or (not self._obstacle(channel, column) and column.meaning.family != "speed")
+        ]
+
+    def _obstacle(self, channel: str, column: LogColumn) -> str:
+        """Say why a column cannot be a channel, see `obstacle`; "" if it can."""
+        unit = self.options.units.get(channel)
+        stated = None if unit is None else normalize_unit(unit)
+        return obstacle(self.machine, channel, column.meaning, stated, scaled=channel in self.options.scales)
 
     def _column_from_user(self, channel: str) -> LogColumn | None:
         """Return the column that the user named for a channel; None for an output that was not measured."""
@@ -249,6 +290,10 @@ class _LogMapping:
                 return ChannelSource(channel, column, None, Conversion(), "time stamps to s")
             problem = f"contains dates or times of day; {channel} needs numbers. Map another column to it"
             raise InputError(f"{self.log.path}, column {column.header}: {problem}{self._if_not_measured(channel)}")
+        problem = self._obstacle(channel, column)
+        if problem:
+            place = _map_option(channel, self.options.columns.get(channel, column.header))
+            raise InputError(f"{self.log.path}: {place}: {column.header} is {problem}{self._if_not_measured(channel)}")
         set_by_user = channel in self.options.units or channel in self.options.scales
         is_assumed = self._stated_unit(channel, column) is None and channel not in self.options.scales
         conversion, integrate, remark = self._conversion(channel, column)
@@ -258,6 +303,9 @@ class _LogMapping:
         """Return the conversion of a column from the stated unit, if there is one, followed by the user's factor."""
         unit, scale = self._stated_unit(channel, column), self.options.scales.get(channel)
         accepted = accepted_units(self.machine, channel)
+        rate = parse_rate(unit) if unit is not None and channel == TIME else None
+        if rate is not None:  # of a counter
+            accepted[str(unit)] = UnitConversion(Conversion(denominator=rate), False, f"steps at {unit} to s")
         where = f"{self.log.path}, column {column.header}"
         if unit is not None and unit not in accepted:
             raise InputError(f"{where}: {wrong_unit_message(self.machine, channel, unit)}")
@@ -281,7 +329,7 @@ class _LogMapping:
 
     def _missing_text(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> str:
         """Return the message about channels without a column, with options to complete."""
-        similar = {channel: self.log.columns_named_like(channel) for channel in missing if channel != TIME}
+        similar = {channel: self._named_like(channel) for channel in missing if channel != TIME}
         ambiguous = [
             f"{channel} may be {headers_text(columns)}" for channel, columns in similar.items() if len(columns) > 1
         ]
@@ -305,10 +353,20 @@ class _LogMapping:
             advice += f" (or {outputs[0]}={NOT_MEASURED}, if it was not measured)"
         if TIME in missing:
             advice += f"; if the log has no time column, state the rate, e.g. {TIME}=200Hz"
-        return advice
+        without = [channel for channel in missing if channel != TIME and proposals[channel] == _NO_PROPOSAL]
+        return advice + self._explained_obstacle(without, unused)
+
+    def _explained_obstacle(self, channels: Sequence[str], unused: Sequence[LogColumn]) -> str:
+        """Explain for the first channel without a proposal why the first column of a known quantity cannot be it."""
+        for channel in channels:
+            for column in unused:
+                problem = self._obstacle(channel, column)
+                if problem:
+                    return f". {column.header} is {problem}"
+        return ""
 
     def _proposed_headers(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
-        """Propose the header of a column for each channel without one; "COLUMN" is a placeholder for no proposal.
+        """Propose the header of a column for each channel without one; "COLUMN" (`_NO_PROPOSAL`) where there is none.
 
         Channels with the fewest candidates come first. If several channels compete for fewer columns, none of them gets
         a proposal.
@@ -321,17 +379,38 @@ class _LogMapping:
             competitors = [other for other in unserved if set(candidates[other]) <= set(free)]
             if free and len(competitors) <= len(free):
                 proposed[channel] = free[0]
-        return {channel: proposed[channel].header if channel in proposed else "COLUMN" for channel in missing}
+        return {channel: proposed[channel].header if channel in proposed else _NO_PROPOSAL for channel in missing}
 
     def _candidates(self, channel: str, unused: Sequence[LogColumn]) -> list[LogColumn]:
-        """Return the columns that may be a channel: those with its units, else its first letters, else the only one."""
-        accepted = accepted_units(self.machine, channel)
-        by_unit = [column for column in unused if column.unit in accepted]
-        letters = tuple(_FIRST_LETTERS[channel_dimension(self.machine, channel)])
-        without_unit = [column for column in unused if not column.unit]
-        by_letter = [column for column in without_unit if plain_name(column.name).startswith(letters)]
-        only_one = without_unit if len(unused) == 1 and channel != TIME else []
-        return by_unit or by_letter or only_one
+        """Return the columns that may be a channel, the likeliest kind only.
+
+        These are the columns with one of its units, else those that name its quantity, else those that begin with its
+        letters, else the only one. A column of another quantity, and a set point for an output, is not proposed.
+        """
+        possible = [column for column in unused if self._is_proposable(channel, column)]
+        accepted, dimension = accepted_units(self.machine, channel), channel_dimension(self.machine, channel)
+        with_unit = [column for column in possible if column.unit in accepted]
+        family = QUANTITIES[dimension].family or dimension
+        of_family = [column for column in with_unit if column.meaning.family == family]
+        named = [column for column in possible if column.meaning.quantity and column not in with_unit]
+        letters = tuple(_FIRST_LETTERS[dimension])
+        unknown = [column for column in possible if not column.meaning.quantity and not column.unit]
+        by_letter = [column for column in unknown if plain_name(column.name).startswith(letters)]
+        only_one = unknown if len(unused) == 1 and channel != TIME else []
+        return of_family or with_unit or named or by_letter or only_one
+
+    def _is_proposable(self, channel: str, column: LogColumn) -> bool:
+        """Return whether a column can be a channel by its quantity, perhaps after the user has stated its unit."""
+        meaning = column.meaning
+        if channel == TIME and meaning.quantity == "row number":
+            return not any(meaning.role)
+        is_output = channel in self.machine.output_channels
+        if is_output and meaning.role:
+            return False
+        if meaning.quantity == "duty cycle" and channel in self.machine.input_channels:
+            return True
+        counts_for_input = meaning.family in ("count", "row number") and not is_output
+        return not counts_for_input and not obstacle(self.machine, channel, meaning, None, scaled=False)
 
     def _if_not_measured(self, channel: str) -> str:
         """Return the sentence that says how to leave out an output, to end a message; "" for other channels."""

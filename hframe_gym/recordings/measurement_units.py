@@ -1,75 +1,39 @@
-"""Units of columns in logs: recognize them in a header and convert them to SI."""
+"""Convert the units of columns in logs to those of the channels of a machine."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Drive, Machine
+from .quantities import COUNT_UNITS, QUANTITIES, Factors, split_unit
 
 TIME = "time_s"  # column of the sample times in recordings
 Array = NDArray[np.float64]
-Dimension = Literal["time", "voltage", "length", "angle"]
+Dimension = Literal["time", "voltage", "current", "torque", "force", "length", "angle"]
 
-# Factor to SI as numerator and denominator: dividing by 1000 rounds correctly, multiplying by 0.001 does not.
-UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
-    "time": {"s": (1, 1), "ms": (1, 1e3), "us": (1, 1e6), "ns": (1, 1e9), "min": (60, 1)},
-    "voltage": {"V": (1, 1), "mV": (1, 1e3)},
-    "length": {"m": (1, 1), "cm": (1, 1e2), "mm": (1, 1e3), "um": (1, 1e6), "in": (0.0254, 1)},
-    "angle": {"rad": (1, 1), "mrad": (1, 1e3), "deg": (np.pi, 180), "rev": (2 * np.pi, 1)},
-}
-# Units of speeds, which `hframe import` integrates to positions: factor to SI, as above.
-SPEED_UNITS: dict[Dimension, dict[str, tuple[float, float]]] = {
-    "length": {"m/s": (1, 1), "mm/s": (1, 1e3)},
-    "angle": {"rad/s": (1, 1), "deg/s": (np.pi, 180), "rpm": (2 * np.pi, 60), "rev/s": (2 * np.pi, 1)},
+UNITS: dict[Dimension, Factors] = {dimension: QUANTITIES[dimension].units for dimension in get_args(Dimension)}
+# Units of speeds, which `hframe import` integrates to positions.
+SPEED_UNITS: dict[Dimension, Factors] = {
+    "length": QUANTITIES["linear speed"].units,
+    "angle": QUANTITIES["angular speed"].units,
 }
 ALL_SPEED_UNITS = tuple(unit for units in SPEED_UNITS.values() for unit in units)
 SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in UNITS.items()}
 # Units of a duty cycle, which a log may have in place of a voltage: the value at which the drive's rated voltage is
 # applied.
 DUTY_UNITS = {"%": 100.0, "pu": 1.0}
-
-# Other spellings of units, in lower case.
-_SPELLINGS = {
-    "s": ("sec", "secs", "second", "seconds"),
-    "ms": ("msec", "millis", "milliseconds"),
-    "us": ("usec", "µs", "μs", "micros", "microseconds"),
-    "ns": ("nsec", "nanoseconds"),
-    "min": ("minutes",),
-    "V": ("volt", "volts"),
-    "mV": ("millivolts",),
-    "m": ("meter", "meters", "metres"),
-    "mm": ("millimeter", "millimeters", "millimetres"),
-    "um": ("µm", "μm", "micrometers"),
-    "in": ("inch", "inches"),
-    "rad": ("radian", "radians"),
-    "deg": ("°", "degree", "degrees"),
-    "rev": ("turn", "turns", "revs", "revolutions"),
-    "rpm": ("1/min", "u/min"),
-    "rev/s": ("rps",),
-    "%": ("percent", "pct", "duty"),
-    "pu": ("p.u.",),
-}
-_KNOWN = {unit.lower(): unit for table in (UNITS, SPEED_UNITS) for units in table.values() for unit in units}
-_KNOWN |= {unit: unit for unit in DUTY_UNITS}
-_KNOWN |= {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
-COUNT_UNITS = ("counts", "count", "cts", "inc", "incr")  # steps of an encoder
-# Units of quantities that no channel has, in lower case: current, force, torque, power, frequency, temperature, encoder
-# steps, acceleration, pressure, digital signals, and marks of a dimensionless column. A row of cells that are all units
-# is a row of units, so these are recognized, although no column with such a unit is assigned to a channel.
-_OTHER_UNITS = {"a", "ma", "n", "nm", "w", "hz", "°c", "degc", "c", "k", *COUNT_UNITS}
-_OTHER_UNITS |= {"m/s^2", "m/s²", "g", "bar", "bit", "lsb", "bool", "-", "1", "#"}
+# Inputs of amplifiers that control the current or the torque, by the unit at the end of the channel's name.
+_COMMANDS: dict[str, Dimension] = {"A": "current", "Nm": "torque", "N": "force"}
 # Units that recordings do not use, in words.
 UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
 _INTEGRATED = "integrated from 0; an offset of the speed makes the position drift"
 _RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)
-_BRACKETED = re.compile(r"(?P<name>.*?)[\s_]*[\[(<{]\s*(?P<unit>[^\])>}]*?)\s*[\])>}]\s*")
-_SUFFIX = re.compile(r"(?P<name>.*[^\s_./])(?:[\s_./]+|\s+in\s+)(?P<unit>[^\s_./]+)")
 
 
 @dataclass(frozen=True)
@@ -168,67 +132,22 @@ def parse_rate(text: str) -> float | None:
     return value if 0.0 < value < np.inf else None
 
 
-def normalize_unit(text: str) -> str:
-    """Return the usual spelling of a unit, for example "mm" for "[Millimeters]".
-
-    Args:
-        text: Unit as written in a log or an option, possibly in brackets.
-
-    Returns:
-        Unit of time, voltage, length, angle or speed, such as "ms", "V" or "rpm", or of a duty cycle, "%" or "pu" (per
-        unit, 1 is the rated voltage). A text that is none of them is returned without brackets.
-    """
-    plain = text.strip().strip("[](){}<>").strip()
-    return _KNOWN.get(plain.lower(), plain)
-
-
-def is_unit(text: str) -> bool:
-    """Return whether a text is a unit, to recognize a row of units below the header of a table.
-
-    Args:
-        text: Cell of a row.
-
-    Returns:
-        True for a known unit, including units such as "A" that no channel of a machine has.
-    """
-    unit = normalize_unit(text)
-    return unit.lower() in _KNOWN or unit.lower() in _OTHER_UNITS
-
-
-def split_unit(header: str) -> tuple[str, str]:
-    """Split the header of a column into name and unit: "Pos X [mm]", "x_mm", "x (mm)", "x in mm".
-
-    Args:
-        header: Cell of a header.
-
-    Returns:
-        name: Name without the unit.
-        unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in brackets is a
-            unit. Without brackets, only units that `normalize_unit` knows are recognized.
-    """
-    match = _BRACKETED.fullmatch(header)
-    if match and match["name"]:
-        return match["name"].strip(), normalize_unit(match["unit"])
-    match = _SUFFIX.fullmatch(header.strip())
-    if match and normalize_unit(match["unit"]).lower() in _KNOWN:
-        return re.sub(r"\s+in$", "", match["name"]).strip(), normalize_unit(match["unit"])
-    return header.strip(), ""
-
-
 def channel_dimension(machine: Machine, channel: str) -> Dimension:
-    """Return whether a channel is a time, a voltage, a length or an angle.
+    """Return the quantity of a channel.
 
     Args:
         machine: Machine with its drives and sensors.
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        "time", "voltage", "length" or "angle".
+        "time"; "length" or "angle" for an output; for an input "current", "torque" or "force" if its name ends in _A,
+        _Nm or _N, else "voltage".
     """
     if channel == TIME:
         return "time"
     if channel in machine.input_channels:
-        return "voltage"
+        unit = split_unit(channel)[1]
+        return _COMMANDS.get(unit, "voltage")
     return "length" if machine.coordinate(machine.sensor(channel).coordinate).kind == "linear" else "angle"
 
 
@@ -236,7 +155,9 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     """Return the units that the column of a channel may have in a log, and how to convert each to the channel's unit.
 
     The column of a position may be a speed, which is integrated. For a motor encoder whose channel is the travel of a
-    carriage, it may also be the angle or speed of the motor. The column of a voltage may be a duty cycle.
+    carriage, it may also be the angle or speed of the motor. The column of an input may be a fraction of the drive's
+    rated value, and for a drive without back-EMF (`Ke` 0, an amplifier that controls the current) a current or the
+    torque of the motor.
 
     Args:
         machine: Machine with its drives and sensors.
@@ -244,7 +165,7 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
 
     Returns:
         Conversions by unit: first the units of the channel's quantity, beginning with the SI unit, then units of the
-        other quantities: speeds, angle and speed of the motor, duty cycles.
+        other quantities: speeds, angle and speed of the motor, currents and torques, fractions of the rated value.
     """
     dimension = channel_dimension(machine, channel)
     conversions: dict[str, UnitConversion] = {}
@@ -263,11 +184,33 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
             speed = Conversion(*factors).scaled(1.0 / drive.gear_ratio)
             remark = f"speed of {drive.name} in {unit}, {gear}, {_INTEGRATED}"
             conversions[unit] = UnitConversion(speed, True, remark)
-    if dimension == "voltage":
-        rated = machine.drives[machine.input_channels.index(channel)]
-        remark = f"duty cycle, 100 % is {rated.rated_voltage:.6g} V, the rated voltage of {rated.name}"
-        for unit, full in DUTY_UNITS.items():
-            conversions[unit] = UnitConversion(Conversion(rated.rated_voltage, full), False, remark)
+    if channel in machine.input_channels:
+        conversions |= _input_units(machine, channel, dimension)
+    return conversions
+
+
+def _input_units(machine: Machine, channel: str, dimension: Dimension) -> dict[str, UnitConversion]:
+    """Return the units that an input may have beside those of its quantity."""
+    drive = machine.drives[machine.input_channels.index(channel)]
+    conversions: dict[str, UnitConversion] = {}
+    if drive.Ke == 0.0 and dimension in ("voltage", "current"):
+        # The motor's torque is Kt times its current, which is the input over the resistance (1 ohm for an input in A).
+        torque = Conversion().scaled(drive.resistance / drive.Kt)
+        for unit, factors in UNITS["torque"].items():
+            conversions[unit] = UnitConversion(
+                Conversion(torque.numerator * factors[0], torque.denominator * factors[1]),
+                False,
+                f"torque of {drive.name} in {unit}, converted by its Kt and resistance",
+            )
+    if drive.Ke == 0.0 and dimension == "voltage":
+        for unit, factors in UNITS["current"].items():
+            current = Conversion(factors[0] * drive.resistance, factors[1])
+            conversions[unit] = UnitConversion(current, False, f"current of {drive.name} in {unit}, which Ke 0 allows")
+    si_unit = SI_UNITS[dimension]
+    what = "duty cycle" if dimension == "voltage" else dimension
+    remark = f"{what}, 100 % is {drive.rated_voltage:.6g} {si_unit}, the rated {dimension} of {drive.name}"
+    for unit, full in DUTY_UNITS.items():
+        conversions[unit] = UnitConversion(Conversion(drive.rated_voltage, full), False, remark)
     return conversions
 
 

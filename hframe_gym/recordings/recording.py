@@ -16,7 +16,8 @@ import numpy as np
 from ..atomic_files import atomic_file
 from ..errors import InputError
 from ..machine import Machine, Trajectory
-from .measurement_units import UNIT_WORDS, WrongUnitError, split_unit
+from .measurement_units import UNIT_WORDS, WrongUnitError
+from .quantities import split_unit
 from .table_file import (
     SUFFIXES,
     Array,

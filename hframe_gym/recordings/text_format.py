@@ -17,18 +17,36 @@ from typing import BinaryIO, TextIO, cast
 
 from ..errors import InputError
 from ..file_limits import MAX_LINE, refuse_long_line
-from .measurement_units import is_unit
+from .quantities import is_unit
 
 _SAMPLE = MAX_LINE  # bytes that determine the format
 _WHITESPACE = " "  # as a separator: one or more blanks
 # In the order of preference; a table with semicolons or tabs may have decimal commas.
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", "|": "vertical bars", ",": "commas", _WHITESPACE: "blanks"}
 _CONSECUTIVE = 3  # rows of numbers that mark the beginning of the data
-_COMMENT_SIGNS = ("#", "%", "//")
-
+# The same where a row begins with a text, as lines above the data do in some logs ("Delta_X 0.001 0.001").
+_CONSECUTIVE_TEXTS = 10
 MISSING_WORDS = r"#?n/?a|null|none|nil|missing|#(?:num|value|ref)!|#div/0!|--+"
+_COMMENT_SIGNS = ("#", "%", "//")
+_COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
+_ROW_ENDS = ";,|\t"  # separators that may end each row although other separators are between its cells
+_MOST = 0.5  # fraction of the rows of numbers that have such an end; their last one may be incomplete
+_ROW_START = re.compile(rf"[ \t]*\"?(?:[+-]?[.,]?\d|(?:nan|{MISSING_WORDS})\b)", re.IGNORECASE)  # in a row of numbers
+_COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for
+# Name before a number, as for Arduino's serial plotter: "speed:1.5". The "e" of "1e-3" begins none.
+_LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
+_ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")  # between time stamp and text in Arduino's serial monitor
+# Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an oscilloscope.
+_NOT_A_COLUMN = re.compile(r"comment|start|increment|(?:t0|tinc)\s*=.*", re.IGNORECASE)
+
+_NO_HEADER = "it has no header"
 _MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
-_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?", re.IGNORECASE)
+# Also a number whose thousands are separated, which is refused later with advice; "1.0,0.5,0.2" is a row of numbers.
+_NUMBER = re.compile(
+    r"[+-]?(?:\d+(?:[.,]\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:,\d{3})+(?:\.\d*)?|[.,]\d+)(?:e[+-]?\d+)?"
+    r"|[+-]?inf(?:inity)?",
+    re.IGNORECASE,
+)
 _DATE = r"(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})"
 _TIME_STAMP = re.compile(rf"(?:{_DATE}[T ]+)?\d{{1,2}}:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?|{_DATE}")
 
@@ -45,6 +63,8 @@ class TextFormat:
         names: Names of the columns as written; "#1", "#2", ... if the file has no header.
         units: Units in the row below the header, "" where there is none, in the order of the names.
         kinds: What each column contains: "number", "stamp" (time, with or without a date) or "text".
+        edits: Patterns that are replaced in the text before it is split into cells, with their replacements: separators
+            at the end of rows, names before numbers.
         deviations: What distinguishes the file from a recording (UTF-8, commas, points, a header in the first line), in
             words; empty for a plain file.
     """
@@ -57,6 +77,20 @@ class TextFormat:
     units: tuple[str, ...]
     kinds: tuple[str, ...]
     deviations: tuple[str, ...]
+    edits: tuple[tuple[re.Pattern[str], str], ...] = ()
+
+    def edited(self, text: str) -> str:
+        """Remove from lines the parts that do not belong to a table, see `edits`.
+
+        Args:
+            text: Complete lines below the header.
+
+        Returns:
+            The same lines without these parts.
+        """
+        for pattern, replacement in self.edits:
+            text = pattern.sub(replacement, text)
+        return text
 
 
 def detect_format(path: Path) -> TextFormat:
@@ -83,6 +117,10 @@ def detect_format(path: Path) -> TextFormat:
     if len(sample) == _SAMPLE:
         lines.pop()  # it may be incomplete
     declared = lines[0].strip()[4:] if lines[0].lower().startswith("sep=") else ""
+    edits, labels, remarks = _edits(lines)
+    deviations += remarks
+    for pattern, replacement in edits:
+        lines = [line if _is_comment(line) else pattern.sub(replacement, line) for line in lines]
     separator = declared[:1] or _detect_separator(lines)
     cells = [[] if _is_comment(line) else split_row(line, separator) for line in lines]
     if declared:
@@ -94,7 +132,21 @@ def detect_format(path: Path) -> TextFormat:
         problem = f"the rows have {width} cells under {names_above} names"
         advice = "if commas are also decimal marks, export it with semicolons between the columns"
         raise InputError(f"{path}: {problem}; {advice}")
-    header, units, layout = _detect_header(lines, cells, first, width, separator)
+    without_last = all(not any(row[width - 1 :]) for row in rows)  # the rows end with a separator
+    widths = (width, width - 1) if without_last else (width,)
+    header, units, layout = _detect_header(lines, cells, first, widths, separator)
+    if _NO_HEADER in layout and not without_last and width > 2:
+        # A name may be missing, which the reader refuses with the numbers of names and cells.
+        other = _detect_header(lines, cells, first, (width, width - 1), separator)
+        header, units, layout = other if len(other[0]) < width else (header, units, layout)
+    if labels:
+        header, units = [label or f"#{k}" for k, label in enumerate(labels, start=1)], [""] * len(labels)
+        layout = [remark for remark in layout if remark != _NO_HEADER]
+    while (
+        len(header) > 1 and _NOT_A_COLUMN.fullmatch(header[-1]) and not any(any(row[len(header) - 1 :]) for row in rows)
+    ):
+        header.pop()
+        units.pop()
     if rows and all(len(row) > len(header) and not any(row[len(header) :]) for row in rows):
         layout.append("rows end with a separator")
     deviations += layout
@@ -103,7 +155,17 @@ def detect_format(path: Path) -> TextFormat:
     decimal, kinds = _decimal_and_kinds(rows, len(header))
     if decimal == ",":
         deviations.append("numbers have decimal commas")
-    return TextFormat(encoding, separator, decimal, first, tuple(header), tuple(units), tuple(kinds), tuple(deviations))
+    return TextFormat(
+        encoding,
+        separator,
+        decimal,
+        first,
+        tuple(header),
+        tuple(units),
+        tuple(kinds),
+        tuple(deviations),
+        tuple(edits),
+    )
 
 
 @contextmanager
@@ -208,6 +270,46 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(_COMMENT_SIGNS) and not is_missing(re.split(r"[,;\t ]", line.lstrip())[0])
 
 
+def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], list[str], list[str]]:
+    """Find the parts of lines that do not belong to a table.
+
+    Args:
+        lines: Lines of the file.
+
+    Returns:
+        Patterns with their replacements, the names of the columns if they stand before the numbers, else none, and
+        deviations from a recording.
+    """
+    rows = [line.rstrip(" ") for line in lines if not _is_comment(line) and any(map(str.isdigit, line))]
+    starting = [row for row in rows if _ROW_START.match(row)]
+    edits: list[tuple[re.Pattern[str], str]] = []
+    labels: list[str] = []
+    remarks = []
+    if sum(_ARROW.match(row) is not None for row in starting) > _MOST * len(starting):
+        separator = _detect_separator([_ARROW.sub("", row) for row in rows])
+        edits.append((_ARROW, rf"\1{separator}"))
+        remarks.append("an arrow follows the time stamps")
+    last = [_ARROW.sub("", row) for row in rows[-_CONSECUTIVE:]]
+    names = [tuple(match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)) for row in last]
+    if names and names[0] and len(set(names)) == 1 and all(_is_number_per_label(row, len(names[0])) for row in last):
+        edits.append((_LABEL, ""))
+        labels = ([""] if edits[0][0] is _ARROW else []) + list(names[0])
+        remarks.append("each cell begins with the name of its column")
+    for row_end in _ROW_ENDS:
+        if sum(row.endswith(row_end) for row in starting) > _MOST * len(starting):
+            pattern = re.compile(rf"(?m){re.escape(row_end)} *$")
+            if _detect_separator([pattern.sub("", row) for row in starting]) != row_end:
+                edits.append((pattern, ""))
+                remarks.append(f"rows end with {_SEPARATORS[row_end]}")
+    return edits, labels, remarks
+
+
+def _is_number_per_label(row: str, count: int) -> bool:
+    """Return whether a row has one number for each of its labels."""
+    cells = [cell for cell in re.split(r"[;,|\t ]+", _LABEL.sub(" ", row)) if cell]
+    return len(cells) == count and all(_NUMBER.fullmatch(cell) or is_missing(cell) for cell in cells)
+
+
 def _detect_separator(lines: Sequence[str]) -> str:
     """Return the separator under which most lines are rows of numbers, else that of the last line."""
     scores = {}
@@ -238,6 +340,11 @@ def _is_data(row: Sequence[str], least: float = 0.5) -> bool:
     return numbers > 0 and numbers >= least * (numbers + texts)
 
 
+def _is_row(row: Sequence[str]) -> bool:
+    """Return whether a row belongs to the data: whether it has numbers, or states that it has no values."""
+    return _is_data(row) or (any(row) and all(map(is_missing, row)))
+
+
 def _is_number_or_stamp(cell: str) -> bool:
     """Return whether a cell is a number or a time stamp."""
     return _NUMBER.fullmatch(cell) is not None or is_stamp(cell)
@@ -254,60 +361,112 @@ def _first_row(cells: Sequence[Sequence[str]]) -> tuple[int, int]:
         return len(cells), len(cells[filled[-1]]) if filled else 0
     width = widths.most_common(1)[0][0]
     for k, i in enumerate(filled):
-        following = filled[k : k + _CONSECUTIVE]
-        is_first = len(cells[i]) == width and (width > 2 or _is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0]))
-        if is_first and all(_is_data(cells[j]) for j in following):
-            return i, width
+        begins_with_value = _is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0])
+        following = filled[k : k + (_CONSECUTIVE if begins_with_value else _CONSECUTIVE_TEXTS)]
+        is_first = len(cells[i]) == width and (width > 2 or begins_with_value)
+        if is_first and _is_data(cells[i]) and all(_is_row(cells[j]) for j in following):
+            while k and len(cells[filled[k - 1]]) == width and all(map(is_missing, cells[filled[k - 1]])):
+                k -= 1
+            return filled[k], width
     return len(cells), width
 
 
+@dataclass(frozen=True)
+class _LineAbove:
+    """Line above the data that may have the names or units of the columns: its number, and its cells if they fit."""
+
+    number: int
+    cells: list[str]
+    is_comment: bool
+
+    @property
+    def has_units(self) -> bool:
+        """Whether at least half of the filled cells are units."""
+        filled = [cell for cell in self.cells if cell]
+        return bool(filled) and 2 * sum(map(is_unit, filled)) >= len(filled)
+
+    @property
+    def has_only_bracketed_units(self) -> bool:
+        """Whether all cells are units in brackets, which are no names."""
+        return self.has_units and all(cell[:1] in "([{<" for cell in self.cells if cell)
+
+
 def _detect_header(
-    lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, width: int, separator: str
+    lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, widths: Sequence[int], separator: str
 ) -> tuple[list[str], list[str], list[str]]:
     """Find the names and units of the columns above the first row of numbers.
+
+    They are in the last line above the data and in the line before it, in either order; if the last line that is no
+    comment does not fit, they are in comments.
 
     Args:
         lines: Lines of the file.
         cells: Cells of each line, none of a comment.
         first: Line of the first row of numbers.
-        width: Number of cells of the rows.
+        widths: Number of cells of the rows, and that of other numbers of names that fit.
         separator: Character between cells.
 
     Returns:
         Names ("#1", ... if there is no header), units ("" where there is none), and deviations from a recording.
     """
-    above = [i for i in range(first) if any(cells[i])]
-    comments = [i for i in range(first) if _is_comment(lines[i])]
     deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
-    units: list[str] = []
-
-    def names_in(row: Sequence[str]) -> list[str]:
-        trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
-        return trimmed if len(trimmed) in (width, width - 1) else []
-
-    def is_units_row(row: Sequence[str]) -> bool:
-        filled = [cell for cell in row if cell]
-        return bool(filled) and 2 * sum(map(is_unit, filled)) >= len(filled)
-
-    if len(above) > 1 and is_units_row(cells[above[-1]]) and names_in(cells[above[-2]]):
-        units = list(cells[above.pop()])
-        deviations.append("a row of units is below the header")
-    header = names_in(cells[above[-1]]) if above else []
-    if header:
-        above.pop()
-    elif comments:
-        header = names_in(split_row(lines[comments[-1]].lstrip(" \t#%/"), separator))
-        if header:
-            comments.pop()
-            deviations.append("the header is in a comment line")
-    if not header:
-        header = [f"#{k + 1}" for k in range(width)]
-        deviations.append("it has no header")
-    for skipped, what in ((comments, "comment"), (above, "other")):
+    above = []
+    for i in range(first):
+        if _is_comment(lines[i]):
+            above.append(_LineAbove(i, _cells_of_comment(lines[i], widths, separator), True))
+        elif any(cells[i]):
+            above.append(_LineAbove(i, _fitting(cells[i], widths), False))
+    names, units = _names_and_units(above)
+    used = [line.number for line in (names, units) if line is not None]
+    if names is None:
+        deviations.append(_NO_HEADER)
+    elif names.is_comment:
+        deviations.append("the header is in a comment line")
+    if units is not None:
+        place = "below the header" if names is not None and units.number > names.number else "above the header"
+        in_comment = " in a comment line" if units.is_comment else ""
+        deviations.append(f"a row of units is {place if names is not None else 'above the data'}{in_comment}")
+    for is_comment, what in ((True, "comment"), (False, "other")):
+        skipped = sum(line.is_comment == is_comment and line.number not in used for line in above)
         if skipped:
-            plural = "lines are" if len(skipped) > 1 else "line is"
-            deviations.append(f"{len(skipped)} {what} {plural} above the data")
-    return header, [*units, *[""] * len(header)][: len(header)], deviations
+            plural = "lines are" if skipped > 1 else "line is"
+            deviations.append(f"{skipped} {what} {plural} above the data")
+    header = names.cells if names is not None else [f"#{k + 1}" for k in range(widths[0])]
+    texts = units.cells if units is not None else []
+    return header, [*texts, *[""] * len(header)][: len(header)], deviations
+
+
+def _fitting(row: Sequence[str], widths: Sequence[int]) -> list[str]:
+    """Return the cells of a line above the data if their number fits that of the columns, else none."""
+    width = widths[0]
+    trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
+    while len(trimmed) > max(width, 1) and (_NOT_A_COLUMN.fullmatch(trimmed[-1]) or _NUMBER.fullmatch(trimmed[-1])):
+        trimmed.pop()
+    return trimmed if len(trimmed) in widths else []
+
+
+def _cells_of_comment(line: str, widths: Sequence[int], separator: str) -> list[str]:
+    """Return the cells of a comment, which may have another separator than the data, if their number fits."""
+    text = _COMMENT_SIGN.sub("", line, count=1)
+    splits = (_fitting(split_row(text, candidate), widths) for candidate in (separator, *_SEPARATORS))
+    return next(filter(None, splits), [])
+
+
+def _names_and_units(above: Sequence[_LineAbove]) -> tuple[_LineAbove | None, _LineAbove | None]:
+    """Return the lines above the data that have the names and the units; None where there is none."""
+    plain = [line for line in above if not line.is_comment][-1:]
+    comments = [line for line in above if line.is_comment][: -_COMMENTS_WITH_NAMES - 1 : -1]
+    start = next((line for line in (*plain, *comments) if line.cells), None)
+    if start is None:
+        return None, None
+    place = above.index(start)
+    before = above[place - 1] if place and above[place - 1].cells else None
+    after = above[place + 1] if place + 1 < len(above) and above[place + 1].cells else None
+    if start.has_units and before is not None and not before.has_only_bracketed_units:
+        return before, start
+    if start.has_only_bracketed_units:
+        return None, start
+    return start, next((line for line in (after, before) if line is not None and line.has_units), None)
 
 
 def _decimal_and_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, list[str]]:

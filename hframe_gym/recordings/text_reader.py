@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..file_limits import refuse_expansion, refuse_long_line, refuse_many_values
-from .text_format import MISSING_WORDS, TextFormat, is_missing, open_text, split_row
+from .text_format import (
+    MISSING_WORDS,
+    TextFormat,
+    is_missing,
+    open_text,
+    split_row,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], None]  # called with the number of bytes of the file that were read since the last call
@@ -179,6 +185,7 @@ class _BlockReader:
             if any(sign in block for sign in ("#", "%", "//")):
                 block, count = _COMMENT.subn("", block)
                 self.comments += count
+            block = self._layout.edited(block)
             if self._layout.separator != " ":
                 block = _SEPARATORS_ONLY.sub("", block)
         # The last row may be incomplete, which the next block decides.

@@ -66,6 +66,31 @@ def log_text() -> str:
     return "\n".join(lines) + "\n"
 
 
+def dialect_texts() -> dict[str, str]:
+    """Return logs with names and units in comments and other row ends, with names before numbers, and of LabVIEW."""
+    rows = [[f"{value:.6f}" for value in row] for row in run_table()]
+    comments = ["%logger 7", f"%{','.join(HEADER)}", "%[s],[V],[V],[rad],[rad],[m],[m]", "nan" + 6 * ",nan" + ";"]
+    comments += [f"{','.join(row)};" for row in rows]
+    labels = [",".join(f"{name}:{value}" for name, value in zip(HEADER, row, strict=True)) for row in rows]
+    labview = [
+        "LabVIEW Measurement\t",
+        "Separator\tTab",
+        "***End_of_Header***\t",
+        "Channels\t6\t",
+        "Delta_X\t0.001\t0.001",
+    ]
+    labview += ["***End_of_Header***\t\t", "\t".join([*HEADER, "Comment"]), *("\t".join(row) for row in rows)]
+    texts = {"comments": comments, "labels": labels, "labview": labview}
+    return {name: "\n".join(lines) + "\n" for name, lines in texts.items()}
+
+
+def sysid_content() -> dict[str, Any]:
+    """Return the content of a JSON file of SysId with two tests."""
+    rows = [[float(row[0]), float(row[1]), float(row[5]), 0.0] for row in run_table()]
+    content: dict[str, Any] = {"sysid": True, "test": "Simple", "units": "Meters", "unitsPerRotation": 0.5}
+    return content | {"slow-forward": rows[:40], "fast-backward": rows[:20]}
+
+
 def mapping_text(suffix: str = ".toml") -> str:
     """Return a mapping file for the log."""
     tables = {"map": {"v1_V": "U1", "v2_V": "U2"}, "unit": {"x_m": "mm"}, "scale": {"v1_V": 1.0}}

@@ -21,12 +21,14 @@ from .materials import (
     answer_curves,
     answer_machine,
     answer_report,
+    dialect_texts,
     log_text,
     machine_content,
     mapping_text,
     path_text,
     run_table,
     run_text,
+    sysid_content,
     write_material,
 )
 from .mutations import PAYLOAD, TEXTS, damaged_bytes, damaged_json, damaged_table
@@ -186,6 +188,28 @@ def text_log(draw: st.DrawFn) -> Case:
     split = ("--split-at-rests",) if draw(st.booleans()) else ()
     files = {"log.txt": draw(damaged), "map.toml": mapping_text().encode()}
     return Case(files, ("import", "log.txt", "--mapping", "map.toml", "--out", "runs", *split))
+
+
+@st.composite
+def dialect_log(draw: st.DrawFn) -> Case:
+    """Return a strategy for a damaged log as another program writes it."""
+    name = draw(st.sampled_from(sorted(dialect_texts())))
+    valid = dialect_texts()[name]
+    separator = "\t" if name == "labview" else ","
+    damaged = damaged_table(valid, separator).map(_encoded) if draw(st.booleans()) else damaged_bytes(valid.encode())
+    return Case({"log.txt": draw(damaged)}, ("import", "log.txt", "--out", "runs"))
+
+
+@st.composite
+def sysid_log(draw: st.DrawFn) -> Case:
+    """Return a strategy for a damaged JSON file of SysId."""
+    content = sysid_content()
+    if draw(st.integers(0, 3)) == 0:
+        damaged = draw(damaged_bytes(json.dumps(content).encode()))
+    else:
+        damaged = _encoded(draw(damaged_json(content)))
+    words = ("import", "drive.json", "--machine", "axis", "--map", "v_V=voltage", "--map", "x_m=position")
+    return Case({"drive.json": damaged}, (*words, "--out", "runs"))
 
 
 @st.composite
@@ -354,6 +378,8 @@ READERS: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
     "recording.csv.gz": gzip_run,
     "recording.parquet": parquet_run,
     "log.txt": text_log,
+    "log of a dialect": dialect_log,
+    "log.json": sysid_log,
     "log.mat": mat_log,
     "mapping": mapping_file,
     "machine.json": machine_file,

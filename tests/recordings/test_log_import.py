@@ -66,6 +66,11 @@ def convert(path: Path, machine: Machine, *, lines: list[str] | None = None, **o
     return run
 
 
+def squeezed(lines: list[str]) -> str:
+    """Return lines as one text with single blanks between the words."""
+    return " ".join("\n".join(lines).split())
+
+
 def assert_equal(run: Recording, table: Table) -> None:
     """Compare a run with the table of its source."""
     np.testing.assert_array_equal(run.time_s, table["time_s"])
@@ -145,15 +150,15 @@ COLUMNS: dict[str, tuple[Callable[[Table], str], dict[str, dict[str, object]], s
     "other names": (
         lambda t: text_of(renamed(time_s="Zeit", v1_V="U1", v2_V="U2", x_m="Laser X")(t)),
         {"columns": {"v1_V": "U1", "v2_V": "u2", "x_m": "Laser X"}},
-        "time_s   <- Zeit (no unit, taken as s)",
+        "Zeit time - time_s (no unit, taken as s)",
     ),
-    "other case": (lambda t: text_of(t, header="TIME_S,V1_v,V2_V,Phi1_RAD,PHI2_rad,X_M,Y_m"), {}, "x_m      <- X_M"),
+    "other case": (lambda t: text_of(t, header="TIME_S,V1_v,V2_V,Phi1_RAD,PHI2_rad,X_M,Y_m"), {}, "X_M length m x_m"),
     "units in brackets": (
         lambda t: text_of(t | {"x_m": t["x_m"] * 1000, "time_s": t["time_s"] * 1000}).replace(
             text_of(t).split("\n")[0], "Time [ms],V1 [V],V2 [V],Phi1 (rad),Phi2 (rad),X [mm],Y [m]"
         ),
         {},
-        "x_m      <- X [mm] (mm to m)",
+        "X [mm] length mm x_m (mm to m)",
     ),
     "units as endings": (
         lambda t: text_of(
@@ -163,22 +168,22 @@ COLUMNS: dict[str, tuple[Callable[[Table], str], dict[str, dict[str, object]], s
             }
         ),
         {},
-        "y_m      <- y_um (um to m)",
+        "y_um length um y_m (um to m)",
     ),
     "extra columns": (
         lambda t: text_of({"i1_A": t["v1_V"] / 3, **t, "state": t["x_m"]}),
         {},
-        "not used: i1_A, state",
+        "i1_A current A not used state state - not used",
     ),
     "a text column": (
         lambda t: text_of(t).replace("\n", ",RUN\n").replace("RUN", "State", 1),
         {},
-        "not used: State",
+        "State state - not used",
     ),
     "repeated names": (
         lambda t: text_of(t, header="time_s,U,U,phi1_rad,phi2_rad,x_m,y_m"),
         {"columns": {"v1_V": "U", "v2_V": "U.2"}},
-        "v2_V     <- U.2",
+        "U.2 voltage - v2_V (no unit, taken as V)",
     ),
     "no header": (
         lambda t: "\n".join(text_of(t).split("\n")[1:]),
@@ -195,7 +200,7 @@ COLUMNS: dict[str, tuple[Callable[[Table], str], dict[str, dict[str, object]], s
     "a factor": (
         lambda t: text_of({c: (-v * 1000 if c == "x_m" else v) for c, v in t.items()}),
         {"scales": {"x_m": -0.001}},
-        "x_m      <- x_m (times -0.001)",
+        "x_m length m x_m (times -0.001)",
     ),
 }
 
@@ -208,7 +213,7 @@ def test_columns_of_any_name_and_unit_are_imported(case: str, table: Table, hfra
     for array, channels in ((run.inputs, PLAIN[1:3]), (run.outputs, PLAIN[3:])):
         np.testing.assert_allclose(array.T, [table[c] for c in channels], rtol=0, atol=1e-14)
     np.testing.assert_array_equal(run.time_s, table["time_s"])
-    assert said in "\n".join(lines)
+    assert said in squeezed(lines)
 
 
 def test_angles_in_degrees_are_converted(table: Table, hframe: Machine, tmp_path: Path) -> None:
@@ -303,7 +308,7 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
     import_logs(tmp_path / "logs", tmp_path / "runs", hframe, log=lines.append)
     a, b = load_recordings(tmp_path / "runs", hframe)
     np.testing.assert_array_equal(b.time_s, np.round(a.time_s + 86400.0, 3))
-    assert "skipped (by their names, no logs): README.txt, notes.md" in lines
+    assert "skipped (by their names or content, no logs): README.txt, notes.md" in lines
     assert "b.csv: same format and columns as the log before" in lines
 
 
@@ -571,7 +576,7 @@ def test_a_log_without_times_is_imported_at_a_stated_rate(table: Table, hframe: 
         convert(path, hframe)
     lines: list[str] = []
     assert_equal(convert(path, hframe, lines=lines, columns={"time_s": "1 kHz"}), table)
-    assert "  time_s   <- row number at 1 kHz (to s)" in lines
+    assert "row number at 1 kHz row number - time_s (to s)" in squeezed(lines)
     savemat(tmp_path / "rates.mat", values | {"y_m": table["y_m"][::5]})
     with pytest.raises(InputError, match=r"rates.mat: the columns have different numbers of rows .*y_m has 60"):
         convert(tmp_path / "rates.mat", hframe, columns={"time_s": "1000Hz"})
@@ -590,9 +595,8 @@ def test_a_speed_is_integrated_to_a_position_only_where_its_unit_is_stated(
         convert(path, hframe, columns={"phi1_rad": "phi1"}, scales={"phi1_rad": 0.1})
     lines: list[str] = []
     run = convert(path, hframe, columns={"phi1_rad": "phi1"}, lines=lines)
-    assert any(
-        "phi1_rad <- phi1 [rpm] (speed in rpm, integrated from 0; an offset of the speed" in line for line in lines
-    )
+    taken = "phi1 [rpm] angular speed rpm phi1_rad (speed in rpm, integrated from 0; an offset of the speed"
+    assert taken in squeezed(lines)
     expected = table["phi1_rad"] - table["phi1_rad"][0]
     assert np.isnan(run.outputs[7, 0])
     np.testing.assert_allclose(np.delete(run.outputs[:, 0], 7), np.delete(expected, 7), atol=2e-3 * np.ptp(expected))
@@ -605,7 +609,7 @@ def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
     lines: list[str] = []
     run = convert(in_text(text_of)(tmp_path, table), hframe, lines=lines)
     assert np.isnan(run.outputs[:, 3]).all()
-    assert "  y_m      <- no column (not measured: the cells stay empty)" in lines
+    assert "none - - y_m (not measured: the cells stay empty)" in squeezed(lines)
     (tmp_path / "again").mkdir()
     path = in_text(text_of)(tmp_path / "again", table | {"force": table["x_m"]})
     with pytest.raises(InputError, match=r"no column is named like y_m.*y_m=none, if it was not measured"):
@@ -703,6 +707,51 @@ def test_existing_runs_are_not_replaced(table: Table, hframe: Machine, tmp_path:
     path.rename(tmp_path / "other.txt")
     import_logs(tmp_path / "other.txt", tmp_path / "runs", hframe, log=lambda line: None)
     assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == ["log.csv.gz", "other.csv.gz"]
+
+
+@pytest.mark.parametrize(
+    ("header", "per_rad", "modulus", "options", "what"),
+    [
+        ("phi1 [deg]", 180 / np.pi, 360.0, {}, "one turn in degrees"),
+        ("phi1 [turns]", 0.5 / np.pi, 1.0, {}, "one turn in turns"),
+        ("phi1_rad", 1.0, 2 * np.pi, {}, "one turn"),
+        ("phi1", 5000.0, 65536, {"scales": {"phi1_rad": 1 / 5000.0}}, "a counter of 16 bits"),
+        ("phi1", 4096 / 2 / np.pi, 4096, {"scales": {"phi1_rad": 2 * np.pi / 4096}}, "a counter of 12 bits"),
+    ],
+)
+def test_an_angle_or_counter_that_starts_anew_is_made_continuous(
+    header: str, per_rad: float, modulus: float, options: dict[str, dict[str, object]], what: str, tmp_path: Path
+) -> None:
+    machine = BUILTIN_MACHINES["hframe"]()
+    time_s = np.arange(2000) * 1e-3
+    angle = 12.0 * np.sin(2 * np.pi * time_s) + 3.0
+    raw = angle * per_rad
+    raw = (np.rint(raw) if modulus > 360 else raw) % modulus
+    columns = {"time_s": time_s, "v1_V": np.sin(time_s), "v2_V": np.cos(time_s), header: raw}
+    columns |= {"phi2_rad": 0.0 * time_s, "x_m": 0.0 * time_s, "y_m": 0.0 * time_s}
+    lines: list[str] = []
+    run = convert(in_text(text_of)(tmp_path, columns), machine, lines=lines, **options)
+    moved = run.outputs[:, 0] - run.outputs[0, 0]
+    np.testing.assert_allclose(moved, angle - angle[0], atol=1.0 / per_rad if modulus > 360 else 1e-9)
+    assert re.search(rf"phi1_rad: starts anew after {what}, made continuous \(\d+ jumps\)", "\n".join(lines))
+
+
+def test_a_percentage_that_never_exceeds_one_is_doubted(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    logged = {("v1 [%]" if c == "v1_V" else c): (v / 12 if c == "v1_V" else v) for c, v in table.items()}
+    lines: list[str] = []
+    convert(in_text(text_of)(tmp_path, logged), hframe, lines=lines)
+    assert "  v1_V: never exceeds 1 %; if 1 is full, add --unit v1_V=pu" in lines
+    (tmp_path / "again").mkdir()
+    run = convert(in_text(text_of)(tmp_path / "again", logged), hframe, lines=lines, units={"v1_V": "pu"})
+    np.testing.assert_allclose(run.inputs[:, 0], table["v1_V"], atol=1e-12)
+
+
+def test_a_log_of_many_columns_gets_a_short_table(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    lines: list[str] = []
+    path = in_text(text_of)(tmp_path, table | {f"extra{k}": table["x_m"] for k in range(30)})
+    convert(path, hframe, lines=lines)
+    assert sum(line.endswith("not used") for line in lines) == 20
+    assert any(line.startswith("  and 10 more that are not used: extra20, extra21") for line in lines)
 
 
 @pytest.fixture

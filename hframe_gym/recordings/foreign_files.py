@@ -1,0 +1,61 @@
+"""Recognize files of other programs that are no tables, and say how their data are exported to one."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ..errors import InputError
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_AS_CSV = "export its signals as CSV"
+# By the bytes with which a file begins: what it is, and what to do.
+_BY_START: tuple[tuple[bytes, str, str], ...] = (
+    (b"WPILOG", "is a WPILib data log", "export it as CSV with AdvantageScope (File, Export Data) or DataLogTool"),
+    (b"\x89MCAP0\r\n", "is an MCAP file", f"{_AS_CSV}, with PlotJuggler or Foxglove"),
+    (b"#ROSBAG", "is a ROS bag", f"{_AS_CSV}: rostopic echo -b FILE -p TOPIC, or with PlotJuggler"),
+    (b"SQLite format 3\0", "is a database (such as a ROS 2 bag)", f"{_AS_CSV}, a ROS 2 bag with PlotJuggler"),
+    (b"ULog\x01\x12\x35", "is a PX4 log", f"{_AS_CSV}: ulog2csv FILE"),
+    (b"TDSm", "is a TDMS file of LabVIEW", f"{_AS_CSV}, with DIAdem or the Excel add-in"),
+    (b"MDF     ", "is an MDF file (ASAM)", f"{_AS_CSV}, with asammdf"),
+    (b"PK\x03\x04", "is a spreadsheet or an archive, not a table in text", "save the sheet as CSV"),
+    (b"\xd0\xcf\x11\xe0", "is a spreadsheet or an archive, not a table in text", "save the sheet as CSV"),
+)
+# Endings of files in a folder that are probably logs but are not read, by the same kinds.
+FOREIGN_SUFFIXES = (
+    *(".xlsx", ".xls", ".xlsm", ".ods", ".wpilog", ".mcap", ".bag", ".db3", ".ulg", ".tdms", ".mf4", ".mdf", ".hdf5"),
+    *(".h5", ".json", ".jsonl"),
+)
+# An object, or a list of texts, lists, objects or numbers; a row of units begins with "[-]" or "[1]".
+_JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\"\[{]|-?\d[\d.eE+-]*\s*,))")
+
+
+def refuse_foreign_file(path: Path, start: bytes) -> None:
+    """Refuse a file of a kind that is not read.
+
+    Args:
+        path: File of the log, for the message.
+        start: Its first 128 bytes.
+
+    Raises:
+        InputError: If it is of such a kind. The message names it and says how to export the data.
+    """
+    if start.startswith(_HDF5) or b"MATLAB 7.3" in start:
+        advice = "save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7'), or export it as CSV"
+        raise InputError(f"{path}: is an HDF5 file (MATLAB version 7.3), which is not read; {advice}")
+    for beginning, problem, advice in _BY_START:
+        if start.startswith(beginning):
+            raise InputError(f"{path}: {problem}; {advice}")
+
+
+def is_json(path: Path, start: bytes) -> bool:
+    """Return whether a file is JSON, by its name or its beginning.
+
+    Args:
+        path: File of the log.
+        start: Its first 128 bytes.
+
+    Returns:
+        True for a name that ends in .json, and for a text that begins like an object or a list of JSON.
+    """
+    return path.suffix.lower() == ".json" or _JSON_START.match(start) is not None

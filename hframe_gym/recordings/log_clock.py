@@ -1,0 +1,112 @@
+"""Clocks of logs: continue those that start anew, and say how times that repeat or go back are repaired."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .measurement_units import TIME
+from .table_file import Array
+
+_DAY = 86_400.0  # s
+# s; a time of day that goes back by a day less this gap has passed midnight. A recording with a longer gap is refused.
+_LONGEST_GAP = 600.0
+# Values at which counters of clocks start anew, in the unit of the column, with the counter in words. They are tried in
+# this order. A counter of microseconds may be logged in ms or s, one of milliseconds in s.
+_COUNTERS = {
+    2.0**32: "a counter of 32 bits",
+    2.0**31: "a counter of 31 bits",
+    2.0**24: "a counter of 24 bits",
+    2.0**16: "a counter of 16 bits",
+    2.0**32 / 1e3: "a counter of 32 bits in thousandths",
+    2.0**32 / 1e6: "a counter of 32 bits in millionths",
+    2.0**16 / 1e3: "a counter of 16 bits in thousandths",
+}
+# The step across the start, plus the modulus, is at most this many sampling periods. A clock that was set back to any
+# other value passes by chance in so many periods of all that the counter has: one in a million for 32 bits in
+# microseconds at 1 kHz.
+_PERIODS_ACROSS = 3.0
+_RARE = 0.1  # fraction of rows; fewer repeated times are single repeated rows, more are those of a coarse clock
+
+
+def continued_counter(times: Array) -> tuple[Array, str]:
+    """Continue the times of a clock whose counter started anew, such as one of 32 bits in microseconds after 71.6 min.
+
+    Args:
+        times: Times in the unit of the log, NaN where there is none, shape (n,).
+
+    Returns:
+        times: Times in the unit of the log, shape (n,), that go on across each start; those given if they do not go
+            back, or go back otherwise.
+        remark: What was done, for the user; "" for nothing.
+    """
+    for modulus, words in _COUNTERS.items():
+        continued, starts = _continued(times, modulus, None)
+        if starts:
+            return continued, f"{TIME} goes on where {words} started anew ({_times(starts)})"
+    return times, ""
+
+
+def continued_over_midnight(times: Array) -> tuple[Array, str]:
+    """Continue times of day that pass midnight.
+
+    Args:
+        times: Times of day, s, NaN where there is none, shape (n,).
+
+    Returns:
+        times: Times, s, shape (n,), that go on after midnight; those given if they do not go back by about a day.
+        remark: What was done, for the user; "" for nothing.
+    """
+    continued, midnights = _continued(times, _DAY, _LONGEST_GAP)
+    return continued, f"{TIME} goes on after midnight ({_times(midnights)})" if midnights else ""
+
+
+def _times(count: int) -> str:
+    """Return a number of events in words."""
+    return "once" if count == 1 else f"{count} times"
+
+
+def _continued(times: Array, modulus: float, longest: float | None) -> tuple[Array, int]:
+    """Return times without their starts anew, and the number of these; the times as given if there are none."""
+    present = np.isfinite(times)
+    steps = np.diff(times[present])
+    back = steps < 0.0
+    if not back.any() or not (steps > 0.0).any():
+        return times, 0
+    if longest is None:
+        longest = _PERIODS_ACROSS * float(np.median(steps[steps > 0.0]))
+    across = steps[back] + modulus
+    if np.any(across < 0.0) or np.any(across > longest) or np.ptp(times[present]) >= modulus:
+        return times, 0
+    result = times.copy()
+    result[present] += modulus * np.concatenate([[0.0], np.cumsum(back)])
+    return result, int(back.sum())
+
+
+def repair_of_times(time_s: Array) -> str:
+    """Say how times that do not increase can be repaired, as the end of a message.
+
+    Args:
+        time_s: Times, s, of which some repeat or go back, shape (n,).
+
+    Returns:
+        Sentence with the option that states the rate of the rows, or about the start of a clock.
+    """
+    steps = np.diff(time_s)
+    if np.any(steps < 0.0):
+        return "; did the clock restart? Cut the file there"
+    span = float(time_s[-1] - time_s[0])
+    if span <= 0.0:
+        return f"; if the rows are equally spaced, state their rate, e.g. --map {TIME}=1000Hz"
+    resolution = float(np.min(steps[steps > 0.0]))
+    option = f"--map {TIME}={_rate(len(time_s), span, resolution):g}Hz"
+    if np.mean(steps == 0.0) < _RARE:
+        return f"; delete one of the two rows or, if all rows are equally spaced, state their rate: {option}"
+    return f"; the clock has steps of {resolution:.3g} s: if the rows are equally spaced, state their rate: {option}"
+
+
+def _rate(count: int, span: float, resolution: float) -> float:
+    """Return the roundest rate, Hz, of a number of rows whose times extend over a span and have a resolution, s."""
+    rate = count / (span + resolution)  # the times are rounded down, so that those of the last step extend beyond it
+    tolerance = rate * resolution / span
+    digits = next((d for d in range(1, 6) if abs(float(f"{rate:.{d - 1}e}") - rate) <= tolerance), 6)
+    return float(f"{rate:.{digits - 1}e}")

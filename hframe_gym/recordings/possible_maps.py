@@ -1,0 +1,139 @@
+"""Decide whether a column of a log can be a channel of a machine, by their physical quantities."""
+
+from __future__ import annotations
+
+from ..machine import Machine
+from .measurement_units import SI_UNITS, SPEED_UNITS, TIME, accepted_units, channel_dimension
+from .quantities import QUANTITIES, Meaning
+
+# What the output of a controller is often named after, although it is a voltage: a "torque" or "speed" that is written
+# to an amplifier. For these the user may state a unit of voltage.
+_COMMANDED = ("current", "torque", "force", "power", "speed", "position")
+_VOLTS = ("V", "mV")
+# What a sketch writes to its PWM is often called "speed" or "power".
+_WRITTEN_TO_PWM = ("speed", "power")
+# Percent and per unit mean a fraction of the supply voltage for these names ("throttle position"), and a fraction of a
+# rated value for others, such as a torque.
+_FRACTION_OF_VOLTAGE = (*_WRITTEN_TO_PWM, "position")
+# Units of the signals of sensors and amplifiers with an analog output; a factor converts them to what they stand for.
+_ANALOG_UNITS = ("V", "mV", "mA")
+_AMPLIFIER_COMMANDS = ("current", "torque", "force")
+_MOTIONS = ("length", "angle")
+_COUNTS = ("row number", "count")
+
+
+def obstacle(machine: Machine, channel: str, column: Meaning, unit: str | None, *, scaled: bool) -> str:
+    """Say why a column cannot be a channel because it is another physical quantity.
+
+    A unit in the log is certain, a name is a guess: where the controller's output may have such a name, a unit that the
+    user states overrides it. A column whose header says nothing can be everything.
+
+    Args:
+        machine: Machine with the channel.
+        channel: Name of a channel of this machine, or "time_s".
+        column: What the column contains by its header.
+        unit: Unit that the user stated for the channel (--unit); None if none is stated.
+        scaled: Whether the user stated a factor (--scale).
+
+    Returns:
+        Two quantities and what is possible, as the end of a message, without a stop at its end; "" if the column can
+        be the channel.
+    """
+    if not column.quantity or _is_possible(machine, channel, column, unit, scaled):
+        return ""
+    dimension = channel_dimension(machine, channel)
+    advice = _advice(machine, channel, column)
+    return f"{column.in_words}, and {channel} is {QUANTITIES[dimension].article} {dimension}; {advice}"
+
+
+def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | None, scaled: bool) -> bool:
+    """Return whether a column of a known quantity can be a channel."""
+    dimension, family = channel_dimension(machine, channel), column.family
+    if family == (QUANTITIES[dimension].family or dimension):
+        # A name may say that the motion is of the other kind, which only a unit or a factor converts.
+        other_motion = column.evidence == "name" and column.quantity in _MOTIONS and column.quantity != dimension
+        return not other_motion or scaled or unit is not None
+    if channel == TIME:
+        return family in _COUNTS and (scaled or unit is not None)
+    if family == "count" or (family == "row number" and scaled and channel in machine.output_channels):
+        return True  # counts of an encoder, which are also called ticks
+    if channel in machine.output_channels:
+        if family == "speed":
+            if unit is None:
+                return column.evidence == "unit"
+            return unit in _speed_units() or unit not in accepted_units(machine, channel)
+        return scaled and (column.unit in _ANALOG_UNITS or (family == "voltage" and not column.unit))
+    if family == "duty cycle":
+        return column.unit != "" or unit is not None or scaled
+    if column.evidence == "unit":
+        if column.unit in accepted_units(machine, channel):
+            return True
+        # The command of an amplifier that controls the speed, or the monitor of one that controls the current.
+        return scaled and (family == "speed" or (column.unit in _VOLTS and dimension != "voltage"))
+    if unit in _VOLTS and dimension == "voltage":
+        return family in _COMMANDED
+    if unit in ("%", "pu"):
+        return family in _FRACTION_OF_VOLTAGE
+    if scaled and unit is None:
+        return family in _WRITTEN_TO_PWM or (family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel))
+    return unit is not None and unit in accepted_units(machine, channel) and family in _COMMANDED
+
+
+def _has_no_back_emf(machine: Machine, channel: str) -> bool:
+    """Return whether the drive of an input is declared as an amplifier that controls the current."""
+    return machine.drives[machine.input_channels.index(channel)].Ke == 0.0
+
+
+def _speed_units() -> tuple[str, ...]:
+    """Return all units of speeds."""
+    return tuple(unit for units in SPEED_UNITS.values() for unit in units)
+
+
+def _advice(machine: Machine, channel: str, column: Meaning) -> str:
+    """Return what is possible in place of an impossible map."""
+    family = column.family
+    if channel == TIME:
+        if family in _COUNTS:
+            return f"state the rate of its steps by --unit {TIME}=8kHz, or a factor to s by --scale {TIME}=FACTOR"
+        return f"for a log without a column of time state the rate of its rows, e.g. --map {TIME}=200Hz"
+    if channel in machine.input_channels:
+        if family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel):
+            units = ", ".join(accepted_units(machine, channel))
+            return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
+        if family in _AMPLIFIER_COMMANDS:
+            return _advice_about_commands(channel, column)
+        if family == "duty cycle":
+            return (
+                f"state its unit by --unit {channel}=% or --unit {channel}=pu (1 is the rated voltage), or the volts "
+                f"of one step by --scale {channel}=FACTOR"
+            )
+        advice = "map the voltage or the duty cycle that was applied"
+        if family in _COMMANDED and column.evidence == "name":
+            return f"{advice}, or add --unit {channel}=V if the column is a voltage in spite of its name"
+        return advice
+    if family == "position":
+        units = ", ".join(accepted_units(machine, channel))
+        return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
+    if family == "speed":
+        si_units = ", ".join(unit for unit in accepted_units(machine, channel) if unit in _speed_units())
+        return f"a speed is integrated to it if its unit is one of {si_units}: --unit {channel}=UNIT"
+    if family in ("voltage", "current") and column.unit in ("", *_ANALOG_UNITS):
+        si_unit = SI_UNITS[channel_dimension(machine, channel)]
+        return f"if it is the signal of a sensor, state the factor to {si_unit} by --scale {channel}=FACTOR"
+    return "map a position, or a speed, which is integrated"
+
+
+def _advice_about_commands(channel: str, column: Meaning) -> str:
+    """Say how a machine with a current, torque or force as its input is described."""
+    description = {
+        "current": "Ke 0, resistance 1 and the channel current_A",
+        "torque": "Ke 0, resistance 1, Kt 1 and the channel torque_Nm",
+        "force": "Ke 0, resistance 1, Kt 1, gear_ratio 1 and the channel force_N",
+    }
+    advice = (
+        f"map the voltage that was applied, or, if the amplifier controls the {column.family}, describe its drive with "
+        f"{description[column.family]} (docs/own_machine.md)"
+    )
+    if column.evidence == "name" and not column.unit:
+        return f"{advice}; add --unit {channel}=V only if the column is a voltage in spite of its name"
+    return advice

@@ -1,0 +1,138 @@
+"""Read the JSON files of SysId, the identification tool of WPILib: up to four tests, which become one run each.
+
+The file has an object with the entries "sysid" (true), "test" (kind of the mechanism), "units" and
+"unitsPerRotation", and a list of rows for each test. Positions and velocities are in rotations; a rotation is
+`unitsPerRotation` of `units`. The angle of the gyroscope is in radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..file_limits import read_document, read_json, refuse_many_values
+
+Array = NDArray[np.float64]
+
+TESTS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
+# Unit in which positions are given, and its number in one of the entry "units".
+_UNITS = {
+    "meters": ("m", 1.0),
+    "feet": ("m", 0.3048),
+    "inches": ("m", 0.0254),
+    "radians": ("rad", 1.0),
+    "degrees": ("deg", 1.0),
+    "rotations": ("rev", 1.0),
+}
+# Columns by their number, with the columns to convert from rotations marked by a star.
+_COLUMNS = {
+    4: ("timestamp [s]", "voltage [V]", "position *", "velocity *"),
+    9: (
+        *("timestamp [s]", "l voltage [V]", "r voltage [V]", "l position *", "r position *", "l velocity *"),
+        *("r velocity *", "angle [rad]", "angular rate [rad/s]"),
+    ),
+}
+_ADVICE = "of JSON files only those of WPILib's SysId are read; export a table as CSV, one row per sample"
+
+
+@dataclass(frozen=True)
+class SysIdTest:
+    """One test of a SysId file.
+
+    Attributes:
+        name: Name of the test in the file, such as "slow-forward".
+        names: Headers of the columns with units.
+        columns: Values of the columns, shape (rows,) each.
+        remarks: Sentences for the user about the file.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    columns: list[Array]
+    remarks: tuple[str, ...]
+
+
+def is_sysid_file(path: Path) -> bool:
+    """Return whether a JSON file is one of SysId; False if it cannot be read.
+
+    Args:
+        path: File to read.
+
+    Returns:
+        True if it says so.
+    """
+    try:
+        return '"sysid"' in read_document(path, "utf-8-sig") and _tests(read_json(path)) != {}
+    except InputError:
+        return False
+
+
+def read_tests(path: Path) -> list[SysIdTest]:
+    """Read the tests of a SysId file.
+
+    Args:
+        path: JSON file.
+
+    Returns:
+        Tests that have rows, slow ones first; columns of the shape (rows,).
+
+    Raises:
+        InputError: If the file cannot be read, is another JSON file, or a row has not 4 or 9 numbers. The message names
+            the test and the row.
+    """
+    try:
+        content = read_json(path)
+    except InputError as error:
+        raise InputError(f"{error}; {_ADVICE}") from None
+    tests = _tests(content)
+    if not tests:
+        raise InputError(f"{path}: is a JSON file without tests of SysId; {_ADVICE}")
+    unit, factor = _unit(path, content)
+    return [_read_test(path, name, rows, unit, factor, content) for name, rows in tests.items()]
+
+
+def _tests(content: Any) -> dict[str, list[Any]]:
+    """Return the rows of each test that has some; empty if the content is not that of a SysId file."""
+    if not isinstance(content, dict) or content.get("sysid") is not True:
+        return {}
+    return {name: content[name] for name in TESTS if isinstance(content.get(name), list) and content[name]}
+
+
+def _unit(path: Path, content: dict[str, Any]) -> tuple[str, float]:
+    """Return the unit of positions, and their value after one rotation."""
+    units: Any = content.get("units")
+    per_rotation: Any = content.get("unitsPerRotation")
+    if not isinstance(units, str) or units.lower() not in _UNITS:
+        raise InputError(f"{path}, units: {units!r} is none of Meters, Feet, Inches, Radians, Degrees, Rotations")
+    if type(per_rotation) not in (int, float) or not 1e-30 <= abs(per_rotation) <= 1e30:
+        raise InputError(f"{path}, unitsPerRotation: {per_rotation!r} is not a number of units")
+    unit, factor = _UNITS[units.lower()]
+    return unit, float(per_rotation) * factor
+
+
+def _read_test(path: Path, name: str, rows: list[Any], unit: str, factor: float, content: dict[str, Any]) -> SysIdTest:
+    """Convert the rows of a test to columns."""
+    width = len(rows[0]) if isinstance(rows[0], list) else 0
+    if width not in _COLUMNS:
+        raise InputError(f"{path}, {name}, row 1: must be a list of {' or '.join(map(str, _COLUMNS))} numbers")
+    refuse_many_values(path, len(rows), width)
+    for number, row in enumerate(rows, start=1):
+        if not isinstance(row, list) or len(row) != width or not all(type(cell) in (int, float) for cell in row):
+            raise InputError(f"{path}, {name}, row {number}: must be a list of {width} numbers, as row 1")
+    try:
+        table = np.array(rows, dtype=np.float64)
+    except OverflowError:
+        raise InputError(f"{path}, {name}: has an integer beyond the range of floating-point numbers") from None
+    names, columns = [], []
+    for column, values in zip(_COLUMNS[width], table.T, strict=True):
+        is_motion = column.endswith("*")
+        per_second = "/s" if "velocity" in column else ""
+        names.append(column.replace("*", f"[{unit}{per_second}]"))
+        columns.append(np.ascontiguousarray(values * factor) if is_motion else np.ascontiguousarray(values))
+    remark = f"it is a SysId file ({content.get('test', 'mechanism')}), 1 rotation is {factor:.6g} {unit}"
+    return SysIdTest(name, tuple(names), columns, (remark,))

@@ -1,0 +1,118 @@
+"""Clocks that start anew are continued, times that repeat are refused with the option that repairs them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import ImportSettings, MappingOptions, Recording, import_logs, load_recordings
+
+
+@pytest.fixture
+def axis() -> Machine:
+    """Return a machine with a voltage v_V and a position x_m."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+def imported(
+    folder: Path, machine: Machine, header: str, times: list[str], **options: dict[str, str]
+) -> tuple[Recording, list[str]]:
+    """Import a log with the given texts of its times; return its run and what was printed."""
+    rows = [f"{time};{0.01 * k:.2f};{1e-4 * k:.4f}" for k, time in enumerate(times)]
+    (folder / "log.csv").write_text("\n".join([f"{header};v_V;x_m", *rows]))
+    lines: list[str] = []
+    settings = ImportSettings(MappingOptions(**options))  # type: ignore[arg-type]
+    import_logs(folder / "log.csv", folder / "runs", machine, settings, log=lines.append)
+    return load_recordings(folder / "runs", machine)[0], lines
+
+
+def time_of_day(seconds: float) -> str:
+    """Return a time of day, 0 to 24 h, from seconds since some midnight."""
+    milliseconds = round(seconds * 1000) % 86_400_000
+    minutes, rest = divmod(milliseconds, 60_000)
+    return f"{minutes // 60:02d}:{minutes % 60:02d}:{rest / 1000:06.3f}"
+
+
+def test_a_time_of_day_goes_on_after_midnight(axis: Machine, tmp_path: Path) -> None:
+    seconds = 86_398.5 + 0.01 * np.arange(300)
+    run, lines = imported(tmp_path, axis, "Time", [time_of_day(s) for s in seconds])
+    np.testing.assert_allclose(run.time_s, seconds, atol=1e-9)
+    assert "  time_s goes on after midnight (once)" in lines
+
+
+def test_seconds_of_the_day_go_on_after_midnight(axis: Machine, tmp_path: Path) -> None:
+    seconds = 86_399.0 + 0.01 * np.arange(300)
+    run, _ = imported(tmp_path, axis, "time_s", [f"{s % 86_400:.2f}" for s in seconds])
+    np.testing.assert_allclose(run.time_s, seconds, atol=1e-9)
+
+
+def test_a_time_of_day_that_goes_back_by_hours_is_refused(axis: Machine, tmp_path: Path) -> None:
+    seconds = [*(50_000 + 0.01 * np.arange(20)), *(0.01 * np.arange(20))]
+    with pytest.raises(InputError, match=r"row 21, column time_s: 0 goes back.*did the clock restart\? Cut the file"):
+        imported(tmp_path, axis, "Time", [time_of_day(s) for s in seconds])
+
+
+@pytest.mark.parametrize(
+    ("header", "modulus", "period", "per_second", "form"),
+    [
+        ("t_us", 2**32, 1000, 1e6, "{:.0f}"),  # micros() of a microcontroller after 71.6 minutes
+        ("t_us", 2**32, 517, 1e6, "{:.0f}"),
+        ("t_ms", 2**16, 5, 1e3, "{:.0f}"),
+        ("t_s", 2**32 / 1e6, 0.002, 1.0, "{:.6f}"),
+        ("t_ms", 2**32 / 1e3, 0.5, 1e3, "{:.4f}"),
+    ],
+)
+def test_a_counter_that_starts_anew_is_continued(
+    header: str, modulus: float, period: float, per_second: float, form: str, axis: Machine, tmp_path: Path
+) -> None:
+    ticks = modulus - 100.4 * period + period * np.arange(300)
+    if form == "{:.0f}":
+        ticks = np.rint(ticks)
+    run, lines = imported(tmp_path, axis, header, [form.format(t % modulus) for t in ticks])
+    np.testing.assert_allclose(run.time_s, ticks / per_second, rtol=1e-8)
+    assert any("time_s goes on where a counter of" in line and "started anew (once)" in line for line in lines)
+
+
+def test_a_counter_that_starts_anew_several_times_is_continued(axis: Machine, tmp_path: Path) -> None:
+    ticks = 5000 + 400 * np.arange(1000)
+    run, lines = imported(tmp_path, axis, "t_us", [str(t % 2**16) for t in ticks])
+    np.testing.assert_allclose(run.time_s, ticks / 1e6)
+    assert any("a counter of 16 bits started anew (6 times)" in line for line in lines)
+
+
+def test_a_clock_that_restarts_elsewhere_is_refused(axis: Machine, tmp_path: Path) -> None:
+    ticks = [*range(10_000, 60_000, 1000), *range(0, 50_000, 1000)]
+    with pytest.raises(
+        InputError, match=r"row 51, column time_s: 0 goes back, row 50 is 0.059; times must increase; d"
+    ):
+        imported(tmp_path, axis, "t_us", [str(t) for t in ticks])
+
+
+def test_stamps_that_repeat_name_the_rate_that_repairs_them(axis: Machine, tmp_path: Path) -> None:
+    times = [str(k // 2) for k in range(2000)]
+    with pytest.raises(InputError) as error:
+        imported(tmp_path, axis, "t_ms", times)
+    assert str(error.value).endswith(
+        "row 2, column time_s: 0 repeats row 1; times must increase; the clock has steps of 0.001 s: if the rows are "
+        "equally spaced, state their rate: --map time_s=2000Hz; time_s is the column 't_ms'"
+    )
+    run, _ = imported(tmp_path, axis, "t_ms", times, columns={"time_s": "2000Hz"})
+    np.testing.assert_allclose(run.time_s, np.arange(2000) / 2000)
+
+
+def test_a_single_repeated_row_may_be_deleted(axis: Machine, tmp_path: Path) -> None:
+    times = [str(k if k < 50 else k - 1) for k in range(100)]
+    with pytest.raises(InputError, match=r"row 51, .*repeats row 50; .*delete one of the two rows or, if all rows are"):
+        imported(tmp_path, axis, "t_ms", times)
+
+
+@pytest.mark.parametrize(("step", "unit"), [(1, "ms"), (20, "ms"), (250, "us"), (100_000, "ns")])
+def test_a_time_without_a_unit_is_refused_with_its_likely_unit(
+    step: int, unit: str, axis: Machine, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=rf"has no unit and steps of {step:g}, .* by --unit time_s={unit} \(rows at"):
+        imported(tmp_path, axis, "t", [str(k * step) for k in range(100)])
