@@ -67,7 +67,7 @@ def is_sysid_file(path: Path) -> bool:
         True if it says so.
     """
     try:
-        return '"sysid"' in read_document(path, "utf-8-sig") and _tests(read_json(path)) != {}
+        return '"sysid"' in read_document(path) and _tests(read_json(path)) != {}
     except InputError:
         return False
 
