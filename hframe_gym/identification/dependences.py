@@ -1,54 +1,265 @@
-"""Rank the variables on which the force that a machine lacks depends, as a hint to its cause for the report."""
+"""Rank the causes on which the force that a machine lacks, or the disagreement of its sensors, depends: a hint.
+
+The library of effects is finite; what a machine really lacks may be outside it. Each cause here is weaker than an
+effect, and wider: a curve of unknown shape over one variable (`variables_of_motion`), which acts at one component. It
+may multiply a direction of motion, a current or a voltage, as friction, torque and supply voltage do: friction that
+depends on the position of another axis is a curve over that position, multiplied by the direction.
+
+What refitted parameters can absorb (forces in proportion to accelerations, velocities, directions, voltages) is removed
+from force and curves alike. The curve is fitted to all runs but one and then compared with the force in that run; the
+sum over all runs is what the cause explains. Chance therefore explains nothing on average, however many causes there
+are, and causes at different components compete for the same force: that on a motor acts on both carriages in one ratio.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from ..machine import Machine
 from ..machine.motion import rigid_motions
 from .dataset import Dataset
 from .free_parameters import typical_force
-from .residual import Dependence, comparable_forces, dependence_variables, white_sensors
+from .residual import (
+    Dependence,
+    MissingMotion,
+    low_pass,
+    missing_motions,
+    motion_directions,
+    sensor_combinations,
+    smooth_sign,
+    variables_of_motion,
+    white_sensors,
+)
 
 Array = NDArray[np.float64]
-_DEPENDENCE_BINS = 16  # Bins of a variable on which the missing force may depend.
 _MINIMUM_DEPENDENCE = 0.05  # Fraction of the variance.
-_SIGNIFICANT = 1.5  # Variance of a force that is larger than noise, in units of the variance that noise causes.
+_NOISE_ERROR = 0.5  # Relative error of the variance that noise is expected to cause; less beyond noise is uncertain.
 _ROUNDING_FORCE = 1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
+_FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
+_DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
+_PIECES = 6  # fewer runs are divided into at least that many pieces, each of which is left out once
+_KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a direction, current or voltage
+_RIDGE = 1e-4  # of the mean square of a curve's pieces: pieces that the other runs do not excite get no force
+_RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no force
+_RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
+_HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
+_SLOW_MOTION = 0.2  # fraction of the rows of a motion that are slower
+_PERIODS, _MOST_PERIODS = 2.0, 200.0  # of a periodic cause in the travel, at least; the most, in multiples of that
+_RESONANCES_HZ = np.geomspace(1.0, 25.0, 40)
+_DAMPING = 0.03  # of a resonance: rubber and steel have 0.01 to 0.1
+_LAGS_S = (0.005, 0.02, 0.05)  # of what belts do after a change of tension
+
+Columns = Array  # curve at the rows of all runs, one column per coefficient, (n, k)
 
 
-def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
-    """Rank the variables on which the force that the model lacks depends, as a hint to its cause.
+class _Cause(NamedTuple):
+    """Cause that may explain the missing force or the disagreement.
 
-    For each coordinate and each variable (position, velocity, voltage, time), the mean of the force
-    (`comparable_forces`) over bins of the variable is computed. What the noise of the sensors causes is subtracted from
-    the variance of the force and from that of the bin means.
+    Attributes:
+        component: Where it acts.
+        variable: Name of its variable.
+        coordinate: The component's coordinate.
+        parts: Its curves: forces on a coordinate (index) or errors of a sensor (index); with one set of coefficients.
+            An index of None stands for all channels, each with coefficients of its own.
+    """
+
+    component: str
+    variable: str
+    coordinate: str
+    parts: tuple[tuple[int | None, Columns], ...]
+
+
+class _Evidence:
+    """Forces or disagreements along all runs, what refitted parameters absorb of them, and causes to compare.
+
+    Args:
+        values: Forces or disagreements, shape (n, channels).
+        noise: The part of them that noise causes, shape (n, channels).
+        absorbed: Signals of which any linear combination is removed from each channel, shape (n, k).
+        directions: Value of each channel per unit of a cause at each index, shape (channels, indices).
+        pieces: First row of each piece that is left out once, shape (pieces,).
+    """
+
+    def __init__(self, values: Array, noise: Array, absorbed: Array, directions: Array, pieces: NDArray[np.int64]):
+        # At the least a millionth of the values: data without noise have none.
+        scale = np.maximum(noise.std(axis=0), 1e-6 * values.std(axis=0) + np.finfo(float).tiny)
+        size = np.maximum(np.sqrt(np.mean(absorbed**2, axis=0)), np.finfo(float).tiny)
+        self._orthonormal = np.linalg.svd(absorbed / size, full_matrices=False)
+        basis, singular, _ = self._orthonormal
+        self._basis = basis[:, singular > 1e-6 * singular[0]]
+        self.values = self._without_absorbed(values / scale)
+        self._directions, self._pieces = directions / scale[:, None], pieces
+        by_noise = float(np.sum(self._without_absorbed(noise / scale) ** 2))
+        self.beyond_noise = max(float(np.sum(self.values**2)) - by_noise, _NOISE_ERROR * by_noise)
+
+    def _without_absorbed(self, columns: Array) -> Array:
+        return columns - self._basis @ (self._basis.T @ columns)
+
+    def direction(self, index: int) -> Array:
+        """Return the value of each channel per unit of a cause at an index, shape (channels,)."""
+        return self._directions[:, index]
+
+    def explained(self, cause: _Cause) -> float:
+        """Return by how much the cause reduces the sum of squares in pieces to which it was not fitted."""
+        designs: list[Array] = []
+        for channel in range(self.values.shape[1]):
+            parts = []
+            for index, columns in cause.parts:
+                if index is not None:
+                    parts.append(self._directions[channel, index] * columns)
+                else:
+                    own = np.zeros((len(columns), columns.shape[1] * self.values.shape[1]))
+                    own[:, channel * columns.shape[1] : (channel + 1) * columns.shape[1]] = columns
+                    parts.append(own)
+            designs.append(self._without_absorbed(np.sum(parts, axis=0)))
+        squares, products = [], []
+        for first, last in zip(self._pieces, [*self._pieces[1:], len(self.values)], strict=True):
+            rows = slice(first, last)
+            squares.append(np.sum([d[rows].T @ d[rows] for d in designs], axis=0))
+            products.append(np.sum([d[rows].T @ self.values[rows, c] for c, d in enumerate(designs)], axis=0))
+        all_squares, all_products = np.sum(squares, axis=0), np.sum(products, axis=0)
+        ridge = _RIDGE * np.trace(all_squares) / len(all_squares)
+        if ridge <= 0.0:
+            return 0.0
+        reduction = 0.0
+        for square, product in zip(squares, products, strict=True):
+            others = all_squares - square + ridge * np.eye(len(square))
+            weights = np.linalg.solve(others, all_products - product)
+            reduction += float(2.0 * weights @ product - weights @ square @ weights)
+        return reduction
+
+
+class _Signals:
+    """Everything that causes depend on, at the rows of all runs that are compared.
 
     Args:
         machine: Machine that predicts.
+        data: Measured runs.
+        motions: What its predictions say about each run.
+        rate_hz: Rate of the rows that are compared, Hz.
+        filtered: Whether forces below 30 Hz are compared.
+    """
+
+    def __init__(
+        self, machine: Machine, data: Dataset, motions: list[MissingMotion], rate_hz: float, *, filtered: bool
+    ):
+        self.period, self._filtered = data.period, filtered
+        by_run = [
+            variables_of_motion(machine, run, data, motion.positions, motion.velocities)
+            for run, motion in zip(data.runs, motions, strict=True)
+        ]
+        self._variables = {name: np.concatenate([of_run[name] for of_run in by_run]) for name in by_run[0]}
+        ends = np.cumsum([len(run.time_s) for run in data.runs])
+        self._slices = [slice(end - len(run.time_s), end) for end, run in zip(ends, data.runs, strict=True)]
+        step = max(1, round(1.0 / (rate_hz * data.period)))
+        directions = motion_directions(machine, data)
+        self._kept = [_moving_rows(motion.velocities @ directions.T, data.period, step) for motion in motions]
+
+    @property
+    def count(self) -> int:
+        """Number of rows that are compared."""
+        return sum(map(len, self._kept))
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a variable at all rows of all runs, shape (rows,)."""
+        return self._variables[name]
+
+    def compared(self, columns: Columns) -> Columns:
+        """Return columns (rows of all runs, k), filtered as the forces are, at the rows that are compared."""
+        by_run = [columns[of_run] for of_run in self._slices]
+        return self.thinned([low_pass(c, self.period) for c in by_run] if self._filtered else by_run)
+
+    def thinned(self, values: list[Array]) -> Array:
+        """Return arrays by run, of which the first axis is the rows, at the rows that are compared."""
+        return np.concatenate([array[rows] for array, rows in zip(values, self._kept, strict=True)])
+
+    def by_run(self, name: str) -> list[Array]:
+        """Return a variable by run."""
+        return [self._variables[name][rows] for rows in self._slices]
+
+    def filtered(self, name: str, filter_of_run: Callable[[Array], Array]) -> Array:
+        """Return the output of a filter, which starts anew in each run, shape (rows, k)."""
+        return np.concatenate([filter_of_run(values) for values in self.by_run(name)])
+
+    def pieces(self) -> NDArray[np.int64]:
+        """Return the first compared row of each piece: runs, or parts of runs if there are few."""
+        each = max(1, -(-_PIECES // len(self._kept)))
+        firsts, first = [], 0
+        for rows in self._kept:
+            firsts += [first + len(rows) * part // each for part in range(each)]
+            first += len(rows)
+        return np.array(firsts)
+
+    def run_constants(self) -> Array:
+        """Return one column per run that is 1 in it and 0 elsewhere, at the compared rows."""
+        lengths = [len(rows) for rows in self._kept]
+        return np.repeat(np.eye(len(lengths)), lengths, axis=0)
+
+
+def _moving_rows(velocities: Array, period: float, step: int) -> NDArray[np.int64]:
+    """Return every step-th row of a run in which the machine moves along one of its motions, (n, motions), or is about to."""
+    speeds = np.abs(velocities)
+    moving = (speeds > _RESTING * np.sqrt(np.mean(speeds**2, axis=0))).any(axis=1)
+    near = np.convolve(moving, np.ones(2 * round(_RESTING_S / period) + 1), mode="same") > 0.0
+    rows = np.arange(0, len(near), step)
+    return np.asarray(rows[near[rows]])
+
+
+def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
+    """Rank the causes of the force that the model lacks and of what the sensors disagree about, as a hint.
+
+    Args:
+        machine: Machine that predicts, with its parameters fitted.
         data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        Pairs of coordinate and variable whose bin means explain more than 5 % of the variance beyond noise, with this
-        fraction, sorted by the explained variance, largest first. A coordinate has none if the force on it is not
-        significantly larger than what noise causes, if its sensors show only white noise in a simulation, or if it
-        never moves.
+        Variables with their components that explain more than 5 % of the force, or of the disagreement, beyond noise.
+        Sorted by the likelihood that they explain, largest first: in units of the noise, which forces and disagreements
+        have in common. A coordinate has none if its sensors show only white noise in a simulation, or if it never
+        moves.
     """
-    force, noise = comparable_forces(machine, data)
-    by_run = [dependence_variables(machine, run, data) for run in data.runs]
-    variables = {name: np.concatenate([variables[name] for variables in by_run]) for name in by_run[0]}
-    total, by_noise = np.var(force, axis=0), np.var(noise, axis=0)
-    least = np.maximum(_SIGNIFICANT * by_noise, (_ROUNDING_FORCE * typical_force(machine)) ** 2)
+    deviating, white = _deviating(machine, data), white_sensors(machine, data)
+    if not deviating.any():
+        return []
+    motions = missing_motions(machine, data)
+    signals = _Signals(machine, data, motions, _FORCE_HZ, filtered=True)
+    if not signals.count:
+        return []
     ranked: list[tuple[float, Dependence]] = []
-    for i in np.flatnonzero((total > least) & _deviating(machine, data)):
-        for name, values in variables.items():
-            explained = total[i] * _correlation_ratio(force[:, i], values)
-            explained -= by_noise[i] * _correlation_ratio(noise[:, i], values)
-            fraction = min(float(explained / (total[i] - by_noise[i])), 1.0)
-            if fraction > _MINIMUM_DEPENDENCE:
-                ranked.append((explained, Dependence(name, machine.coordinate_names[i], fraction)))
-    return [dependence for _, dependence in sorted(ranked, key=lambda entry: -entry[0])]
+
+    def rank(evidence: _Evidence, causes: Iterator[_Cause]) -> None:
+        for cause in causes:
+            explained = evidence.explained(cause)
+            if explained > _MINIMUM_DEPENDENCE * evidence.beyond_noise:
+                share = min(explained / evidence.beyond_noise, 1.0)
+                ranked.append((explained, Dependence(cause.variable, cause.coordinate, share, cause.component)))
+
+    force = signals.thinned([motion.force for motion in motions])
+    if np.abs(force).max() > _ROUNDING_FORCE * typical_force(machine):
+        noise = signals.thinned([motion.force_noise for motion in motions])
+        absorbed = _absorbed(machine, signals)
+        directions = motion_directions(machine, data)
+        evidence = _Evidence(force, noise, absorbed, directions, signals.pieces())
+        rank(evidence, _causes_of_force(machine, signals, evidence, directions, deviating))
+        if motions[0].disagreement.shape[1]:
+            signals = _Signals(machine, data, motions, _DISAGREEMENT_HZ, filtered=False)
+            disagreement = signals.thinned([motion.disagreement for motion in motions])
+            noise = signals.thinned([motion.disagreement_noise for motion in motions])
+            # A missing force stretches belts as well.
+            force = signals.thinned([motion.force for motion in motions])
+            absorbed = np.hstack([_absorbed(machine, signals), force, signals.run_constants()])
+            combinations = sensor_combinations(machine, data).T
+            evidence = _Evidence(disagreement, noise, absorbed, combinations, signals.pieces())
+            rank(evidence, _causes_of_disagreement(machine, signals, evidence, ~white))
+    best: dict[tuple[str, str], tuple[float, Dependence]] = {}
+    for entry in sorted(ranked, key=lambda entry: -entry[0]):
+        best.setdefault((entry[1].component, entry[1].variable), entry)
+    return [dependence for _, dependence in best.values()]
 
 
 def _deviating(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
@@ -65,16 +276,202 @@ def _deviating(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
     return np.asarray((related & ~white_sensors(machine, data)).any(axis=1))
 
 
-def _correlation_ratio(values: Array, variable: Array) -> float:
-    """Return the fraction of the variance of values (n,) that bins of a variable explain (Fisher 1925).
+def _absorbed(machine: Machine, signals: _Signals) -> Array:
+    """Return the signals in proportion to which refitted parameters change the force, at the compared rows."""
+    names = machine.coordinate_names
+    columns = [signals[f"acceleration of {name}"] for name in names]
+    columns += [signals[f"velocity of {name}"] for name in names]
+    columns += [smooth_sign(signals[f"velocity of {name}"]) for name in names]
+    columns += [signals[channel] for channel in machine.input_channels]
+    return signals.compared(np.stack(columns, axis=1))
 
-    The bins have about the same number of samples; equal values of the variable are in one bin.
+
+def _causes_of_force(
+    machine: Machine, signals: _Signals, evidence: _Evidence, directions: Array, deviating: NDArray[np.bool_]
+) -> Iterator[_Cause]:
+    """Yield causes that are forces: on each coordinate, by each drive, by both drives, and the clock."""
+    names = machine.coordinate_names
+    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+    acting = [i for i in range(len(names)) if deviating[i] and np.any(directions[:, i] != 0.0)]
+    for i in acting:
+        name = names[i]
+
+        def on(variable: str, columns: Columns, i: int = i, name: str = name) -> _Cause:
+            return _Cause(name, variable, name, ((i, signals.compared(columns)),))
+
+        sign = smooth_sign(signals[f"velocity of {name}"])[:, None]
+        for variable in (f"position of {name}", f"velocity of {name}"):
+            yield on(variable, _curve(signals[variable], _KNOTS))
+        position = f"position of {name}"
+        for factor in (np.ones_like(sign), sign):
+            yield on(position, factor * _periodic(signals, evidence, i, position, f"velocity of {name}", factor))
+        for other in (f"{what} of {n}" for n in linear if n != name for what in ("position", "velocity")):
+            values = signals[other] if other.startswith("position") else np.abs(signals[other])
+            yield on(other, sign * _curve(values, _KNOTS_OF_FACTOR))
+        yield on(position, sign * _curve(signals[position], _KNOTS_OF_FACTOR))
+        for variable in (f"dwell of {name}", f"path of {name}", "time", "time in the run"):
+            yield on(variable, sign * _curve(signals[variable], _KNOTS_OF_FACTOR))
+        yield on(f"acceleration of {name}", _resonance(signals, evidence, i, f"acceleration of {name}"))
+    together: dict[str, list[tuple[int | None, Columns]]] = {}
+    for j, drive in enumerate(machine.drives):
+        i = names.index(drive.coordinate)
+        if i not in acting:
+            continue
+        current = signals[f"current of {drive.name}"][:, None]
+        volts = signals[machine.input_channels[j]][:, None]
+        power = signals["power of drives"]
+        position, speed = f"position of {drive.coordinate}", f"velocity of {drive.coordinate}"
+        causes = {
+            f"current of {drive.name}": _curve(current[:, 0], _KNOTS),
+            machine.input_channels[j]: _curve(volts[:, 0], _KNOTS),
+            f"heat of {drive.name}": current * _polynomial(signals[f"heat of {drive.name}"]),
+            "time in the run": current * _polynomial(signals["time in the run"]),
+            position: current * _periodic(signals, evidence, i, position, speed, current),
+        }
+        for variable, columns in causes.items():
+            yield _Cause(drive.name, variable, drive.coordinate, ((i, signals.compared(columns)),))
+        shared = {
+            "current of drives": np.hstack([current * np.abs(current), current**3]),
+            "power of drives": volts * _polynomial(power),
+        }
+        for variable, columns in shared.items():
+            together.setdefault(variable, []).append((i, drive.gain * signals.compared(columns)))
+    for variable, parts in together.items():
+        if len(parts) > 1:
+            yield _Cause("drives", variable, machine.drives[0].coordinate, tuple(parts))
+    if len(acting):
+        yield _clock(machine, signals, acting)
+
+
+def _clock(machine: Machine, signals: _Signals, acting: list[int]) -> _Cause:
+    """Return the cause of a clock whose rate changes during the runs: all accelerations and velocities are wrong."""
+    names, late = machine.coordinate_names, signals["time in the run"][:, None]
+    middle = late - 0.5 * late.max()
+    parts = []
+    for i in acting:
+        coordinate = machine.coordinates[i]
+        damping = coordinate.viscous + sum(d.gain * d.emf_constant for d in machine.drives if d.coordinate == names[i])
+        force = 2.0 * coordinate.mass * signals[f"acceleration of {names[i]}"]
+        force += damping * signals[f"velocity of {names[i]}"]
+        parts.append((i, signals.compared(force[:, None] * np.hstack([middle, middle**2]))))
+    return _Cause("clock", "time in the run", names[acting[0]], tuple(parts))
+
+
+def _causes_of_disagreement(
+    machine: Machine, signals: _Signals, evidence: _Evidence, deviating: NDArray[np.bool_]
+) -> Iterator[_Cause]:
+    """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts."""
+    by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors)}
+    for j, sensor in enumerate(machine.sensors):
+        if not deviating[j] or not np.any(evidence.direction(j)):
+            continue
+        name, channel = sensor.coordinate, machine.output_channels[j]
+        position, speed = f"position of {name}", f"velocity of {name}"
+        for variable, columns in (
+            (position, _curve(signals[position], _KNOTS)),
+            (position, _periodic(signals, evidence, j, position, speed, np.ones((len(signals[speed]), 1)))),
+            (speed, _curve(signals[speed], _KNOTS)),
+        ):
+            yield _Cause(channel, variable, name, ((j, signals.compared(columns)),))
+    for drive in machine.drives:
+        sensor_index = by_coordinate.get(drive.coordinate)
+        if sensor_index is None or not np.any(evidence.direction(sensor_index)):
+            continue
+        for what, columns in (
+            ("load", _curve(signals[f"load of {drive.name}"], _KNOTS)),
+            ("impulse", signals[f"impulse of {drive.name}"][:, None]),
+        ):
+            part = (sensor_index, signals.compared(columns))
+            yield _Cause(drive.name, f"{what} of {drive.name}", drive.coordinate, (part,))
+    if machine.belts and machine.drives:
+        loads = [f"load of {drive.name}" for drive in machine.drives]
+        lagged = np.hstack([signals.filtered(load, _Lags(signals)) for load in loads])
+        name = machine.drives[0].coordinate
+        yield _Cause("belts", "tension rate of belts", name, ((None, signals.compared(lagged)),))
+
+
+class _Lags:
+    """Filter that returns how much a signal differs from its delayed values, first-order lags of `_LAGS_S`."""
+
+    def __init__(self, signals: _Signals):
+        self._forgotten = [float(np.exp(-signals.period / lag)) for lag in _LAGS_S]
+
+    def __call__(self, values: Array) -> Array:
+        """Return the differences, shape (n, lags)."""
+        lagged = [signal.lfilter([1.0 - kept], [1.0, -kept], values) for kept in self._forgotten]
+        return np.stack([values - late for late in lagged], axis=1)
+
+
+def _polynomial(values: Array) -> Columns:
+    """Return a variable and its square, each of about unit size, shape (n, 2)."""
+    scaled = values / (float(np.abs(values).max()) or 1.0)
+    return np.stack([scaled, scaled**2], axis=1)
+
+
+def _curve(values: Array, knots: int) -> Columns:
+    """Return the pieces of a curve with straight parts over a variable; between knots are as many rows.
+
+    Args:
+        values: The variable, shape (n,).
+        knots: Number of knots; fewer if the variable has fewer values.
+
+    Returns:
+        Hat functions, shape (n, at most knots).
     """
-    total = float(np.var(values))
-    if total == 0.0 or np.ptp(variable) == 0.0:
-        return 0.0
-    ranks = np.searchsorted(np.sort(variable), variable)
-    bins = ranks * _DEPENDENCE_BINS // len(variable)
-    counts = np.maximum(np.bincount(bins, minlength=_DEPENDENCE_BINS), 1)
-    means = np.bincount(bins, values, _DEPENDENCE_BINS) / counts
-    return float(np.var(means[bins]) / total)
+    places = np.unique(np.quantile(values, np.linspace(0.0, 1.0, knots)))
+    if len(places) < 2:
+        return np.ones((len(values), 1))
+    return np.stack([np.interp(values, places, hat) for hat in np.eye(len(places))], axis=1)
+
+
+def _periodic(
+    signals: _Signals, evidence: _Evidence, index: int, position: str, speed: str, factor: Columns
+) -> Columns:
+    """Return sine and cosine of the period in a position that explains the most; nothing of short periods is seen.
+
+    Args:
+        signals: Variables.
+        evidence: Force or disagreement that is explained.
+        index: Coordinate or sensor at which the cause acts.
+        position: Name of the position.
+        speed: Name of its rate.
+        factor: What the sine multiplies, shape (rows, 1).
+
+    Returns:
+        Sine and cosine, shape (rows, 2).
+    """
+    places = signals.compared(signals[position][:, None])[:, 0]
+    factors = signals.compared(factor)[:, 0]
+    travel = float(np.ptp(places))
+    slow = float(np.quantile(np.abs(signals.compared(signals[speed][:, None])), _SLOW_MOTION))
+    if travel == 0.0 or slow == 0.0:
+        return np.zeros((len(signals[position]), 2))
+    lowest, highest = 2.0 * np.pi * _PERIODS / travel, 2.0 * np.pi * _HIGHEST_HZ / slow
+    highest = min(max(highest, 2.0 * lowest), _MOST_PERIODS * lowest)
+    numbers = np.arange(lowest, highest, 0.3 * 2.0 * np.pi / travel)
+    target = evidence.values @ evidence.direction(index)
+    waves = np.exp(1j * np.outer(numbers, places)) * factors
+    sizes = np.abs(waves @ target)
+    best = numbers[int(np.argmax(sizes))]
+    angle = best * signals[position]
+    return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+
+def _resonance(signals: _Signals, evidence: _Evidence, index: int, acceleration: str) -> Columns:
+    """Return position and velocity of the resonator, driven by an acceleration, that explains the most."""
+    target = evidence.values @ evidence.direction(index)
+    best, most = np.zeros((len(signals[acceleration]), 2)), 0.0
+    for hertz in _RESONANCES_HZ:
+        w = 2.0 * np.pi * hertz
+        resonator = [[0.0, 1.0], [-w * w, -2.0 * _DAMPING * w]], [[0.0], [-1.0]], np.diag([w * w, w]), np.zeros((2, 1))
+        discrete = signal.cont2discrete(tuple(np.array(matrix) for matrix in resonator), signals.period)
+        filters, denominator = signal.ss2tf(*discrete[:4])
+        motion = signals.filtered(
+            acceleration, lambda a, f=filters, d=denominator: np.stack([signal.lfilter(b, d, a) for b in f], axis=1)
+        )
+        compared = signals.compared(motion)
+        weights = np.linalg.lstsq(compared, target, rcond=None)[0]
+        explained = float(2.0 * weights @ (compared.T @ target) - np.sum((compared @ weights) ** 2))
+        if explained > most:
+            best, most = motion, explained
+    return best

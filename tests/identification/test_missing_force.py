@@ -10,12 +10,12 @@ import pytest
 from hframe_gym.dynamics.simulation import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.dataset import prepare
-from hframe_gym.identification.dependences import _correlation_ratio, rank_dependences
+from hframe_gym.identification.dependences import _curve, rank_dependences
 from hframe_gym.identification.periodogram import periodogram_peaks
 from hframe_gym.identification.residual import (
-    comparable_forces,
     dependence_variables,
     missing_force,
+    missing_motions,
     smooth_force_residual,
     white_sensors,
 )
@@ -40,10 +40,16 @@ def test_encoders_alone_show_the_period_of_the_friction_of_a_carriage(hframe: Ma
 
 
 def test_an_input_at_rest_does_not_stand_for_time() -> None:
-    """Equal values of a variable belong to one bin; in the order of the samples they would be bins of time."""
+    """Equal values of a variable are one value of the curve; in the order of the samples they would stand for time."""
     drift = np.linspace(-1.0, 1.0, 1600)
-    assert _correlation_ratio(drift, np.where(drift < 0.9, 0.0, drift)) < 0.2
-    assert _correlation_ratio(drift, drift) > 0.95
+
+    def explained(variable: np.ndarray) -> float:
+        curve = _curve(variable, 13)
+        fitted = curve @ np.linalg.lstsq(curve, drift, rcond=None)[0]
+        return 1.0 - np.var(drift - fitted) / np.var(drift)
+
+    assert explained(np.where(drift < 0.9, 0.0, drift)) < 0.2
+    assert explained(drift) > 0.95
 
 
 def excited_runs(machine: Machine, *, noise: float = 1.0, count: int = 2) -> list[Recording]:
@@ -87,8 +93,11 @@ def test_noise_alone_depends_on_nothing(hframe: Machine, count: int) -> None:
 
 def test_the_force_that_noise_causes_is_predicted(hframe: Machine) -> None:
     """Also that of encoders, whose rounding error is constant at rest."""
-    force, noise = comparable_forces(hframe, prepare(excited_runs(hframe, count=4), hframe))
-    assert force.std(axis=0) == pytest.approx(noise.std(axis=0), rel=0.25)
+    motions = missing_motions(hframe, prepare(excited_runs(hframe, count=4), hframe))
+    for values, noise in ((m.force, m.force_noise) for m in motions):
+        assert values.std(axis=0) == pytest.approx(noise.std(axis=0), rel=0.25)
+    for values, noise in ((m.disagreement, m.disagreement_noise) for m in motions):
+        assert values.std(axis=0) == pytest.approx(noise.std(axis=0), rel=0.25)
 
 
 def test_an_axis_that_lacks_no_force_depends_on_nothing(hframe: Machine) -> None:

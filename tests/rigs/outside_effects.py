@@ -128,7 +128,7 @@ def _gear_backlash(rng: np.random.Generator) -> OutsideEffect:
     phi = f"phi{site[-1]}"
     return OutsideEffect(
         "gear backlash", site, f"half gap {1e3 * gap:.1f} mrad", partial(change_fields, backlash_rad=values),
-        (*_of_drive(site), f"{phi}_rad"), ("current of *", "velocity of phi*", "acceleration of phi*", "v?_V"),
+        (*_of_drive(site), f"{phi}_rad"), ("load of *", "current of *", "velocity of phi*", "acceleration of phi*", "v?_V"),
         (*_labels("belt_play", "belts"), *_labels("presliding *hysteresis", phi)),
     )  # fmt: skip
 
@@ -171,7 +171,7 @@ def _belt_relaxation(rng: np.random.Generator) -> OutsideEffect:
     build = partial(change_fields, belt_relaxation=part, belt_relaxation_s=seconds)
     return OutsideEffect(
         "belt relaxation", "belts", f"{part:.0%} of the stiffness within {1e3 * seconds:.0f} ms", build,
-        ("belts", "left", "right", "bottom"), ("tension of *", "current of *"), _labels("belt_damping", "belts"),
+        ("belts", "left", "right", "bottom"), ("tension*", "load of *", "current of *"), _labels("belt_damping", "belts"),
     )  # fmt: skip
 
 
@@ -253,7 +253,7 @@ def _belt_creep(rng: np.random.Generator) -> OutsideEffect:
     return OutsideEffect(
         "belt creep", site, f"{1e3 * speed:.1f} mm/s at 15 N", partial(change_fields, belt_creep=values),
         (*_of_drive(site), f"{phi}_rad", "belts"),
-        ("tension of *", "current of *", "time*", "path of *", "impulse of *"), _labels("belt_damping", "belts"),
+        ("impulse of *", "tension*", "load of *", "current of *"), _labels("belt_damping", "belts"),
     )  # fmt: skip
 
 
