@@ -27,6 +27,7 @@ from .free_parameters import typical_force
 from .residual import (
     Dependence,
     MissingMotion,
+    correction_filters,
     low_pass,
     missing_motions,
     motion_directions,
@@ -44,7 +45,9 @@ _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
 _DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
 _PIECES = 6  # fewer runs are divided into at least that many pieces, each of which is left out once
 _KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a direction, current or voltage
-_RIDGE = 1e-4  # of the mean square of a curve's pieces: pieces that the other runs do not excite get no force
+# Of the mean square of a curve's pieces: pieces that the other runs do not excite get no force, and the more noise there
+# is, the flatter is the best curve.
+_RIDGES = (1e-4, 0.03, 0.3)
 _RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no force
 _RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
 _HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
@@ -54,7 +57,7 @@ _RESONANCES_HZ = np.geomspace(1.0, 25.0, 40)
 _DAMPING = 0.03  # of a resonance: rubber and steel have 0.01 to 0.1
 _LAGS_S = (0.005, 0.02, 0.05)  # of what belts do after a change of tension
 
-Columns = Array  # curve at the rows of all runs, one column per coefficient, (n, k)
+Columns = Array  # curve at the rows of all runs, one column per coefficient, shape (rows, k)
 
 
 class _Cause(NamedTuple):
@@ -72,66 +75,6 @@ class _Cause(NamedTuple):
     variable: str
     coordinate: str
     parts: tuple[tuple[int | None, Columns], ...]
-
-
-class _Evidence:
-    """Forces or disagreements along all runs, what refitted parameters absorb of them, and causes to compare.
-
-    Args:
-        values: Forces or disagreements, shape (n, channels).
-        noise: The part of them that noise causes, shape (n, channels).
-        absorbed: Signals of which any linear combination is removed from each channel, shape (n, k).
-        directions: Value of each channel per unit of a cause at each index, shape (channels, indices).
-        pieces: First row of each piece that is left out once, shape (pieces,).
-    """
-
-    def __init__(self, values: Array, noise: Array, absorbed: Array, directions: Array, pieces: NDArray[np.int64]):
-        # At the least a millionth of the values: data without noise have none.
-        scale = np.maximum(noise.std(axis=0), 1e-6 * values.std(axis=0) + np.finfo(float).tiny)
-        size = np.maximum(np.sqrt(np.mean(absorbed**2, axis=0)), np.finfo(float).tiny)
-        self._orthonormal = np.linalg.svd(absorbed / size, full_matrices=False)
-        basis, singular, _ = self._orthonormal
-        self._basis = basis[:, singular > 1e-6 * singular[0]]
-        self.values = self._without_absorbed(values / scale)
-        self._directions, self._pieces = directions / scale[:, None], pieces
-        by_noise = float(np.sum(self._without_absorbed(noise / scale) ** 2))
-        self.beyond_noise = max(float(np.sum(self.values**2)) - by_noise, _NOISE_ERROR * by_noise)
-
-    def _without_absorbed(self, columns: Array) -> Array:
-        return columns - self._basis @ (self._basis.T @ columns)
-
-    def direction(self, index: int) -> Array:
-        """Return the value of each channel per unit of a cause at an index, shape (channels,)."""
-        return self._directions[:, index]
-
-    def explained(self, cause: _Cause) -> float:
-        """Return by how much the cause reduces the sum of squares in pieces to which it was not fitted."""
-        designs: list[Array] = []
-        for channel in range(self.values.shape[1]):
-            parts = []
-            for index, columns in cause.parts:
-                if index is not None:
-                    parts.append(self._directions[channel, index] * columns)
-                else:
-                    own = np.zeros((len(columns), columns.shape[1] * self.values.shape[1]))
-                    own[:, channel * columns.shape[1] : (channel + 1) * columns.shape[1]] = columns
-                    parts.append(own)
-            designs.append(self._without_absorbed(np.sum(parts, axis=0)))
-        squares, products = [], []
-        for first, last in zip(self._pieces, [*self._pieces[1:], len(self.values)], strict=True):
-            rows = slice(first, last)
-            squares.append(np.sum([d[rows].T @ d[rows] for d in designs], axis=0))
-            products.append(np.sum([d[rows].T @ self.values[rows, c] for c, d in enumerate(designs)], axis=0))
-        all_squares, all_products = np.sum(squares, axis=0), np.sum(products, axis=0)
-        ridge = _RIDGE * np.trace(all_squares) / len(all_squares)
-        if ridge <= 0.0:
-            return 0.0
-        reduction = 0.0
-        for square, product in zip(squares, products, strict=True):
-            others = all_squares - square + ridge * np.eye(len(square))
-            weights = np.linalg.solve(others, all_products - product)
-            reduction += float(2.0 * weights @ product - weights @ square @ weights)
-        return reduction
 
 
 class _Signals:
@@ -169,14 +112,18 @@ class _Signals:
         """Return a variable at all rows of all runs, shape (rows,)."""
         return self._variables[name]
 
-    def compared(self, columns: Columns) -> Columns:
-        """Return columns (rows of all runs, k), filtered as the forces are, at the rows that are compared."""
+    def compared(self, columns: Columns, lag: tuple[Array, Array] | None = None) -> Columns:
+        """Return columns (rows of all runs, k) at the rows that are compared, after a filter and below 30 Hz if so."""
         by_run = [columns[of_run] for of_run in self._slices]
-        return self.thinned([low_pass(c, self.period) for c in by_run] if self._filtered else by_run)
+        if lag is not None:
+            by_run = [signal.lfilter(*lag, values, axis=0) for values in by_run]
+        return self.thinned(by_run)
 
-    def thinned(self, values: list[Array]) -> Array:
+    def thinned(self, by_run: list[Array]) -> Array:
         """Return arrays by run, of which the first axis is the rows, at the rows that are compared."""
-        return np.concatenate([array[rows] for array, rows in zip(values, self._kept, strict=True)])
+        if self._filtered:
+            by_run = [low_pass(values, self.period) for values in by_run]
+        return np.concatenate([values[rows] for values, rows in zip(by_run, self._kept, strict=True)])
 
     def by_run(self, name: str) -> list[Array]:
         """Return a variable by run."""
@@ -201,6 +148,114 @@ class _Signals:
         return np.repeat(np.eye(len(lengths)), lengths, axis=0)
 
 
+class _Evidence:
+    """Forces or disagreements along all runs, what refitted parameters absorb of them, and causes to compare.
+
+    Args:
+        signals: Variables, and the rows that are compared.
+        values: Forces or disagreements at these rows, shape (n, channels).
+        noise: The part of them that noise causes, same shape.
+        prompt: The same values without the lag of `filters`, to find periods and resonances, same shape.
+        absorbed: Signals of which any linear combination is removed from each channel, at all rows, shape (rows, k).
+        constants: The same, at the compared rows, shape (n, l).
+        directions: Value of each channel per unit of a cause at each index, shape (channels, indices).
+        filters: Numerator and denominator of the filter by which each channel follows causes; None if at once.
+    """
+
+    def __init__(
+        self,
+        signals: _Signals,
+        values: Array,
+        noise: Array,
+        prompt: Array,
+        absorbed: Array,
+        constants: Array,
+        directions: Array,
+        filters: list[tuple[Array, Array]] | None,
+    ):
+        # At the least a millionth of the values: data without noise have none.
+        scale = np.maximum(noise.std(axis=0), 1e-6 * values.std(axis=0) + np.finfo(float).tiny)
+        self.signals, self._filters = signals, filters
+        self._directions, self._pieces = directions / scale[:, None], signals.pieces()
+        self._bases = [
+            _orthonormal(np.hstack([self._compared(channel, absorbed), constants])) for channel in range(len(scale))
+        ]
+        self._values = self._without_absorbed(values / scale)
+        self._prompt = self._without_absorbed(prompt / scale)
+        self._noise = self._without_absorbed(noise / scale)
+        by_noise = float(np.sum(self._noise**2))
+        self.total = float(np.sum(self._values**2))
+        self.beyond_noise = max(self.total - by_noise, _NOISE_ERROR * by_noise)
+
+    def _compared(self, channel: int, columns: Columns) -> Columns:
+        """Return columns (rows, k) as a channel shows them, at the compared rows."""
+        return self.signals.compared(columns, self._filters[channel] if self._filters else None)
+
+    def _without_absorbed(self, values: Array) -> Array:
+        """Return values (n, channels) without what the refitted parameters absorb."""
+        columns = [values[:, c] - basis @ (basis.T @ values[:, c]) for c, basis in enumerate(self._bases)]
+        return np.stack(columns, axis=1)
+
+    def direction(self, index: int) -> Array:
+        """Return the value of each channel per unit of a cause at an index, shape (channels,)."""
+        return self._directions[:, index]
+
+    def target(self, index: int) -> Array:
+        """Return what a cause at an index has to explain, without lag, shape (n,)."""
+        return self._prompt @ self.direction(index)
+
+    def explained(self, cause: _Cause) -> tuple[float, float]:
+        """Compare a cause with the values.
+
+        Args:
+            cause: The cause.
+
+        Returns:
+            Reduction of the sum of squares in pieces to which the cause was not fitted.
+            Fraction of the values beyond noise that it explains: fitted to all pieces, minus what it explains of noise.
+        """
+        channels = self._values.shape[1]
+        designs: list[Array] = []
+        for channel, basis in enumerate(self._bases):
+            parts = []
+            for index, columns in cause.parts:
+                compared = self._compared(channel, columns)
+                if index is not None:
+                    parts.append(self._directions[channel, index] * compared)
+                else:
+                    parts.append(np.kron(np.eye(channels)[channel], compared))
+            design = np.sum(parts, axis=0)
+            designs.append(design - basis @ (basis.T @ design))
+        squares, products = [], []
+        for first, last in zip(self._pieces, [*self._pieces[1:], len(self._values)], strict=True):
+            rows = slice(first, last)
+            squares.append(np.sum([d[rows].T @ d[rows] for d in designs], axis=0))
+            products.append(np.sum([d[rows].T @ self._values[rows, c] for c, d in enumerate(designs)], axis=0))
+        all_squares, all_products = np.sum(squares, axis=0), np.sum(products, axis=0)
+        of_noise = np.sum([d.T @ self._noise[:, c] for c, d in enumerate(designs)], axis=0)
+        best, share = 0.0, 0.0
+        for relative in _RIDGES:
+            ridge = relative * np.trace(all_squares) / len(all_squares) * np.eye(len(all_squares))
+            if ridge[0, 0] <= 0.0:
+                break
+            reduction = 0.0
+            for square, product in zip(squares, products, strict=True):
+                weights = np.linalg.solve(all_squares - square + ridge, all_products - product)
+                reduction += float(2.0 * weights @ product - weights @ square @ weights)
+            if reduction > best:
+                inverse = np.linalg.inv(all_squares + ridge)
+                squared = float(all_products @ inverse @ all_products - of_noise @ inverse @ of_noise)
+                best, share = reduction, squared / self.beyond_noise
+        return best, min(max(share, 0.0), 1.0)
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Return an orthonormal basis of columns, shape (n, rank)."""
+    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), np.finfo(float).tiny)
+    basis, singular, _ = np.linalg.svd(columns / size, full_matrices=False)
+    return np.asarray(basis[:, singular > 1e-6 * singular[0]])
+
+
 def _moving_rows(velocities: Array, period: float, step: int) -> NDArray[np.int64]:
     """Return every step-th row of a run in which the machine moves along one of its motions, (n, motions), or is about to."""
     speeds = np.abs(velocities)
@@ -219,9 +274,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     Returns:
         Variables with their components that explain more than 5 % of the force, or of the disagreement, beyond noise.
-        Sorted by the likelihood that they explain, largest first: in units of the noise, which forces and disagreements
-        have in common. A coordinate has none if its sensors show only white noise in a simulation, or if it never
-        moves.
+        Sorted by the fraction, noise included, that they explain in runs to which they were not fitted, largest first. A
+        coordinate has none if its sensors show only white noise in a simulation, or if it never moves.
     """
     deviating, white = _deviating(machine, data), white_sensors(machine, data)
     if not deviating.any():
@@ -234,28 +288,38 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     def rank(evidence: _Evidence, causes: Iterator[_Cause]) -> None:
         for cause in causes:
-            explained = evidence.explained(cause)
-            if explained > _MINIMUM_DEPENDENCE * evidence.beyond_noise:
-                share = min(explained / evidence.beyond_noise, 1.0)
-                ranked.append((explained, Dependence(cause.variable, cause.coordinate, share, cause.component)))
+            explained, share = evidence.explained(cause)
+            if min(explained / evidence.beyond_noise, share) > _MINIMUM_DEPENDENCE:
+                ranked.append((explained / evidence.total, Dependence(cause.variable, cause.coordinate, share, cause.component)))
 
-    force = signals.thinned([motion.force for motion in motions])
+    force = np.concatenate([motion.force for motion in motions])
     if np.abs(force).max() > _ROUNDING_FORCE * typical_force(machine):
-        noise = signals.thinned([motion.force_noise for motion in motions])
-        absorbed = _absorbed(machine, signals)
-        directions = motion_directions(machine, data)
-        evidence = _Evidence(force, noise, absorbed, directions, signals.pieces())
-        rank(evidence, _causes_of_force(machine, signals, evidence, directions, deviating))
+        absorbed, directions = _absorbed(machine, signals), motion_directions(machine, data)
+        evidence = _Evidence(
+            signals,
+            signals.thinned([motion.correction for motion in motions]),
+            signals.thinned([motion.correction_noise for motion in motions]),
+            signals.compared(force),
+            absorbed,
+            np.zeros((signals.count, 0)),
+            directions,
+            correction_filters(machine, data),
+        )
+        rank(evidence, _causes_of_force(machine, evidence, directions, deviating))
         if motions[0].disagreement.shape[1]:
             signals = _Signals(machine, data, motions, _DISAGREEMENT_HZ, filtered=False)
             disagreement = signals.thinned([motion.disagreement for motion in motions])
-            noise = signals.thinned([motion.disagreement_noise for motion in motions])
-            # A missing force stretches belts as well.
-            force = signals.thinned([motion.force for motion in motions])
-            absorbed = np.hstack([_absorbed(machine, signals), force, signals.run_constants()])
-            combinations = sensor_combinations(machine, data).T
-            evidence = _Evidence(disagreement, noise, absorbed, combinations, signals.pieces())
-            rank(evidence, _causes_of_disagreement(machine, signals, evidence, ~white))
+            evidence = _Evidence(
+                signals,
+                disagreement,
+                signals.thinned([motion.disagreement_noise for motion in motions]),
+                disagreement,
+                np.hstack([absorbed, force]),  # a missing force stretches belts as well
+                signals.run_constants(),
+                sensor_combinations(machine, data).T,
+                None,
+            )
+            rank(evidence, _causes_of_disagreement(machine, evidence, ~white))
     best: dict[tuple[str, str], tuple[float, Dependence]] = {}
     for entry in sorted(ranked, key=lambda entry: -entry[0]):
         best.setdefault((entry[1].component, entry[1].variable), entry)
@@ -277,19 +341,20 @@ def _deviating(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
 
 
 def _absorbed(machine: Machine, signals: _Signals) -> Array:
-    """Return the signals in proportion to which refitted parameters change the force, at the compared rows."""
+    """Return the signals in proportion to which refitted parameters change the force, shape (rows, k)."""
     names = machine.coordinate_names
     columns = [signals[f"acceleration of {name}"] for name in names]
     columns += [signals[f"velocity of {name}"] for name in names]
     columns += [smooth_sign(signals[f"velocity of {name}"]) for name in names]
     columns += [signals[channel] for channel in machine.input_channels]
-    return signals.compared(np.stack(columns, axis=1))
+    return np.stack(columns, axis=1)
 
 
 def _causes_of_force(
-    machine: Machine, signals: _Signals, evidence: _Evidence, directions: Array, deviating: NDArray[np.bool_]
+    machine: Machine, evidence: _Evidence, directions: Array, deviating: NDArray[np.bool_]
 ) -> Iterator[_Cause]:
     """Yield causes that are forces: on each coordinate, by each drive, by both drives, and the clock."""
+    signals = evidence.signals
     names = machine.coordinate_names
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
     acting = [i for i in range(len(names)) if deviating[i] and np.any(directions[:, i] != 0.0)]
@@ -297,21 +362,21 @@ def _causes_of_force(
         name = names[i]
 
         def on(variable: str, columns: Columns, i: int = i, name: str = name) -> _Cause:
-            return _Cause(name, variable, name, ((i, signals.compared(columns)),))
+            return _Cause(name, variable, name, ((i, columns),))
 
         sign = smooth_sign(signals[f"velocity of {name}"])[:, None]
         for variable in (f"position of {name}", f"velocity of {name}"):
             yield on(variable, _curve(signals[variable], _KNOTS))
         position = f"position of {name}"
         for factor in (np.ones_like(sign), sign):
-            yield on(position, factor * _periodic(signals, evidence, i, position, f"velocity of {name}", factor))
+            yield on(position, factor * _periodic(evidence, i, position, f"velocity of {name}", factor))
         for other in (f"{what} of {n}" for n in linear if n != name for what in ("position", "velocity")):
             values = signals[other] if other.startswith("position") else np.abs(signals[other])
             yield on(other, sign * _curve(values, _KNOTS_OF_FACTOR))
         yield on(position, sign * _curve(signals[position], _KNOTS_OF_FACTOR))
         for variable in (f"dwell of {name}", f"path of {name}", "time", "time in the run"):
             yield on(variable, sign * _curve(signals[variable], _KNOTS_OF_FACTOR))
-        yield on(f"acceleration of {name}", _resonance(signals, evidence, i, f"acceleration of {name}"))
+        yield on(f"acceleration of {name}", _resonance(evidence, i, f"acceleration of {name}"))
     together: dict[str, list[tuple[int | None, Columns]]] = {}
     for j, drive in enumerate(machine.drives):
         i = names.index(drive.coordinate)
@@ -326,16 +391,16 @@ def _causes_of_force(
             machine.input_channels[j]: _curve(volts[:, 0], _KNOTS),
             f"heat of {drive.name}": current * _polynomial(signals[f"heat of {drive.name}"]),
             "time in the run": current * _polynomial(signals["time in the run"]),
-            position: current * _periodic(signals, evidence, i, position, speed, current),
+            position: current * _periodic(evidence, i, position, speed, current),
         }
         for variable, columns in causes.items():
-            yield _Cause(drive.name, variable, drive.coordinate, ((i, signals.compared(columns)),))
+            yield _Cause(drive.name, variable, drive.coordinate, ((i, columns),))
         shared = {
             "current of drives": np.hstack([current * np.abs(current), current**3]),
             "power of drives": volts * _polynomial(power),
         }
         for variable, columns in shared.items():
-            together.setdefault(variable, []).append((i, drive.gain * signals.compared(columns)))
+            together.setdefault(variable, []).append((i, drive.gain * columns))
     for variable, parts in together.items():
         if len(parts) > 1:
             yield _Cause("drives", variable, machine.drives[0].coordinate, tuple(parts))
@@ -353,14 +418,15 @@ def _clock(machine: Machine, signals: _Signals, acting: list[int]) -> _Cause:
         damping = coordinate.viscous + sum(d.gain * d.emf_constant for d in machine.drives if d.coordinate == names[i])
         force = 2.0 * coordinate.mass * signals[f"acceleration of {names[i]}"]
         force += damping * signals[f"velocity of {names[i]}"]
-        parts.append((i, signals.compared(force[:, None] * np.hstack([middle, middle**2]))))
+        parts.append((i, force[:, None] * np.hstack([middle, middle**2])))
     return _Cause("clock", "time in the run", names[acting[0]], tuple(parts))
 
 
 def _causes_of_disagreement(
-    machine: Machine, signals: _Signals, evidence: _Evidence, deviating: NDArray[np.bool_]
+    machine: Machine, evidence: _Evidence, deviating: NDArray[np.bool_]
 ) -> Iterator[_Cause]:
     """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts."""
+    signals = evidence.signals
     by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors)}
     for j, sensor in enumerate(machine.sensors):
         if not deviating[j] or not np.any(evidence.direction(j)):
@@ -369,10 +435,10 @@ def _causes_of_disagreement(
         position, speed = f"position of {name}", f"velocity of {name}"
         for variable, columns in (
             (position, _curve(signals[position], _KNOTS)),
-            (position, _periodic(signals, evidence, j, position, speed, np.ones((len(signals[speed]), 1)))),
+            (position, _periodic(evidence, j, position, speed, np.ones((len(signals[speed]), 1)))),
             (speed, _curve(signals[speed], _KNOTS)),
         ):
-            yield _Cause(channel, variable, name, ((j, signals.compared(columns)),))
+            yield _Cause(channel, variable, name, ((j, columns),))
     for drive in machine.drives:
         sensor_index = by_coordinate.get(drive.coordinate)
         if sensor_index is None or not np.any(evidence.direction(sensor_index)):
@@ -381,13 +447,12 @@ def _causes_of_disagreement(
             ("load", _curve(signals[f"load of {drive.name}"], _KNOTS)),
             ("impulse", signals[f"impulse of {drive.name}"][:, None]),
         ):
-            part = (sensor_index, signals.compared(columns))
-            yield _Cause(drive.name, f"{what} of {drive.name}", drive.coordinate, (part,))
+            yield _Cause(drive.name, f"{what} of {drive.name}", drive.coordinate, ((sensor_index, columns),))
     if machine.belts and machine.drives:
         loads = [f"load of {drive.name}" for drive in machine.drives]
         lagged = np.hstack([signals.filtered(load, _Lags(signals)) for load in loads])
         name = machine.drives[0].coordinate
-        yield _Cause("belts", "tension rate of belts", name, ((None, signals.compared(lagged)),))
+        yield _Cause("belts", "tension rate of belts", name, ((None, lagged),))
 
 
 class _Lags:
@@ -424,13 +489,10 @@ def _curve(values: Array, knots: int) -> Columns:
     return np.stack([np.interp(values, places, hat) for hat in np.eye(len(places))], axis=1)
 
 
-def _periodic(
-    signals: _Signals, evidence: _Evidence, index: int, position: str, speed: str, factor: Columns
-) -> Columns:
+def _periodic(evidence: _Evidence, index: int, position: str, speed: str, factor: Columns) -> Columns:
     """Return sine and cosine of the period in a position that explains the most; nothing of short periods is seen.
 
     Args:
-        signals: Variables.
         evidence: Force or disagreement that is explained.
         index: Coordinate or sensor at which the cause acts.
         position: Name of the position.
@@ -440,6 +502,7 @@ def _periodic(
     Returns:
         Sine and cosine, shape (rows, 2).
     """
+    signals = evidence.signals
     places = signals.compared(signals[position][:, None])[:, 0]
     factors = signals.compared(factor)[:, 0]
     travel = float(np.ptp(places))
@@ -449,7 +512,7 @@ def _periodic(
     lowest, highest = 2.0 * np.pi * _PERIODS / travel, 2.0 * np.pi * _HIGHEST_HZ / slow
     highest = min(max(highest, 2.0 * lowest), _MOST_PERIODS * lowest)
     numbers = np.arange(lowest, highest, 0.3 * 2.0 * np.pi / travel)
-    target = evidence.values @ evidence.direction(index)
+    target = evidence.target(index)
     waves = np.exp(1j * np.outer(numbers, places)) * factors
     sizes = np.abs(waves @ target)
     best = numbers[int(np.argmax(sizes))]
@@ -457,9 +520,9 @@ def _periodic(
     return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
 
-def _resonance(signals: _Signals, evidence: _Evidence, index: int, acceleration: str) -> Columns:
+def _resonance(evidence: _Evidence, index: int, acceleration: str) -> Columns:
     """Return position and velocity of the resonator, driven by an acceleration, that explains the most."""
-    target = evidence.values @ evidence.direction(index)
+    signals, target = evidence.signals, evidence.target(index)
     best, most = np.zeros((len(signals[acceleration]), 2)), 0.0
     for hertz in _RESONANCES_HZ:
         w = 2.0 * np.pi * hertz

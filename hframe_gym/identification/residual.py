@@ -174,7 +174,9 @@ class MissingMotion(NamedTuple):
     Attributes:
         force: Force that the model lacks along each rigid motion (`rigid_motions`; coordinates without one move alone),
             N or Nm, below 30 Hz, shape (n, m).
-        force_noise: The part of it that synthetic noise (fixed seed) in the measurements causes, same shape.
+        correction: Force along each motion by which the observer corrects the prediction. It follows the missing force
+            with a lag (`correction_filters`), but has white noise; shape (n, m).
+        correction_noise: The part of it that synthetic noise (fixed seed) in the measurements causes, same shape.
         disagreement: Combinations of the sensors' errors that no rigid motion causes, in standard deviations of the
             sensors' noise, shape (n, sensors - m).
         disagreement_noise: The part of it that the same noise causes, same shape.
@@ -183,7 +185,8 @@ class MissingMotion(NamedTuple):
     """
 
     force: Array
-    force_noise: Array
+    correction: Array
+    correction_noise: Array
     disagreement: Array
     disagreement_noise: Array
     positions: Array
@@ -202,12 +205,15 @@ def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
     for run in data.runs:
         start = start_for_observer(machine, run, data)
         innovations = _innovations(machine, run, data, start, _synthetic_noise(machine, run, data, rng))
-        forces, disagreements = [], []
-        for innovation in innovations:
-            forces.append(_inverted(innovation @ observed.motion_gains, observed, run, data, _RESIDUAL_CUTOFF))
-            disagreements.append(innovation @ combinations)
+        correction, correction_noise = innovations @ observed.motion_gains
+        force = _inverted(correction, observed, run, data, _RESIDUAL_CUTOFF)
         state = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
-        motions.append(MissingMotion(*forces, *disagreements, state.positions[0], state.velocities[0]))
+        disagreements = innovations @ combinations
+        motions.append(
+            MissingMotion(
+                force, correction, correction_noise, *disagreements, state.positions[0], state.velocities[0]
+            )
+        )
     return motions
 
 
@@ -219,6 +225,23 @@ def motion_directions(machine: Machine, data: Dataset) -> Array:
         data: Data set, for the sampling period.
     """
     return _observed_forces(machine, data.period).modes
+
+
+def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Array]]:
+    """Return by which filter the correction along each motion follows the missing force: numerator and denominator.
+
+    Args:
+        machine: Machine that predicts.
+        data: Data set, for the sampling period.
+    """
+    observed = _observed_forces(machine, data.period)
+    filters = []
+    for first, second in zip(observed.first, observed.second, strict=True):
+        if second > 0.0:
+            filters.append(signal.bilinear([1.0], [second, first, 1.0], 1.0 / data.period))
+        else:
+            filters.append((np.ones(1), np.ones(1)))
+    return filters
 
 
 def sensor_combinations(machine: Machine, data: Dataset) -> Array:

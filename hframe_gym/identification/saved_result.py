@@ -292,13 +292,13 @@ def _check_report(saved: SavedResult, path: Path) -> None:
     for table in saved.report["proposed_formulas"]:
         if table["table"] not in labels:
             raise _damaged(path, f"proposed_formulas: {table['table']} is not in machine.json")
-    drives = [drive.name for drive in machine.drives]
+    drives = (drive.name for drive in machine.drives)
     known = {*machine.coordinate_names, *drives, *machine.output_channels, "drives", "belts"}
     for dependence in saved.report["residual"]["depends_on"]:
-        coordinate, variable = dependence["coordinate"], dependence["variable"].partition(" of ")[2]
-        unknown = {coordinate} - set(machine.coordinate_names) | ({variable} - known if variable else set())
-        if unknown:
-            raise _damaged(path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(unknown))}")
+        coordinate = dependence["coordinate"]
+        names = {coordinate, dependence["variable"].partition(" of ")[2] or coordinate}
+        if not names <= known or coordinate not in machine.coordinate_names:
+            raise _damaged(path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}")
 
 
 def _check_curves(saved: SavedResult, path: Path) -> None:

@@ -94,7 +94,7 @@ def test_noise_alone_depends_on_nothing(hframe: Machine, count: int) -> None:
 def test_the_force_that_noise_causes_is_predicted(hframe: Machine) -> None:
     """Also that of encoders, whose rounding error is constant at rest."""
     motions = missing_motions(hframe, prepare(excited_runs(hframe, count=4), hframe))
-    for values, noise in ((m.force, m.force_noise) for m in motions):
+    for values, noise in ((m.correction, m.correction_noise) for m in motions):
         assert values.std(axis=0) == pytest.approx(noise.std(axis=0), rel=0.25)
     for values, noise in ((m.disagreement, m.disagreement_noise) for m in motions):
         assert values.std(axis=0) == pytest.approx(noise.std(axis=0), rel=0.25)
