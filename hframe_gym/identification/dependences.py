@@ -48,6 +48,8 @@ _KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a directi
 # Of the mean square of a curve's pieces: pieces that the other runs do not excite get no force, and the more noise there
 # is, the flatter is the best curve.
 _RIDGES = (1e-4, 0.03, 0.3)
+# A special variable comes before a plain one if it explains that much more: the age of a contact follows from the speed.
+_PLAIN, _SPECIAL = ("position", "velocity", "current"), 0.95
 _RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no force
 _RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
 _HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
@@ -204,7 +206,7 @@ class _Evidence:
         """Return what a cause at an index has to explain, without lag, shape (n,)."""
         return self._prompt @ self.direction(index)
 
-    def explained(self, cause: _Cause) -> tuple[float, float]:
+    def explained(self, cause: _Cause) -> tuple[float, float, float]:
         """Compare a cause with the values.
 
         Args:
@@ -212,6 +214,7 @@ class _Evidence:
 
         Returns:
             Reduction of the sum of squares in pieces to which the cause was not fitted.
+            The same minus its standard error, from the differences between the pieces.
             Fraction of the values beyond noise that it explains: fitted to all pieces, minus what it explains of noise.
         """
         channels = self._values.shape[1]
@@ -233,20 +236,21 @@ class _Evidence:
             products.append(np.sum([d[rows].T @ self._values[rows, c] for c, d in enumerate(designs)], axis=0))
         all_squares, all_products = np.sum(squares, axis=0), np.sum(products, axis=0)
         of_noise = np.sum([d.T @ self._noise[:, c] for c, d in enumerate(designs)], axis=0)
-        best, share = 0.0, 0.0
+        best, certain, share = 0.0, 0.0, 0.0
         for relative in _RIDGES:
             ridge = relative * np.trace(all_squares) / len(all_squares) * np.eye(len(all_squares))
             if ridge[0, 0] <= 0.0:
                 break
-            reduction = 0.0
+            reductions = []
             for square, product in zip(squares, products, strict=True):
                 weights = np.linalg.solve(all_squares - square + ridge, all_products - product)
-                reduction += float(2.0 * weights @ product - weights @ square @ weights)
+                reductions.append(float(2.0 * weights @ product - weights @ square @ weights))
+            reduction, error = float(np.sum(reductions)), float(np.std(reductions) * np.sqrt(len(reductions)))
             if reduction > best:
                 inverse = np.linalg.inv(all_squares + ridge)
                 squared = float(all_products @ inverse @ all_products - of_noise @ inverse @ of_noise)
-                best, share = reduction, squared / self.beyond_noise
-        return best, min(max(share, 0.0), 1.0)
+                best, certain, share = reduction, reduction - error, squared / self.beyond_noise
+        return best, certain, min(max(share, 0.0), 1.0)
 
 
 def _orthonormal(columns: Array) -> Array:
@@ -274,8 +278,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     Returns:
         Variables with their components that explain more than 5 % of the force, or of the disagreement, beyond noise.
-        Sorted by the fraction, noise included, that they explain in runs to which they were not fitted, largest first. A
-        coordinate has none if its sensors show only white noise in a simulation, or if it never moves.
+        Sorted by the fraction, noise included, that they explain for certain (one standard error) in runs to which they
+        were not fitted, largest first. A coordinate has none if its sensors show only white noise in a simulation, or if it never moves.
     """
     deviating, white = _deviating(machine, data), white_sensors(machine, data)
     if not deviating.any():
@@ -288,9 +292,10 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     def rank(evidence: _Evidence, causes: Iterator[_Cause]) -> None:
         for cause in causes:
-            explained, share = evidence.explained(cause)
-            if min(explained / evidence.beyond_noise, share) > _MINIMUM_DEPENDENCE:
-                ranked.append((explained / evidence.total, Dependence(cause.variable, cause.coordinate, share, cause.component)))
+            explained, certain, share = evidence.explained(cause)
+            if certain > 0.0 and min(explained / evidence.beyond_noise, share) > _MINIMUM_DEPENDENCE:
+                preference = 1.0 if cause.variable.startswith(_PLAIN) else _SPECIAL
+                ranked.append((preference * certain / evidence.total, Dependence(cause.variable, cause.coordinate, share, cause.component)))
 
     force = np.concatenate([motion.force for motion in motions])
     if np.abs(force).max() > _ROUNDING_FORCE * typical_force(machine):

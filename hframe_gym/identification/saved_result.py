@@ -74,6 +74,7 @@ class _DependenceEntry(_Entry):
 
     variable: str
     coordinate: str
+    component: str = ""
     share: FiniteFloat
 
 

@@ -17,7 +17,7 @@
 | bent rail | dry friction of the bridge depends on y | 30 to 80 % of the level at 100 mm |
 | commutation ripple | torque constant depends on the rotor's angle | 4 to 15 % |
 | dead time | voltage that a bridge loses against the current | 0.1 to 0.4 V |
-| belt creep | belt slips on a motor's pulley with the force it transmits | 0.3 to 2 mm per second at 15 N |
+| belt creep | belt slips on a motor's pulley with the force it transmits | 1 to 6 mm per second at 15 N |
 | eddy brake | drag c v / (1 + (v/v0)^2) | 0.6 to 2.5 N at most |
 | gas spring | spring that stiffens towards one end | 1.5 to 6 N at 150 mm |
 
@@ -247,7 +247,7 @@ def _dead_time(rng: np.random.Generator) -> OutsideEffect:
 
 
 def _belt_creep(rng: np.random.Generator) -> OutsideEffect:
-    site, speed = str(rng.choice(MOTORS)), log_uniform(rng, 0.3e-3, 2e-3)
+    site, speed = str(rng.choice(MOTORS)), log_uniform(rng, 1e-3, 6e-3)
     values = tuple(speed / 15.0 if site == motor else 0.0 for motor in MOTORS)
     phi = f"phi{site[-1]}"
     return OutsideEffect(
