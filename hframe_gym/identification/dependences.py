@@ -379,8 +379,9 @@ def _causes_of_force(
             values = signals[other] if other.startswith("position") else np.abs(signals[other])
             yield on(other, sign * _curve(values, _KNOTS_OF_FACTOR))
         yield on(position, sign * _curve(signals[position], _KNOTS_OF_FACTOR))
-        for variable in (f"dwell of {name}", f"path of {name}", "time", "time in the run"):
-            yield on(variable, sign * _curve(signals[variable], _KNOTS_OF_FACTOR))
+        yield on(f"dwell of {name}", sign * _curve(signals[f"dwell of {name}"], _KNOTS_OF_FACTOR))
+        for variable in (f"path of {name}", "time", "time in the run"):  # as friction warms up: slowly
+            yield on(variable, sign * _polynomial(signals[variable]))
         yield on(f"acceleration of {name}", _resonance(evidence, i, f"acceleration of {name}"))
     together: dict[str, list[tuple[int | None, Columns]]] = {}
     for j, drive in enumerate(machine.drives):
@@ -444,18 +445,23 @@ def _causes_of_disagreement(
             (speed, _curve(signals[speed], _KNOTS)),
         ):
             yield _Cause(channel, variable, name, ((j, columns),))
+    loads: list[tuple[int | None, Columns]] = []
     for drive in machine.drives:
         sensor_index = by_coordinate.get(drive.coordinate)
         if sensor_index is None or not np.any(evidence.direction(sensor_index)):
             continue
+        # A gap is open towards the load: its sign counts, its size bends shafts.
+        load = signals[f"load of {drive.name}"]
+        loads.append((sensor_index, _curve(load / (float(load.std()) or 1.0), _KNOTS)))
         for what, columns in (
-            ("load", _curve(signals[f"load of {drive.name}"], _KNOTS)),
+            ("load", loads[-1][1]),
             ("impulse", signals[f"impulse of {drive.name}"][:, None]),
         ):
             yield _Cause(drive.name, f"{what} of {drive.name}", drive.coordinate, ((sensor_index, columns),))
+    if len(loads) > 1 and len({columns.shape for _, columns in loads}) == 1:
+        yield _Cause("drives", "load of drives", machine.drives[0].coordinate, tuple(loads))
     if machine.belts and machine.drives:
-        loads = [f"load of {drive.name}" for drive in machine.drives]
-        lagged = np.hstack([signals.filtered(load, _Lags(signals)) for load in loads])
+        lagged = np.hstack([signals.filtered(f"load of {drive.name}", _Lags(signals)) for drive in machine.drives])
         name = machine.drives[0].coordinate
         yield _Cause("belts", "tension rate of belts", name, ((None, lagged),))
 
@@ -473,8 +479,9 @@ class _Lags:
 
 
 def _polynomial(values: Array) -> Columns:
-    """Return a variable and its square, each of about unit size, shape (n, 2)."""
-    scaled = values / (float(np.abs(values).max()) or 1.0)
+    """Return the change of a variable since the first row, and its square, each of about unit size, shape (n, 2)."""
+    shifted = values - values[0]
+    scaled = shifted / (float(np.abs(shifted).max()) or 1.0)
     return np.stack([scaled, scaled**2], axis=1)
 
 

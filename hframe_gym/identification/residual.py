@@ -402,9 +402,10 @@ def variables_of_motion(
     Returns:
         By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C", "acceleration of
         C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of its contacts (s). For each
-        drive D: "current of D" in volts behind the back-EMF, "heat of D" (V^2), "load of D", the force that is left for
-        the belts (N or Nm), "impulse of D", the integral of the load. The input channels (V); "power of drives" (V^2),
-        "tension rate of belts" (N/s or Nm/s); "time" and "time in the run" (s).
+        drive D: "current of D" (A; the inductance neglected), "heat of D" (A^2), "load of D", the force that is left for
+        the belts (N or Nm), "impulse of D", the integral of the load. The input channels (V); sums over the drives:
+        "current of drives", "power of drives" (W), "load of drives", and its rate, "tension rate of belts"; "time" and
+        "time in the run" (s).
     """
     names, period = machine.coordinate_names, data.period
     accelerations = np.gradient(low_pass(velocities, period), run.time_s, axis=0)
@@ -416,22 +417,25 @@ def variables_of_motion(
         variables[f"acceleration of {name}"] = accelerations[:, i]
         variables[f"path of {name}"] = np.cumsum(speed) * period
         variables[f"dwell of {name}"] = _contact_age(speed * machine.travel_per_unit[i], period)
-    power, rate = np.zeros(len(run.time_s)), np.zeros(len(run.time_s))
+    power, rate, loads, currents = np.zeros((4, len(run.time_s)))
     for j, drive in enumerate(machine.drives):
         i = names.index(drive.coordinate)
         coordinate = machine.coordinates[i]
-        volts = run.inputs[:, j] - drive.emf_constant * velocities[:, i]
-        load = drive.gain * volts - coordinate.mass * accelerations[:, i] - coordinate.viscous * velocities[:, i]
+        amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
+        load = drive.gain * drive.resistance * amps - coordinate.mass * accelerations[:, i] - coordinate.viscous * velocities[:, i]
         load -= coordinate.coulomb * smooth_sign(velocities[:, i])
         variables[machine.input_channels[j]] = run.inputs[:, j]
-        variables[f"current of {drive.name}"] = volts
+        variables[f"current of {drive.name}"] = amps
         forgotten = np.exp(-period / _HEAT_S)
-        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - forgotten], [1.0, -forgotten], volts**2)
+        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - forgotten], [1.0, -forgotten], amps**2)
         variables[f"load of {drive.name}"] = load
         variables[f"impulse of {drive.name}"] = np.cumsum(load) * period
-        power += run.inputs[:, j] * volts
+        loads += load
+        power += run.inputs[:, j] * amps
+        currents += amps
         rate += np.gradient(low_pass(load[:, None], period)[:, 0], run.time_s)
-    variables |= {"power of drives": power, "tension rate of belts": rate}
+    variables |= {"current of drives": currents, "power of drives": power, "load of drives": loads}
+    variables["tension rate of belts"] = rate
     return variables | {"time": run.time_s, "time in the run": run.time_s - run.time_s[0]}
 
 

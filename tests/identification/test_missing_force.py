@@ -12,11 +12,13 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.dataset import prepare
 from hframe_gym.identification.dependences import _curve, rank_dependences
 from hframe_gym.identification.periodogram import periodogram_peaks
+from hframe_gym.identification.plots import _with_unit
 from hframe_gym.identification.residual import (
     dependence_variables,
     missing_force,
     missing_motions,
     smooth_force_residual,
+    smooth_sign,
     white_sensors,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
@@ -165,3 +167,52 @@ def test_parameters_may_be_integers(hframe: Machine) -> None:
     rounded = dataclasses.replace(hframe, coordinates=coordinates)
     data = prepare(excited_runs(rounded, count=1), rounded)
     assert all(np.isfinite(motion).all() for motion in missing_force(rounded, data).values())
+
+
+def test_every_cause_has_a_variable_with_a_unit_that_the_report_can_draw(hframe: Machine) -> None:
+    run = prepare(excited_runs(hframe, count=1), hframe)
+    variables = dependence_variables(hframe, run.runs[0], run)
+    assert all(values.shape == run.runs[0].time_s.shape for values in variables.values())
+    units = {name: _with_unit(name, hframe).rpartition(", ")[2] for name in variables}
+    assert (units["current of motor1"], units["acceleration of x"], units["load of motor2"]) == ("A", "m/s^2", "Nm")
+    assert all(units[name] != name for name in variables if not name.startswith("v"))
+
+
+@pytest.mark.parametrize(
+    ("component", "variable"), [("motor1", "heat of motor1"), ("x", "position of y"), ("drives", "power of drives")]
+)
+def test_causes_outside_the_library_are_named_with_their_component(
+    hframe: Machine, component: str, variable: str
+) -> None:
+    """Forces in proportion to a current, a direction or a voltage times a variable, which no library effect has."""
+    runs = []
+    for run in excited_runs(hframe, count=4):
+        data = prepare([run], hframe)
+        of_run = dependence_variables(hframe, data.runs[0], data)
+        if component == "motor1":
+            forces = {"phi1": -0.003 * of_run["current of motor1"] * of_run[variable]}
+        elif component == "x":
+            forces = {"x": -10.0 * smooth_sign(of_run["velocity of x"]) * of_run[variable]}
+        else:
+            forces = {f"phi{j}": -4e-4 * of_run[f"v{j}_V"] * of_run[variable] for j in (1, 2)}
+        extra = np.zeros((1, len(run.time_s), 4))
+        for coordinate, force in forces.items():
+            extra[0, :, hframe.coordinate_names.index(coordinate)] = force
+        readings = simulate_batch(hframe, run.time_s, run.inputs, extra_force=extra, longest_step=0.125e-3).readings[0]
+        readings[:, 2:] += np.random.default_rng(1).normal(0.0, 20e-6, readings[:, 2:].shape)
+        runs.append(dataclasses.replace(run, outputs=readings))
+    strongest = rank_dependences(hframe, prepare(runs, hframe))[0]
+    assert (strongest.component, strongest.variable) == (component, variable)
+    assert strongest.explained > 0.5
+
+
+def test_the_error_of_one_sensor_is_named_with_the_sensor(hframe: Machine) -> None:
+    """A graduation with a period of 6 mm; no force causes it, because the encoders show none."""
+    runs = []
+    for run in excited_runs(hframe, count=4):
+        outputs = run.outputs.copy()
+        outputs[:, 2] += 0.15e-3 * np.sin(2.0 * np.pi * outputs[:, 2] / 6e-3)
+        runs.append(dataclasses.replace(run, outputs=outputs))
+    strongest = rank_dependences(hframe, prepare(runs, hframe))[0]
+    assert (strongest.component, strongest.variable) == ("x_m", "position of x")
+    assert strongest.explained > 0.8
