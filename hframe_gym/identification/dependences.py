@@ -39,6 +39,7 @@ from .residual import (
 
 Array = NDArray[np.float64]
 _MINIMUM_DEPENDENCE = 0.05  # Fraction of the variance.
+_MOST_ROWS = 10_000  # that are compared; of longer recordings fewer per second
 _NOISE_ERROR = 0.5  # Relative error of the variance that noise is expected to cause; less beyond noise is uncertain.
 _ROUNDING_FORCE = 1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
 _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
@@ -55,7 +56,8 @@ _RESTING_S = 0.025  # rows that are that close to motion count as motion, so tha
 _HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
 _SLOW_MOTION = 0.2  # fraction of the rows of a motion that are slower
 _PERIODS, _MOST_PERIODS = 2.0, 200.0  # of a periodic cause in the travel, at least; the most, in multiples of that
-_RESONANCES_HZ = np.geomspace(1.0, 25.0, 40)
+_SCREENED_ROWS = 1500  # among which the period is searched for
+_RESONANCES_HZ = np.geomspace(1.0, 25.0, 30)
 _DAMPING = 0.03  # of a resonance: rubber and steel have 0.01 to 0.1
 _LAGS_S = (0.005, 0.02, 0.05)  # of what belts do after a change of tension
 
@@ -101,7 +103,7 @@ class _Signals:
         self._variables = {name: np.concatenate([of_run[name] for of_run in by_run]) for name in by_run[0]}
         ends = np.cumsum([len(run.time_s) for run in data.runs])
         self._slices = [slice(end - len(run.time_s), end) for end, run in zip(ends, data.runs, strict=True)]
-        step = max(1, round(1.0 / (rate_hz * data.period)))
+        step = max(1, round(1.0 / (rate_hz * data.period)), ends[-1] // _MOST_ROWS)
         directions = motion_directions(machine, data)
         self._kept = [_moving_rows(motion.velocities @ directions.T, data.period, step) for motion in motions]
 
@@ -281,7 +283,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
         Sorted by the fraction, noise included, that they explain for certain (one standard error) in runs to which they
         were not fitted, largest first. A coordinate has none if its sensors show only white noise in a simulation, or if it never moves.
     """
-    deviating, white = _deviating(machine, data), white_sensors(machine, data)
+    white = white_sensors(machine, data)
+    deviating = _deviating(machine, white)
     if not deviating.any():
         return []
     motions = missing_motions(machine, data)
@@ -331,7 +334,7 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
     return [dependence for _, dependence in best.values()]
 
 
-def _deviating(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
+def _deviating(machine: Machine, white: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Mark the coordinates whose sensors show more than white noise in a simulation, shape (coordinates,).
 
     For a coordinate without a sensor, the sensors of the coordinates that move with it count.
@@ -342,7 +345,7 @@ def _deviating(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
     for motion in rigid_motions(machine).values():
         related |= np.outer(motion != 0.0, measured[motion != 0.0].any(axis=0))
     related[measured.any(axis=1)] = measured[measured.any(axis=1)]
-    return np.asarray((related & ~white_sensors(machine, data)).any(axis=1))
+    return np.asarray((related & ~white).any(axis=1))
 
 
 def _absorbed(machine: Machine, signals: _Signals) -> Array:
@@ -524,9 +527,13 @@ def _periodic(evidence: _Evidence, index: int, position: str, speed: str, factor
     lowest, highest = 2.0 * np.pi * _PERIODS / travel, 2.0 * np.pi * _HIGHEST_HZ / slow
     highest = min(max(highest, 2.0 * lowest), _MOST_PERIODS * lowest)
     numbers = np.arange(lowest, highest, 0.3 * 2.0 * np.pi / travel)
-    target = evidence.target(index)
-    waves = np.exp(1j * np.outer(numbers, places)) * factors
-    sizes = np.abs(waves @ target)
+    every = slice(None, None, max(1, len(places) // _SCREENED_ROWS))
+    places, seen = places[every], evidence.target(index)[every] * factors[every]
+    wave, turn = seen * np.exp(1j * numbers[0] * places), np.exp(1j * (numbers[1] - numbers[0]) * places)
+    sizes = np.empty(len(numbers))
+    for k in range(len(numbers)):
+        sizes[k] = abs(wave.sum())
+        wave *= turn
     best = numbers[int(np.argmax(sizes))]
     angle = best * signals[position]
     return np.stack([np.sin(angle), np.cos(angle)], axis=1)

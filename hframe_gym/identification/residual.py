@@ -8,6 +8,7 @@ prediction, see `prediction`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -368,8 +369,14 @@ def low_pass(values: Array, period: float) -> Array:
 
 def _low_pass(values: Array, cutoff: float, period: float) -> Array:
     """Return values (n, k) below a cut-off frequency, Hz, filtered without phase lag."""
-    filtered: Array = signal.sosfiltfilt(signal.butter(2, min(0.9, 2 * cutoff * period), output="sos"), values, axis=0)
+    filtered: Array = signal.sosfiltfilt(_butterworth(min(0.9, 2 * cutoff * period)), values, axis=0)
     return filtered
+
+
+@cache
+def _butterworth(relative_cutoff: float) -> Array:
+    """Return a low-pass filter of second order, whose cut-off frequency is relative to half the sampling rate."""
+    return np.asarray(signal.butter(2, relative_cutoff, output="sos"))
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
