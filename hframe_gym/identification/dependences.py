@@ -14,6 +14,7 @@ are, and causes at different components compete for the same force: that on a mo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -46,10 +47,10 @@ _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
 _DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
 _PIECES = 6  # fewer runs are divided into at least that many pieces, each of which is left out once
 _KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a direction, current or voltage
-# Of the mean square of a curve's pieces: pieces that the other runs do not excite get no force, and the more noise there
-# is, the flatter is the best curve.
+# Of the mean square of a curve's pieces: pieces that the other runs do not excite get no force, and the more noise
+# there is, the flatter is the best curve.
 _RIDGES = (1e-4, 0.03, 0.3)
-# A special variable comes before a plain one if it explains that much more: the age of a contact follows from the speed.
+# A special variable comes before a plain one if it explains clearly more: the age of a contact follows from its speed.
 _PLAIN, _SPECIAL = ("position", "velocity", "current"), 0.95
 _RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no force
 _RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
@@ -263,7 +264,7 @@ def _orthonormal(columns: Array) -> Array:
 
 
 def _moving_rows(velocities: Array, period: float, step: int) -> NDArray[np.int64]:
-    """Return every step-th row of a run in which the machine moves along one of its motions, (n, motions), or is about to."""
+    """Return every step-th row in which the machine moves along a motion, (n, motions), or shortly before or after."""
     speeds = np.abs(velocities)
     moving = (speeds > _RESTING * np.sqrt(np.mean(speeds**2, axis=0))).any(axis=1)
     near = np.convolve(moving, np.ones(2 * round(_RESTING_S / period) + 1), mode="same") > 0.0
@@ -281,7 +282,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
     Returns:
         Variables with their components that explain more than 5 % of the force, or of the disagreement, beyond noise.
         Sorted by the fraction, noise included, that they explain for certain (one standard error) in runs to which they
-        were not fitted, largest first. A coordinate has none if its sensors show only white noise in a simulation, or if it never moves.
+        were not fitted, largest first. A coordinate has none if its sensors show only white noise in a simulation, or
+        if it never moves.
     """
     white = white_sensors(machine, data)
     deviating = _deviating(machine, white)
@@ -298,7 +300,12 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
             explained, certain, share = evidence.explained(cause)
             if certain > 0.0 and min(explained / evidence.beyond_noise, share) > _MINIMUM_DEPENDENCE:
                 preference = 1.0 if cause.variable.startswith(_PLAIN) else _SPECIAL
-                ranked.append((preference * certain / evidence.total, Dependence(cause.variable, cause.coordinate, share, cause.component)))
+                ranked.append(
+                    (
+                        preference * certain / evidence.total,
+                        Dependence(cause.variable, cause.coordinate, share, cause.component),
+                    )
+                )
 
     force = np.concatenate([motion.force for motion in motions])
     if np.abs(force).max() > _ROUNDING_FORCE * typical_force(machine):
@@ -431,9 +438,7 @@ def _clock(machine: Machine, signals: _Signals, acting: list[int]) -> _Cause:
     return _Cause("clock", "time in the run", names[acting[0]], tuple(parts))
 
 
-def _causes_of_disagreement(
-    machine: Machine, evidence: _Evidence, deviating: NDArray[np.bool_]
-) -> Iterator[_Cause]:
+def _causes_of_disagreement(machine: Machine, evidence: _Evidence, deviating: NDArray[np.bool_]) -> Iterator[_Cause]:
     """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts."""
     signals = evidence.signals
     by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors)}
@@ -548,12 +553,15 @@ def _resonance(evidence: _Evidence, index: int, acceleration: str) -> Columns:
         resonator = [[0.0, 1.0], [-w * w, -2.0 * _DAMPING * w]], [[0.0], [-1.0]], np.diag([w * w, w]), np.zeros((2, 1))
         discrete = signal.cont2discrete(tuple(np.array(matrix) for matrix in resonator), signals.period)
         filters, denominator = signal.ss2tf(*discrete[:4])
-        motion = signals.filtered(
-            acceleration, lambda a, f=filters, d=denominator: np.stack([signal.lfilter(b, d, a) for b in f], axis=1)
-        )
+        motion = signals.filtered(acceleration, partial(_filtered, filters, denominator))
         compared = signals.compared(motion)
         weights = np.linalg.lstsq(compared, target, rcond=None)[0]
         explained = float(2.0 * weights @ (compared.T @ target) - np.sum((compared @ weights) ** 2))
         if explained > most:
             best, most = motion, explained
     return best
+
+
+def _filtered(filters: Array, denominator: Array, values: Array) -> Array:
+    """Return the outputs of filters with one denominator, shape (n, filters)."""
+    return np.stack([signal.lfilter(numerator, denominator, values) for numerator in filters], axis=1)

@@ -209,12 +209,10 @@ def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
         correction, correction_noise = innovations @ observed.motion_gains
         force = _inverted(correction, observed, run, data, _RESIDUAL_CUTOFF)
         state = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
-        disagreements = innovations @ combinations
-        motions.append(
-            MissingMotion(
-                force, correction, correction_noise, *disagreements, state.positions[0], state.velocities[0]
-            )
-        )
+        disagreement, disagreement_noise = innovations @ combinations
+        positions, velocities = state.positions[0], state.velocities[0]
+        corrections = correction, correction_noise, disagreement, disagreement_noise
+        motions.append(MissingMotion(force, *corrections, positions, velocities))
     return motions
 
 
@@ -409,8 +407,8 @@ def variables_of_motion(
     Returns:
         By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C", "acceleration of
         C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of its contacts (s). For each
-        drive D: "current of D" (A; the inductance neglected), "heat of D" (A^2), "load of D", the force that is left for
-        the belts (N or Nm), "impulse of D", the integral of the load. The input channels (V); sums over the drives:
+        drive D: "current of D" (A; the inductance neglected), "heat of D" (A^2), "load of D", the force that is left
+        for the belts (N or Nm), "impulse of D", the integral of the load. The input channels (V); sums over the drives:
         "current of drives", "power of drives" (W), "load of drives", and its rate, "tension rate of belts"; "time" and
         "time in the run" (s).
     """
@@ -429,7 +427,11 @@ def variables_of_motion(
         i = names.index(drive.coordinate)
         coordinate = machine.coordinates[i]
         amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
-        load = drive.gain * drive.resistance * amps - coordinate.mass * accelerations[:, i] - coordinate.viscous * velocities[:, i]
+        load = (
+            drive.gain * drive.resistance * amps
+            - coordinate.mass * accelerations[:, i]
+            - coordinate.viscous * velocities[:, i]
+        )
         load -= coordinate.coulomb * smooth_sign(velocities[:, i])
         variables[machine.input_channels[j]] = run.inputs[:, j]
         variables[f"current of {drive.name}"] = amps

@@ -92,10 +92,14 @@ def _torque_saturation(rng: np.random.Generator) -> OutsideEffect:
     amps = 8.0 / np.sqrt(loss / (1.0 - loss))
     values = tuple(amps if site in (motor, _TWO_MOTORS) else np.inf for motor in MOTORS)
     return OutsideEffect(
-        "torque saturation", site, f"{loss:.0%} less torque at 8 A", partial(change_fields, torque_saturation_A=values),
-        _of_drive(site), ("current of *", "v?_V"),
+        "torque saturation",
+        site,
+        f"{loss:.0%} less torque at 8 A",
+        partial(change_fields, torque_saturation_A=values),
+        _of_drive(site),
+        ("current of *", "v?_V"),
         _labels("current_limit voltage_limit", *_sites(site)),
-    )  # fmt: skip
+    )
 
 
 def _sites(site: str) -> tuple[str, ...]:
@@ -107,19 +111,28 @@ def _supply_sag(rng: np.random.Generator) -> OutsideEffect:
     sag = log_uniform(rng, 0.06, 0.2)
     build = partial(change_fields, supply_ohm=sag * 12.0 / 6.0, supply_s=float(rng.uniform(0.002, 0.02)))
     return OutsideEffect(
-        "supply sag", _TWO_MOTORS, f"{sag:.0%} of 12 V at 6 A", build,
-        _of_drive(_TWO_MOTORS), ("power of *", "current of *", "v?_V", "energy"),
+        "supply sag",
+        _TWO_MOTORS,
+        f"{sag:.0%} of 12 V at 6 A",
+        build,
+        _of_drive(_TWO_MOTORS),
+        ("power of *", "current of *", "v?_V", "energy"),
         _labels("voltage_limit current_limit", *_sites(_TWO_MOTORS)),
-    )  # fmt: skip
+    )
 
 
 def _winding_heat(rng: np.random.Generator) -> OutsideEffect:
     site, rise, seconds = str(rng.choice(MOTORS)), log_uniform(rng, 0.05, 0.2), float(rng.uniform(1.0, 4.0))
     build = partial(change_site, sites=MOTORS, site=site, heating_ohm=rise / 4.0, heating_s=seconds)
     return OutsideEffect(
-        "winding heat", site, f"{rise:.0%} more resistance at 2 A after {seconds:.1f} s", build,
-        _of_drive(site), ("heat of *", "time*", "energy"), _labels("gain_mismatch", *MOTORS),
-    )  # fmt: skip
+        "winding heat",
+        site,
+        f"{rise:.0%} more resistance at 2 A after {seconds:.1f} s",
+        build,
+        _of_drive(site),
+        ("heat of *", "time*", "energy"),
+        _labels("gain_mismatch", *MOTORS),
+    )
 
 
 def _gear_backlash(rng: np.random.Generator) -> OutsideEffect:
@@ -127,10 +140,14 @@ def _gear_backlash(rng: np.random.Generator) -> OutsideEffect:
     values = tuple(gap if site == motor else 0.0 for motor in MOTORS)
     phi = f"phi{site[-1]}"
     return OutsideEffect(
-        "gear backlash", site, f"half gap {1e3 * gap:.1f} mrad", partial(change_fields, backlash_rad=values),
-        (*_of_drive(site), f"{phi}_rad"), ("load of *", "current of *", "velocity of phi*", "acceleration of phi*", "v?_V"),
+        "gear backlash",
+        site,
+        f"half gap {1e3 * gap:.1f} mrad",
+        partial(change_fields, backlash_rad=values),
+        (*_of_drive(site), f"{phi}_rad"),
+        ("load of *", "current of *", "velocity of phi*", "acceleration of phi*", "v?_V"),
         (*_labels("belt_play", "belts"), *_labels("presliding *hysteresis", phi)),
-    )  # fmt: skip
+    )
 
 
 def _dwell_friction(rng: np.random.Generator) -> OutsideEffect:
@@ -138,10 +155,14 @@ def _dwell_friction(rng: np.random.Generator) -> OutsideEffect:
     path = log_uniform(rng, 1e-4, 1e-3) * (1.0 if site == "x" else 50.0)
     build = partial(change_site, sites=COORDINATES, site=site, friction_age=rise, friction_age_path=path)
     return OutsideEffect(
-        "dwell friction", site, f"{rise:.0%} per e-fold of age", build,
-        _of_drive(f"motor{site[-1]}") if site != "x" else (site,), ("dwell of *", f"velocity of {site}"),
+        "dwell friction",
+        site,
+        f"{rise:.0%} per e-fold of age",
+        build,
+        _of_drive(f"motor{site[-1]}") if site != "x" else (site,),
+        ("dwell of *", f"velocity of {site}"),
         _labels("stribeck_friction tustin_friction presliding", site),
-    )  # fmt: skip
+    )
 
 
 def _belt_mesh(rng: np.random.Generator) -> OutsideEffect:
@@ -149,10 +170,14 @@ def _belt_mesh(rng: np.random.Generator) -> OutsideEffect:
     build = partial(change_site, sites=MOTORS, site=site, mesh_force_N=force, mesh_pitch_m=pitch)
     phi = f"phi{site[-1]}"
     return OutsideEffect(
-        "belt mesh", site, f"{force:.2g} N, pitch {1e3 * pitch:.0f} mm", build,
-        _of_drive(site), (f"position of {phi}", f"angle of {phi}"),
+        "belt mesh",
+        site,
+        f"{force:.2g} N, pitch {1e3 * pitch:.0f} mm",
+        build,
+        _of_drive(site),
+        (f"position of {phi}", f"angle of {phi}"),
         _labels("cogging second_cogging position_friction unbalance", site, phi),
-    )  # fmt: skip
+    )
 
 
 def _payload_swing(rng: np.random.Generator) -> OutsideEffect:
@@ -161,39 +186,63 @@ def _payload_swing(rng: np.random.Generator) -> OutsideEffect:
     natural = np.sqrt(_GRAVITY / length)
     payload = Payload(mass, mass * natural**2, 2.0 * float(rng.uniform(0.01, 0.05)) * mass * natural)
     return OutsideEffect(
-        "payload swing", "y", f"{1e3 * mass:.0f} g at {1e3 * length:.0f} mm", partial(change_fields, payload=payload),
-        ("y",), ("acceleration of y", "position of y", "velocity of y", "time*"), _labels("frame_resonance", "y"),
-    )  # fmt: skip
+        "payload swing",
+        "y",
+        f"{1e3 * mass:.0f} g at {1e3 * length:.0f} mm",
+        partial(change_fields, payload=payload),
+        ("y",),
+        ("acceleration of y", "position of y", "velocity of y", "time*"),
+        _labels("frame_resonance", "y"),
+    )
 
 
 def _belt_relaxation(rng: np.random.Generator) -> OutsideEffect:
     part, seconds = log_uniform(rng, 0.15, 0.5), log_uniform(rng, 0.005, 0.05)
     build = partial(change_fields, belt_relaxation=part, belt_relaxation_s=seconds)
     return OutsideEffect(
-        "belt relaxation", "belts", f"{part:.0%} of the stiffness within {1e3 * seconds:.0f} ms", build,
-        ("belts", "left", "right", "bottom"), ("tension*", "load of *", "current of *"), _labels("belt_damping", "belts"),
-    )  # fmt: skip
+        "belt relaxation",
+        "belts",
+        f"{part:.0%} of the stiffness within {1e3 * seconds:.0f} ms",
+        build,
+        ("belts", "left", "right", "bottom"),
+        ("tension*", "load of *", "current of *"),
+        _labels("belt_damping", "belts"),
+    )
 
 
 def _scale_interpolation(rng: np.random.Generator) -> OutsideEffect:
     site, size, period = str(rng.choice(CHANNELS[2:])), log_uniform(rng, 3.0, 15.0), log_uniform(rng, 2e-3, 20e-3)
     build = partial(
-        change_site, sites=CHANNELS, site=site, wave=size * LASER_NOISE_M, wave_period=period,
+        change_site,
+        sites=CHANNELS,
+        site=site,
+        wave=size * LASER_NOISE_M,
+        wave_period=period,
         wave_phase=float(rng.uniform(0.0, 2.0 * np.pi)),
-    )  # fmt: skip
+    )
     return OutsideEffect(
-        "scale interpolation", site, f"{1e6 * size * LASER_NOISE_M:.0f} um, period {1e3 * period:.1f} mm", build,
-        (site, site[0]), (f"position of {site[0]}",), _labels("sensor_scale", site),
-    )  # fmt: skip
+        "scale interpolation",
+        site,
+        f"{1e6 * size * LASER_NOISE_M:.0f} um, period {1e3 * period:.1f} mm",
+        build,
+        (site, site[0]),
+        (f"position of {site[0]}",),
+        _labels("sensor_scale", site),
+    )
 
 
 def _bent_scale(rng: np.random.Generator) -> OutsideEffect:
     site, error = str(rng.choice(CHANNELS[2:])), log_uniform(rng, 0.3e-3, 2e-3)
     build = partial(change_site, sites=CHANNELS, site=site, bend=float(rng.choice([-1.0, 1.0])) * error / 0.15**2)
     return OutsideEffect(
-        "bent scale", site, f"{1e3 * error:.1f} mm at 150 mm", build,
-        (site, site[0]), (f"position of {site[0]}",), _labels("sensor_scale", site),
-    )  # fmt: skip
+        "bent scale",
+        site,
+        f"{1e3 * error:.1f} mm at 150 mm",
+        build,
+        (site, site[0]),
+        (f"position of {site[0]}",),
+        _labels("sensor_scale", site),
+    )
 
 
 def _eccentric_encoder(rng: np.random.Generator) -> OutsideEffect:
@@ -201,30 +250,50 @@ def _eccentric_encoder(rng: np.random.Generator) -> OutsideEffect:
     period = 2.0 * np.pi / float(rng.choice([1.0, 5.9]))
     phi = f"phi{motor[-1]}"
     build = partial(
-        change_site, sites=CHANNELS, site=f"{phi}_rad", wave=error, wave_period=period,
+        change_site,
+        sites=CHANNELS,
+        site=f"{phi}_rad",
+        wave=error,
+        wave_period=period,
         wave_phase=float(rng.uniform(0.0, 2.0 * np.pi)),
-    )  # fmt: skip
+    )
     return OutsideEffect(
-        "eccentric encoder", f"{phi}_rad", f"{1e3 * error:.0f} mrad every {period:.2f} rad", build,
-        (f"{phi}_rad", phi), (f"position of {phi}", f"angle of {phi}"), _labels("eccentric_pulley", motor),
-    )  # fmt: skip
+        "eccentric encoder",
+        f"{phi}_rad",
+        f"{1e3 * error:.0f} mrad every {period:.2f} rad",
+        build,
+        (f"{phi}_rad", phi),
+        (f"position of {phi}", f"angle of {phi}"),
+        _labels("eccentric_pulley", motor),
+    )
 
 
 def _clock_drift(rng: np.random.Generator) -> OutsideEffect:
     drift = log_uniform(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))
     return OutsideEffect(
-        "clock drift", "clock", f"{drift:+.1%} within a run", _unchanged, ("clock", "time"), ("time*", "clock"), (), drift
-    )  # fmt: skip
+        "clock drift",
+        "clock",
+        f"{drift:+.1%} within a run",
+        _unchanged,
+        ("clock", "time"),
+        ("time*", "clock"),
+        (),
+        drift,
+    )
 
 
 def _bent_rail(rng: np.random.Generator) -> OutsideEffect:
     part = float(rng.choice([-1.0, 1.0])) * log_uniform(rng, 0.3, 0.8)
     slope = part * Rig().coulomb[0] / 0.1
     return OutsideEffect(
-        "bent rail", "x", f"{part:+.0%} friction at y = 100 mm",
+        "bent rail",
+        "x",
+        f"{part:+.0%} friction at y = 100 mm",
         partial(change_site, sites=COORDINATES, site="x", friction_cross_position=slope),
-        ("x",), ("position of y",), ("smooth_friction[[]position of y]@x",),
-    )  # fmt: skip
+        ("x",),
+        ("position of y",),
+        ("smooth_friction[[]position of y]@x",),
+    )
 
 
 def _commutation_ripple(rng: np.random.Generator) -> OutsideEffect:
@@ -233,17 +302,27 @@ def _commutation_ripple(rng: np.random.Generator) -> OutsideEffect:
     build = partial(change_site, sites=MOTORS, site=site, current_ripple=part, current_ripple_order=order)
     phi = f"phi{site[-1]}"
     return OutsideEffect(
-        "commutation ripple", site, f"{part:.0%}, {order:.1f} periods per turn", build,
-        _of_drive(site), (f"position of {phi}", f"angle of {phi}"), _labels("cogging second_cogging", site),
-    )  # fmt: skip
+        "commutation ripple",
+        site,
+        f"{part:.0%}, {order:.1f} periods per turn",
+        build,
+        _of_drive(site),
+        (f"position of {phi}", f"angle of {phi}"),
+        _labels("cogging second_cogging", site),
+    )
 
 
 def _dead_time(rng: np.random.Generator) -> OutsideEffect:
     site, volts = str(rng.choice(MOTORS)), log_uniform(rng, 0.1, 0.4)
     return OutsideEffect(
-        "dead time", site, f"{volts:.2f} V", partial(change_site, sites=MOTORS, site=site, dead_time_V=volts),
-        _of_drive(site), ("current of *", "v?_V"), _labels("dead_band", *_sites(site)),
-    )  # fmt: skip
+        "dead time",
+        site,
+        f"{volts:.2f} V",
+        partial(change_site, sites=MOTORS, site=site, dead_time_V=volts),
+        _of_drive(site),
+        ("current of *", "v?_V"),
+        _labels("dead_band", *_sites(site)),
+    )
 
 
 def _belt_creep(rng: np.random.Generator) -> OutsideEffect:
@@ -251,21 +330,28 @@ def _belt_creep(rng: np.random.Generator) -> OutsideEffect:
     values = tuple(speed / 15.0 if site == motor else 0.0 for motor in MOTORS)
     phi = f"phi{site[-1]}"
     return OutsideEffect(
-        "belt creep", site, f"{1e3 * speed:.1f} mm/s at 15 N", partial(change_fields, belt_creep=values),
+        "belt creep",
+        site,
+        f"{1e3 * speed:.1f} mm/s at 15 N",
+        partial(change_fields, belt_creep=values),
         (*_of_drive(site), f"{phi}_rad", "belts"),
-        ("impulse of *", "tension*", "load of *", "current of *"), _labels("belt_damping", "belts"),
-    )  # fmt: skip
+        ("impulse of *", "tension*", "load of *", "current of *"),
+        _labels("belt_damping", "belts"),
+    )
 
 
 def _eddy_brake(rng: np.random.Generator) -> OutsideEffect:
     site, force, speed = "x", log_uniform(rng, 0.6, 2.5), float(rng.uniform(0.08, 0.25))
-    build = partial(
-        change_site, sites=COORDINATES, site=site, brake_drag=2.0 * force / speed, brake_speed=speed
-    )  # fmt: skip
+    build = partial(change_site, sites=COORDINATES, site=site, brake_drag=2.0 * force / speed, brake_speed=speed)
     return OutsideEffect(
-        "eddy brake", site, f"{force:.2g} N at {1e3 * speed:.0f} mm/s", build,
-        (site,), (f"velocity of {site}",), _labels("quadratic_drag stribeck_friction tustin_friction", site),
-    )  # fmt: skip
+        "eddy brake",
+        site,
+        f"{force:.2g} N at {1e3 * speed:.0f} mm/s",
+        build,
+        (site,),
+        (f"velocity of {site}",),
+        _labels("quadratic_drag stribeck_friction tustin_friction", site),
+    )
 
 
 def _gas_spring(rng: np.random.Generator) -> OutsideEffect:
@@ -273,14 +359,22 @@ def _gas_spring(rng: np.random.Generator) -> OutsideEffect:
     force = log_uniform(rng, 1.5, 6.0) * (1.0 if site == "x" else 0.4)
     stiffness, length = force / 0.15, float(rng.uniform(0.25, 0.5))
     build = partial(
-        change_site, sites=COORDINATES, site=site, spring_stiffness=stiffness, spring_square=stiffness / length,
+        change_site,
+        sites=COORDINATES,
+        site=site,
+        spring_stiffness=stiffness,
+        spring_square=stiffness / length,
         spring_rest=float(rng.uniform(-0.1, 0.1)),
-    )  # fmt: skip
+    )
     return OutsideEffect(
-        "gas spring", site, f"{force:.2g} N at 150 mm", build,
-        (site,), (f"position of {site}",),
+        "gas spring",
+        site,
+        f"{force:.2g} N at 150 mm",
+        build,
+        (site,),
+        (f"position of {site}",),
         (*_labels("cable_spring", site), f"smooth_force[[]position of {site}]@{site}"),
-    )  # fmt: skip
+    )
 
 
 FAMILIES: dict[str, Callable[[np.random.Generator], OutsideEffect]] = {
