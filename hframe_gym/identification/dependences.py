@@ -73,7 +73,7 @@ class _Cause(NamedTuple):
         variable: Name of its variable.
         coordinate: The component's coordinate.
         parts: Its curves: forces on a coordinate (index) or errors of a sensor (index); with one set of coefficients.
-            An index of None stands for all channels, each with coefficients of its own.
+            With an index of None, all channels have the curve, each with other coefficients.
     """
 
     component: str
@@ -239,7 +239,7 @@ class _Evidence:
             products.append(np.sum([d[rows].T @ self._values[rows, c] for c, d in enumerate(designs)], axis=0))
         all_squares, all_products = np.sum(squares, axis=0), np.sum(products, axis=0)
         of_noise = np.sum([d.T @ self._noise[:, c] for c, d in enumerate(designs)], axis=0)
-        best, certain, share = 0.0, 0.0, 0.0
+        best, certain, fraction = 0.0, 0.0, 0.0
         for relative in _RIDGES:
             ridge = relative * np.trace(all_squares) / len(all_squares) * np.eye(len(all_squares))
             if ridge[0, 0] <= 0.0:
@@ -252,8 +252,8 @@ class _Evidence:
             if reduction > best:
                 inverse = np.linalg.inv(all_squares + ridge)
                 squared = float(all_products @ inverse @ all_products - of_noise @ inverse @ of_noise)
-                best, certain, share = reduction, reduction - error, squared / self.beyond_noise
-        return best, certain, min(max(share, 0.0), 1.0)
+                best, certain, fraction = reduction, reduction - error, squared / self.beyond_noise
+        return best, certain, min(max(fraction, 0.0), 1.0)
 
 
 def _orthonormal(columns: Array) -> Array:
@@ -297,13 +297,13 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     def rank(evidence: _Evidence, causes: Iterator[_Cause]) -> None:
         for cause in causes:
-            explained, certain, share = evidence.explained(cause)
-            if certain > 0.0 and min(explained / evidence.beyond_noise, share) > _MINIMUM_DEPENDENCE:
+            explained, certain, fraction = evidence.explained(cause)
+            if certain > 0.0 and min(explained / evidence.beyond_noise, fraction) > _MINIMUM_DEPENDENCE:
                 preference = 1.0 if cause.variable.startswith(_PLAIN) else _SPECIAL
                 ranked.append(
                     (
                         preference * certain / evidence.total,
-                        Dependence(cause.variable, cause.coordinate, share, cause.component),
+                        Dependence(cause.variable, cause.coordinate, fraction, cause.component),
                     )
                 )
 

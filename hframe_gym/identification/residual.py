@@ -200,6 +200,9 @@ def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
     Args:
         machine: Machine that predicts.
         data: Measured runs (times, voltages, measurements, SI).
+
+    Returns:
+        Forces, N or Nm, disagreements and motion, one entry per run.
     """
     observed, combinations = _observed_forces(machine, data.period), sensor_combinations(machine, data)
     rng, motions = np.random.default_rng(0), []
@@ -217,21 +220,27 @@ def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
 
 
 def motion_directions(machine: Machine, data: Dataset) -> Array:
-    """Return the force along each rigid motion per force on a coordinate, shape (motions, coordinates).
+    """Return the force along each rigid motion per force on a coordinate.
 
     Args:
         machine: Machine with its coordinates and belts.
         data: Data set, for the sampling period.
+
+    Returns:
+        Displacement of each coordinate per unit of the motion, m or rad, shape (motions, coordinates).
     """
     return _observed_forces(machine, data.period).modes
 
 
 def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Array]]:
-    """Return by which filter the correction along each motion follows the missing force: numerator and denominator.
+    """Return by which filter the correction along each motion follows the missing force.
 
     Args:
         machine: Machine that predicts.
         data: Data set, for the sampling period.
+
+    Returns:
+        Numerator and denominator of a digital filter at the sampling period, shape (order + 1,) each, by motion.
     """
     observed = _observed_forces(machine, data.period)
     filters = []
@@ -244,11 +253,15 @@ def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Arr
 
 
 def sensor_combinations(machine: Machine, data: Dataset) -> Array:
-    """Return the combinations of the sensors' errors that no rigid motion causes, (sensors, sensors - motions).
+    """Return the combinations of the sensors' errors that no rigid motion causes.
 
     Args:
         machine: Machine with its sensors.
-        data: Data set with the standard deviations of their noise; each combination has the standard deviation 1.
+        data: Data set with the standard deviations of their noise.
+
+    Returns:
+        Combinations as columns, 1/m or 1/rad, whose noise has the standard deviation 1, shape (sensors, sensors -
+        motions).
     """
     noise = np.asarray(data.noise, float)
     scaled = (machine.sensor_matrix @ _observed_forces(machine, data.period).modes.T) / noise[:, None]
@@ -361,6 +374,9 @@ def low_pass(values: Array, period: float) -> Array:
     Args:
         values: Signal, shape (n, k).
         period: Sampling period, s.
+
+    Returns:
+        Its part below 30 Hz, shape (n, k).
     """
     return _low_pass(values, _RESIDUAL_CUTOFF, period)
 
@@ -453,6 +469,9 @@ def smooth_sign(velocity: Array) -> Array:
 
     Args:
         velocity: Velocity, m/s or rad/s, shape (n,).
+
+    Returns:
+        Direction, dimensionless, shape (n,).
     """
     slow = _SLOW * float(np.sqrt(np.mean(velocity**2)))
     return velocity / (np.abs(velocity) + slow) if slow > 0.0 else np.zeros_like(velocity)
