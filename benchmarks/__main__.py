@@ -25,6 +25,7 @@ IN_RESULTS: dict[str, tuple[str, ...]] = {
     "identification": ("examples", "all"),
     "formulas": (),
     "other_simulator_rigs": (),
+    "outside_library": (),
     "coverage": (),
     "real_machines": ("all",),
     "controllers": (),

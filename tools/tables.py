@@ -130,6 +130,31 @@ def other_simulator_rigs(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+def outside_library(results: dict[str, Any]) -> str:
+    """Format the rigs with an effect outside the library: names, errors on unseen runs, hints and time."""
+    rows = []
+    for r in results["rigs"]:
+        hint = r["hint"]
+        named = ", ".join(f"`{label}`" for label in r["named"]) or f"`{r['verdict']}`"
+        false = ", ".join(f"`{label}`" for label in r["false"]) or ("verdict" if r["false_verdict"] else "")
+        right = "right" if hint["right"] else "component" if hint["right_component"] else "wrong"
+        text = f"{hint['component']}: {hint['variable']}" if hint["component"] else "none"
+        errors = (f"{r['unseen'][machine]:.3g}" for machine in ("before", "after", "true"))
+        loop = "closed" if r["closed_loop"] else "open"
+        rows.append([r["hidden"], loop, named, false, *errors, text, right, f"{r['cpu_seconds']:.0f} s"])
+    header = ["hidden", "loop", "named", "false", "unseen runs: before", "after", "true", "hint", "", "processor time"]
+    content = results["summary"]
+    counts = [
+        ["rigs; families", f"{content['rigs']}; {content['families']}"],
+        ["false names", f"{content['false_names']} on {content['rigs_with_false_names']} rigs"],
+        ["`no_effect` above twice the noise", str(content["false_verdicts"])],
+        ["hint at the right component", f"{content['hints_at_component']} of {content['rigs']}"],
+        ["hint at the right component and variable", f"{content['hints_right']} of {content['rigs']}"],
+        ["within 120 s of processor time", f"{content['within_budget']} of {content['rigs']}"],
+    ]
+    return f"{markdown(header, rows)}\n\n{markdown(['measure', 'value'], counts)}"
+
+
 def random_rigs(results: dict[str, Any]) -> str:
     """Format names, errors, standard deviations and time on rigs that were drawn at random."""
     content = results["summary"]
@@ -515,6 +540,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "formulas": formulas,
     "other_simulator_rigs": other_simulator_rigs,
     RANDOM_RIGS: random_rigs,
+    "outside_library_1": outside_library,
     "env_speed": env_speed,
     "env_soak": env_soak,
     "faults": faults,

@@ -24,6 +24,15 @@ _MAX_RUNS = 2  # Held-out runs whose errors are drawn over time.
 _MEAN_BINS = 40  # Points of the mean curve through the residual force.
 _MAX_DOTS = 1000  # Points of the residual force that a panel shows of each machine.
 _MAX_BUCKETS = 350  # Intervals of a curve over time, of which a panel shows the smallest and the largest value.
+_UNITS_ANYWHERE = {"current": "A", "heat": "A^2", "power": "W", "dwell": "s"}
+_QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows its unit
+    "velocity": ("speed", ""),
+    "path": ("position", ""),
+    "acceleration": ("position", "/s^2"),
+    "load": ("force", ""),
+    "impulse": ("force", " s"),
+    "tension rate": ("force", "/s"),
+}
 
 
 def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> Panels:
@@ -201,12 +210,17 @@ def _residual_force(report: Mapping[str, Any], curves: Mapping[str, Array], mach
 
 
 def _with_unit(variable: str, machine: Machine) -> str:
-    """Return a variable's name with its unit: `velocity of x, m/s`, `time, s`, `v1_V`."""
-    what, _, coordinate = variable.partition(" of ")
-    if not coordinate:
-        return "time, s" if what == "time" else what
-    quantity = {"velocity": "speed", "path": "position"}.get(what, what)
-    return f"{variable}, {machine.coordinate(coordinate).unit(quantity)}"
+    """Return a variable's name with its unit: `velocity of x, m/s`, `current of motor1, A`, `time, s`, `v1_V`."""
+    what, _, name = variable.partition(" of ")
+    if not name:
+        return f"{what}, s" if what in ("time", "time in the run") else what
+    if what in _UNITS_ANYWHERE:
+        return f"{variable}, {_UNITS_ANYWHERE[what]}"
+    of_drive = {drive.name: drive.coordinate for drive in machine.drives}
+    first = machine.drives[0].coordinate if machine.drives else machine.coordinate_names[0]
+    coordinate = machine.coordinate(name if name in machine.coordinate_names else of_drive.get(name, first))
+    quantity, factor = _QUANTITIES.get(what, (what, ""))
+    return f"{variable}, {coordinate.unit(quantity)}{factor}"
 
 
 def _table(effect: AppliedEffect, machine: Machine) -> Panel:

@@ -284,8 +284,15 @@ def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
     """Return a sentence about sensors that deviate alone, or about the variable that explains most of the force."""
     if sensors := report["residual"].get("sensors"):
         return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
-    text = "The force that the model lacks on {} depends most on {}, which explains {:.0f} % of its variance."
-    return [text.format(d["coordinate"], d["variable"], 100 * d["share"]) for d in report["residual"]["depends_on"][:1]]
+    sentences = []
+    for d in report["residual"]["depends_on"][:1]:
+        component = d.get("component") or d["coordinate"]
+        where = f"on {d['coordinate']}" if component == d["coordinate"] else f"(most likely at {component})"
+        sentences.append(
+            f"The force that the model lacks {where} depends most on {d['variable']}, which explains "
+            f"{100 * d['share']:.0f} % of its variance."
+        )
+    return sentences
 
 
 def _next_steps(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:

@@ -8,11 +8,13 @@ prediction, see `prediction`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
+from scipy.linalg import null_space
 
 from ..machine import Machine
 from ..machine.motion import pulley_names, rigid_motions
@@ -35,6 +37,9 @@ Array = NDArray[np.float64]
 _RESIDUAL_CUTOFF = 30.0
 HIGHEST_FREQUENCY = 40.0  # Hz, up to which the missing force is estimated
 _WHITENESS_BLOCK_S = 0.02
+_HEAT_S = 2.0  # time constant of a winding's heat; small motors have 1 to 30 s, recordings last a few seconds
+_CONTACT_M = 0.3e-3  # travel after which the contacts of two surfaces are renewed; 0.01 to 1 mm
+_SLOW = 0.03  # of the rms speed; below, the direction of a measured velocity is uncertain
 _WHITE = 0.6  # standard deviation of block means, in units of the noise
 
 
@@ -56,12 +61,15 @@ class Dependence(NamedTuple):
     Attributes:
         variable: Name of the variable, e.g. "velocity of x".
         coordinate: Coordinate on which the force acts.
-        explained: Fraction of the force residual's variance that a curve over the variable explains, in [0, 1].
+        explained: Fraction of the variance beyond noise, of the residual force or of the disagreement of the sensors,
+            that the variable explains in runs to which the curve was not fitted, in [0, 1].
+        component: Where the cause lies: a coordinate, drive or output channel, "drives", "belts" or "clock".
     """
 
     variable: str
     coordinate: str
     explained: float
+    component: str = ""
 
 
 def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
@@ -161,31 +169,103 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
     return _low_pass(force, _RESIDUAL_CUTOFF, data.period)
 
 
-def comparable_forces(machine: Machine, data: Dataset) -> tuple[Array, Array]:
-    """Estimate the force that the model lacks along all runs and the part that the noise of the sensors causes.
+class MissingMotion(NamedTuple):
+    """What a prediction with feedback of the measurements says about a run of n samples, on a machine with m motions.
 
-    Forces on different coordinates are scaled: each counts as the root of the sum of squares of the forces at the belt,
-    on its pulleys alone, that do the same work. One pulley is thus preferred to carriages, a carriage to two pulleys.
+    Attributes:
+        force: Force that the model lacks along each rigid motion (`rigid_motions`; coordinates without one move alone),
+            N or Nm, below 30 Hz, shape (n, m).
+        correction: Force along each motion by which the observer corrects the prediction. It follows the missing force
+            with a lag (`correction_filters`), but has white noise; shape (n, m).
+        correction_noise: The part of it that synthetic noise (fixed seed) in the measurements causes, same shape.
+        disagreement: Combinations of the sensors' errors that no rigid motion causes, in standard deviations of the
+            sensors' noise, shape (n, sensors - m).
+        disagreement_noise: The part of it that the same noise causes, same shape.
+        positions: Predicted positions, m or rad, shape (n, coordinates).
+        velocities: Predicted velocities, m/s or rad/s, shape (n, coordinates).
+    """
+
+    force: Array
+    correction: Array
+    correction_noise: Array
+    disagreement: Array
+    disagreement_noise: Array
+    positions: Array
+    velocities: Array
+
+
+def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
+    """Estimate, run by run, the force that the model lacks and how far the sensors disagree, each beside its noise.
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs with n rows in total (times, voltages, measurements, SI).
+        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        force: Force on every coordinate as in `smooth_force_residual`, scaled, N, shape (n, coordinates).
-        noise: Change of this force by synthetic noise (fixed seed) in the measurements, N, shape (n, coordinates).
+        Forces, N or Nm, disagreements and motion, one entry per run.
     """
-    pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
-    travel, scales = machine.travel_per_unit, np.array(machine.travel_per_unit)
-    for name, motion in rigid_motions(machine).items():
-        scales[machine.coordinate_names.index(name)] *= np.linalg.norm((motion * travel)[pulleys]) or 1.0
-    rng, gains, by_run = np.random.default_rng(0), _observed_forces(machine, data.period).gains / scales, []
+    observed, combinations = _observed_forces(machine, data.period), sensor_combinations(machine, data)
+    rng, motions = np.random.default_rng(0), []
     for run in data.runs:
         start = start_for_observer(machine, run, data)
         innovations = _innovations(machine, run, data, start, _synthetic_noise(machine, run, data, rng))
-        by_run.append([_low_pass(values @ gains, _RESIDUAL_CUTOFF, data.period) for values in innovations])
-    force, noise = np.concatenate(by_run, axis=1)
-    return force, noise
+        correction, correction_noise = innovations @ observed.motion_gains
+        force = _inverted(correction, observed, run, data, _RESIDUAL_CUTOFF)
+        state = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
+        disagreement, disagreement_noise = innovations @ combinations
+        positions, velocities = state.positions[0], state.velocities[0]
+        corrections = correction, correction_noise, disagreement, disagreement_noise
+        motions.append(MissingMotion(force, *corrections, positions, velocities))
+    return motions
+
+
+def motion_directions(machine: Machine, data: Dataset) -> Array:
+    """Return the force along each rigid motion per force on a coordinate.
+
+    Args:
+        machine: Machine with its coordinates and belts.
+        data: Data set, for the sampling period.
+
+    Returns:
+        Displacement of each coordinate per unit of the motion, m or rad, shape (motions, coordinates).
+    """
+    return _observed_forces(machine, data.period).modes
+
+
+def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Array]]:
+    """Return by which filter the correction along each motion follows the missing force.
+
+    Args:
+        machine: Machine that predicts.
+        data: Data set, for the sampling period.
+
+    Returns:
+        Numerator and denominator of a digital filter at the sampling period, shape (order + 1,) each, by motion.
+    """
+    observed = _observed_forces(machine, data.period)
+    filters = []
+    for first, second in zip(observed.first, observed.second, strict=True):
+        if second > 0.0:
+            filters.append(signal.bilinear([1.0], [second, first, 1.0], 1.0 / data.period))
+        else:
+            filters.append((np.ones(1), np.ones(1)))
+    return filters
+
+
+def sensor_combinations(machine: Machine, data: Dataset) -> Array:
+    """Return the combinations of the sensors' errors that no rigid motion causes.
+
+    Args:
+        machine: Machine with its sensors.
+        data: Data set with the standard deviations of their noise.
+
+    Returns:
+        Combinations as columns, 1/m or 1/rad, whose noise has the standard deviation 1, shape (sensors, sensors -
+        motions).
+    """
+    noise = np.asarray(data.noise, float)
+    scaled = (machine.sensor_matrix @ _observed_forces(machine, data.period).modes.T) / noise[:, None]
+    return np.asarray(null_space(scaled.T)) / noise[:, None]
 
 
 def _synthetic_noise(machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator) -> Array:
@@ -211,6 +291,7 @@ class _ObservedForces(NamedTuple):
         motion_gains: Correcting force along each motion, N or Nm per m or rad, shape (sensors, motions).
         first: (D + M l1) / (D l1 + M l2), s, shape (motions,).
         second: M / (D l1 + M l2), s^2, shape (motions,).
+        modes: Displacement of the coordinates along each motion, shape (motions, coordinates).
         distribution: Force on a coordinate, if only carriages or only pulleys have forces, per force along a motion,
             shape (motions, coordinates).
     """
@@ -219,6 +300,7 @@ class _ObservedForces(NamedTuple):
     motion_gains: Array
     first: Array
     second: Array
+    modes: Array
     distribution: Array
 
 
@@ -244,7 +326,7 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
         np.divide(values, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0)  # 0 where nothing is measured
         for values in (resistance, modes**2 @ mass)
     )
-    return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, distribution)
+    return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, modes, distribution)
 
 
 def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUTOFF) -> dict[str, Array]:
@@ -270,19 +352,45 @@ def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUT
         start = start_for_observer(machine, run, data)
         motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
         correcting = _innovation(motion.readings, machine, run, start)[0] @ observed.motion_gains
-        correcting = _low_pass(correcting, cutoff, data.period)
-        slope = np.gradient(correcting, run.time_s, axis=0)
-        force = correcting + observed.first * slope + observed.second * np.gradient(slope, run.time_s, axis=0)
+        force = _inverted(correcting, observed, run, data, cutoff)
         return np.stack([motion.positions[0], motion.velocities[0], force @ observed.distribution], axis=2)
 
     by_coordinate = np.concatenate(list(map_runs(of_run, data)))  # (n, coordinates, 3)
     return {name: by_coordinate[:, i] for i, name in enumerate(machine.coordinate_names)}
 
 
+def _inverted(
+    correcting: Array, observed: _ObservedForces, run: PreparedRecording, data: Dataset, cutoff: float
+) -> Array:
+    """Return the missing force along each motion, N or Nm, from the correcting one, both (n, motions)."""
+    correcting = _low_pass(correcting, cutoff, data.period)
+    slope = np.gradient(correcting, run.time_s, axis=0)
+    return correcting + observed.first * slope + observed.second * np.gradient(slope, run.time_s, axis=0)
+
+
+def low_pass(values: Array, period: float) -> Array:
+    """Return what the missing force would show of a signal: its part below 30 Hz, without phase lag.
+
+    Args:
+        values: Signal, shape (n, k).
+        period: Sampling period, s.
+
+    Returns:
+        Its part below 30 Hz, shape (n, k).
+    """
+    return _low_pass(values, _RESIDUAL_CUTOFF, period)
+
+
 def _low_pass(values: Array, cutoff: float, period: float) -> Array:
     """Return values (n, k) below a cut-off frequency, Hz, filtered without phase lag."""
-    filtered: Array = signal.sosfiltfilt(signal.butter(2, min(0.9, 2 * cutoff * period), output="sos"), values, axis=0)
+    filtered: Array = signal.sosfiltfilt(_butterworth(min(0.9, 2 * cutoff * period)), values, axis=0)
     return filtered
+
+
+@cache
+def _butterworth(relative_cutoff: float) -> Array:
+    """Return a low-pass filter of second order, whose cut-off frequency is relative to half the sampling rate."""
+    return np.asarray(signal.butter(2, relative_cutoff, output="sos"))
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
@@ -294,15 +402,87 @@ def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset
         data: Data set of the run, for the sampling period.
 
     Returns:
-        By name, shape (n,) each: "position of C" (m or rad) and "velocity of C" (m/s or rad/s) for each coordinate C,
-        the input channels (V) and "time" (s).
+        By name, shape (n,) each, as `variables_of_motion`.
     """
     motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
-    names = machine.coordinate_names
-    variables = {f"position of {name}": motion.positions[0, :, i] for i, name in enumerate(names)}
-    variables |= {f"velocity of {name}": motion.velocities[0, :, i] for i, name in enumerate(names)}
-    variables |= {channel: run.inputs[:, j] for j, channel in enumerate(machine.input_channels)}
-    return variables | {"time": run.time_s}
+    return variables_of_motion(machine, run, data, motion.positions[0], motion.velocities[0])
+
+
+def variables_of_motion(
+    machine: Machine, run: PreparedRecording, data: Dataset, positions: Array, velocities: Array
+) -> dict[str, Array]:
+    """Return the variables of a run on which a missing effect may depend, for given positions and velocities.
+
+    Args:
+        machine: Machine, whose parameters give currents and loads.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+
+    Returns:
+        By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C", "acceleration of
+        C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of its contacts (s). For each
+        drive D: "current of D" (A; the inductance neglected), "heat of D" (A^2), "load of D", the force that is left
+        for the belts (N or Nm), "impulse of D", the integral of the load. The input channels (V); sums over the drives:
+        "current of drives", "power of drives" (W), "load of drives", and its rate, "tension rate of belts"; "time" and
+        "time in the run" (s).
+    """
+    names, period = machine.coordinate_names, data.period
+    accelerations = np.gradient(low_pass(velocities, period), run.time_s, axis=0)
+    variables: dict[str, Array] = {}
+    for i, name in enumerate(names):
+        speed = np.abs(velocities[:, i])
+        variables[f"position of {name}"] = positions[:, i]
+        variables[f"velocity of {name}"] = velocities[:, i]
+        variables[f"acceleration of {name}"] = accelerations[:, i]
+        variables[f"path of {name}"] = np.cumsum(speed) * period
+        variables[f"dwell of {name}"] = _contact_age(speed * machine.travel_per_unit[i], period)
+    power, rate, loads, currents = np.zeros((4, len(run.time_s)))
+    for j, drive in enumerate(machine.drives):
+        i = names.index(drive.coordinate)
+        coordinate = machine.coordinates[i]
+        amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
+        load = (
+            drive.gain * drive.resistance * amps
+            - coordinate.mass * accelerations[:, i]
+            - coordinate.viscous * velocities[:, i]
+        )
+        load -= coordinate.coulomb * smooth_sign(velocities[:, i])
+        variables[machine.input_channels[j]] = run.inputs[:, j]
+        variables[f"current of {drive.name}"] = amps
+        forgotten = np.exp(-period / _HEAT_S)
+        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - forgotten], [1.0, -forgotten], amps**2)
+        variables[f"load of {drive.name}"] = load
+        variables[f"impulse of {drive.name}"] = np.cumsum(load) * period
+        loads += load
+        power += run.inputs[:, j] * amps
+        currents += amps
+        rate += np.gradient(low_pass(load[:, None], period)[:, 0], run.time_s)
+    variables |= {"current of drives": currents, "power of drives": power, "load of drives": loads}
+    variables["tension rate of belts"] = rate
+    return variables | {"time": run.time_s, "time in the run": run.time_s - run.time_s[0]}
+
+
+def smooth_sign(velocity: Array) -> Array:
+    """Return the direction of a motion, between -1 and 1 where it is slow.
+
+    Args:
+        velocity: Velocity, m/s or rad/s, shape (n,).
+
+    Returns:
+        Direction, dimensionless, shape (n,).
+    """
+    slow = _SLOW * float(np.sqrt(np.mean(velocity**2)))
+    return velocity / (np.abs(velocity) + slow) if slow > 0.0 else np.zeros_like(velocity)
+
+
+def _contact_age(speed: Array, period: float) -> Array:
+    """Return for how long the contacts of a coordinate have rested, s, from its speed, m/s: age' = 1 - speed age/D."""
+    age, ages = 0.0, np.empty(len(speed))
+    for row, kept in enumerate(np.exp(-speed * period / _CONTACT_M)):
+        ages[row] = age = (age + period) * kept
+    return ages
 
 
 def white_sensors(machine: Machine, data: Dataset) -> NDArray[np.bool_]:

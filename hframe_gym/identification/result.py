@@ -186,7 +186,12 @@ class IdentificationResult:
             "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
                 "depends_on": [
-                    {"variable": d.variable, "coordinate": d.coordinate, "share": round(d.explained, 4)}
+                    {
+                        "variable": d.variable,
+                        "coordinate": d.coordinate,
+                        "component": d.component or d.coordinate,
+                        "share": round(d.explained, 4),
+                    }
                     for d in self.dependence
                 ],
                 "white": self.white,

@@ -73,6 +73,7 @@ class _DependenceEntry(_Entry):
 
     variable: str
     coordinate: str
+    component: str = ""
     share: FiniteFloat
 
 
@@ -291,9 +292,12 @@ def _check_report(saved: SavedResult, path: Path) -> None:
     for table in saved.report["proposed_formulas"]:
         if table["table"] not in labels:
             raise _damaged(path, f"proposed_formulas: {table['table']} is not in machine.json")
+    drives = (drive.name for drive in machine.drives)
+    known = {*machine.coordinate_names, *drives, *machine.output_channels, "drives", "belts"}
     for dependence in saved.report["residual"]["depends_on"]:
-        names = {dependence["coordinate"], dependence["variable"].partition(" of ")[2] or dependence["coordinate"]}
-        if not names <= set(machine.coordinate_names):
+        coordinate = dependence["coordinate"]
+        names = {coordinate, dependence["variable"].partition(" of ")[2] or coordinate}
+        if not names <= known or coordinate not in machine.coordinate_names:
             raise _damaged(path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}")
 
 

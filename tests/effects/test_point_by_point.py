@@ -26,7 +26,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Effect, EffectParameter, Machine
 from tests.effects.one_of_each import CASES, Case
 from tests.reference_simulator import Rig
-from tests.reference_simulator.equations import EXTRA, derivative
+from tests.reference_simulator.equations import derivative, state_size
 from tests.reference_simulator.parameter_arrays import parameter_arrays
 from tests.reference_simulator.sensors import Sensors
 
@@ -72,10 +72,10 @@ def oracle_rates(case: Case, q: np.ndarray, v: np.ndarray, volts: np.ndarray, t:
     """Return the derivative of the simulator's state, with every coordinate sliding."""
     arrays, _ = parameter_arrays(dataclasses.replace(Rig(), **case.rig))
     count = len(arrays.coordinates)
-    z = np.zeros(4 * count + EXTRA)
+    z = np.zeros(state_size(arrays))
     z[:count], z[count : 2 * count] = q[:count], v[:count]
     if case.name == "frame_resonance":
-        z[4 * count + 4 :] = q[4], v[4]
+        z[4 * count + 4 : 4 * count + 6] = q[4], v[4]
     if case.name in STATES:
         multiple, offset, factor = STATES[case.name]
         z[multiple * count + offset] = factor * state

@@ -1,8 +1,9 @@
 """Equations of motion, compiled: time derivative of the state for given modes of dry friction.
 
-The state z of a stage with n coordinates has 4 n + 6 entries, in this order:
+The state z of a stage with n coordinates and m belts has 5 n + m + 9 entries, in this order:
     positions q (n), velocities v (n), motor currents (2), friction bristles (n), cable hysteresis (n),
-    normalized heat of the motors (2), position and velocity of the frame (2).
+    normalized heat of the motors (2), position and velocity of the frame (2), age of the contacts (n),
+    slip of the motors' pulleys (2), relative sag of the supply (1), relaxing tension of the belts (m).
 
 The mode (n,) of a coordinate is 0 while it sticks, otherwise the direction, +1 or -1, in which it slides.
 """
@@ -19,7 +20,14 @@ from numpy.typing import NDArray
 from tests.reference_simulator.parameter_arrays import ParameterArrays
 from tests.reference_simulator.rig import Array
 
-EXTRA = 6  # entries of the state in addition to four per coordinate
+
+def state_size(arrays: ParameterArrays) -> int:
+    """Return the number of entries of the state.
+
+    Args:
+        arrays: Parameters of the stage.
+    """
+    return 5 * len(arrays.coordinates) + len(arrays.belts) + 9
 
 
 @njit(cache=True)
@@ -30,11 +38,11 @@ def derivative(
 
     Args:
         t: Time on the session's clock, s.
-        z: State, shape (4 n + 6,).
+        z: State, shape (5 n + m + 9,).
         volts: Voltages at the drives, V, shape (2,).
         mode: Modes of dry friction, shape (n,).
         arrays: Parameters of the stage.
-        dz: Output: derivative of the state, shape (4 n + 6,).
+        dz: Output: derivative of the state, shape (5 n + m + 9,).
         force: Output: sum of all forces but rigid dry friction, N or Nm, shape (n,).
         level: Output: level of rigid dry friction, N or Nm, shape (n,).
     """
@@ -46,8 +54,8 @@ def derivative(
         force[i] = _force_of_coordinate(z, i, n, coordinates[i], level[i], dz)
         if coordinates[i].bristle_stiffness != 0.0:
             level[i] = 0.0  # the bristle carries the friction
-    _add_drives(z, n, volts, arrays.drives, force, level, dz)
-    _add_belts(z, n, arrays, stage, force)
+    _add_drives(z, n, volts, arrays.drives, stage, force, level, dz)
+    _add_belts(z, n, arrays, stage, force, dz)
     for link in arrays.links:
         gap = z[link.first] - z[link.second]
         gap_rate = z[n + link.first] - z[n + link.second]
@@ -88,6 +96,8 @@ def dry_level(
         level += c.friction_cross_position * z[i ^ 1]  # 0 with 1 and 2 with 3 are pairs
     if c.friction_cross_speed != 0.0:
         level += c.friction_cross_speed * abs(z[n + (i ^ 1)])
+    if c.friction_age != 0.0:
+        level *= 1.0 + c.friction_age * math.log1p(max(z[4 * n + 6 + i], 0.0) / c.friction_age_s)
     if c.friction_cold != 0.0:
         level *= 1.0 + c.friction_cold * math.exp(-t / stage.warm_up_s)
     if c.friction_stale != 0.0:
@@ -111,6 +121,10 @@ def _force_of_coordinate(
     if c.catch_force != 0.0:
         u = (q - c.catch_position) / c.catch_width
         force -= c.catch_force * u * math.exp(0.5 - 0.5 * u * u)
+    if c.brake_drag != 0.0:
+        force -= c.brake_drag * v / (1.0 + (v / c.brake_speed) ** 2)
+    age = 4 * n + 6 + i
+    dz[age] = 1.0 - abs(v) * z[age] / c.friction_age_path if c.friction_age != 0.0 else 0.0
     dz[bristle] = dz[cable] = 0.0
     if c.bristle_stiffness != 0.0:
         dz[bristle] = v - c.bristle_stiffness * abs(v) * z[bristle] / level
@@ -129,15 +143,22 @@ def _force_of_coordinate(
 
 @njit(cache=True)
 def _add_drives(
-    z: Array, n: int, volts: Array, drives: NDArray[Any], force: Array, level: Array, dz: Array
+    z: Array, n: int, volts: Array, drives: NDArray[Any], stage: Any, force: Array, level: Array, dz: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add the motors' torques to the forces, and gear friction to the levels; write the currents' and heat's rates."""
+    """Add the motors' torques to the forces, and gear friction to the levels; write the drives' rates."""
+    sag, bus_current = 5 * n + 8, 0.0
     for j in range(2):
         d = drives[j]
         voltage = d.drive_gain * min(max(volts[j], -d.voltage_limit_V), d.voltage_limit_V)
         voltage -= min(max(voltage, -d.dead_band_V), d.dead_band_V)
-        amps = (voltage + d.voltage_offset_V - d.emf * z[n + d.coordinate]) / d.ohm
+        duty = voltage / stage.supply_V
         lag, heat = 2 * n + j, 4 * n + 2 + j
+        ohm = d.ohm * (1.0 + d.heating_ohm * z[heat])
+        voltage = voltage * (1.0 - z[sag]) + d.voltage_offset_V - d.emf * z[n + d.coordinate]
+        if d.dead_time_V != 0.0:
+            lost = voltage / (1.0 + ohm * d.dead_time_A / d.dead_time_V)  # as long as the current is that small
+            voltage -= min(max(lost, -d.dead_time_V), d.dead_time_V)
+        amps = voltage / ohm
         dz[lag] = 0.0
         if d.electrical_lag_s > 0.0:
             dz[lag] = (amps - z[lag]) / d.electrical_lag_s
@@ -146,21 +167,28 @@ def _add_drives(
         torque = d.gain * amps * (1.0 - d.heating_loss * z[heat])
         if d.current_ripple != 0.0:
             torque *= 1.0 + d.current_ripple * math.sin(d.current_ripple_order * z[d.coordinate])
-        dz[heat] = (amps * amps - z[heat]) / d.heating_s if d.heating_loss != 0.0 else 0.0
+        torque /= 1.0 + (amps / d.torque_saturation_A) ** 2
+        bus_current += duty * amps
+        heated = d.heating_loss != 0.0 or d.heating_ohm != 0.0
+        dz[heat] = (amps * amps - z[heat]) / d.heating_s if heated else 0.0
         force[d.coordinate] += torque
         level[d.coordinate] += d.load_friction * abs(torque)
+    dz[sag] = 0.0
+    if stage.supply_ohm != 0.0:
+        dz[sag] = (stage.supply_ohm * bus_current / stage.supply_V - z[sag]) / stage.supply_s
 
 
 @njit(cache=True)
 def _add_belts(
-    z: Array, n: int, arrays: ParameterArrays, stage: Any, force: Array
+    z: Array, n: int, arrays: ParameterArrays, stage: Any, force: Array, dz: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add the belts' forces.
+    """Add the belts' forces; write the rates of slip and relaxing tensions.
 
     A belt of stiffness k(q) = EA / length(q) and extension s(q) stores the energy k G(s). It acts along its row with
     the tension k G'(s), and with -G dk/dq towards positions where it is more compliant.
     """
     coordinates = arrays.coordinates
+    transmitted = np.zeros(2)  # by the teeth of the motors' pulleys
     for b in range(len(arrays.belts)):
         length = arrays.belts[b, 1] + arrays.length_gradient[b, 0] * z[0] + arrays.length_gradient[b, 1] * z[1]
         k = arrays.belts[b, 0] / length
@@ -171,10 +199,19 @@ def _add_belts(
                 c = coordinates[i]
                 s += row * (c.radius * z[i] + c.eccentricity_m * math.sin(z[i] + c.eccentricity_phase))
                 rate += row * z[n + i] * (c.radius + c.eccentricity_m * math.cos(z[i] + c.eccentricity_phase))
+        for j in range(2):
+            s += arrays.rows[b, 2 + j] * z[5 * n + 6 + j]
         s -= min(max(s, -stage.belt_play_m), stage.belt_play_m)
         s = max(s, -stage.belt_pretension_N / k)
         damping = stage.belt_damping_s * arrays.belts[b, 2]
         tension = k * (s * (1.0 + stage.belt_hardening * s * s) + damping * rate)
+        relaxing = 5 * n + 9 + b
+        dz[relaxing] = 0.0
+        if stage.belt_relaxation != 0.0:
+            dz[relaxing] = stage.belt_relaxation * k * rate - z[relaxing] / stage.belt_relaxation_s
+            tension += z[relaxing]
+        for j in range(2):
+            transmitted[j] += tension * arrays.rows[b, 2 + j]
         for i in range(n):
             row = arrays.rows[b, i]
             if row != 0.0:
@@ -186,3 +223,10 @@ def _add_belts(
         energy_per_length = 0.5 * s * s * (1.0 + 0.5 * stage.belt_hardening * s * s) * k / length
         for i in range(2):
             force[i] += energy_per_length * arrays.length_gradient[b, i]
+    for j in range(2):
+        d = arrays.drives[j]
+        dz[5 * n + 6 + j] = -d.belt_creep * transmitted[j]
+        if d.mesh_force_N != 0.0:
+            radius = coordinates[2 + j].radius
+            wave = math.sin(2.0 * math.pi * radius * z[2 + j] / d.mesh_pitch_m)
+            force[2 + j] += radius * d.mesh_force_N * (1.0 + abs(transmitted[j]) / stage.mesh_tension_N) * wave

@@ -145,7 +145,7 @@ def advance(
         t: Start time, s.
         until: End time, s.
         h: Step length to begin with, s.
-        z: State, shape (4 n + 6,), changed in place.
+        z: State, shape (5 n + m + 9,), changed in place.
         volts: Voltages at the drives, V, shape (2,).
         mode: Modes of dry friction, shape (n,), changed in place.
         dry: Whether a coordinate has rigid dry friction, shape (n,).

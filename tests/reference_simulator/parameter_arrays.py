@@ -20,9 +20,17 @@ _OF_DRIVE += [
     "current_ripple",
     "current_ripple_order",
     "load_friction",
+    "heating_ohm",
+    "torque_saturation_A",
+    "dead_time_V",
+    "dead_time_A",
+    "belt_creep",
+    "mesh_force_N",
+    "mesh_pitch_m",
 ]
-_OF_BELTS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
-_OF_STAGE = ["warm_up_s", *_OF_BELTS, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]
+_SCALARS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
+_SCALARS += ["belt_relaxation", "belt_relaxation_s", "mesh_tension_N", "supply_V", "supply_ohm", "supply_s"]
+_OF_STAGE = ["warm_up_s", *_SCALARS, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]
 _DIVISORS = dict.fromkeys(
     (
         "stribeck_velocity",
@@ -31,6 +39,9 @@ _DIVISORS = dict.fromkeys(
         "hysteresis_travel",
         "dahl_travel",
         "catch_width",
+        "friction_age_s",
+        "friction_age_path",
+        "brake_speed",
     ),
     1.0,
 )
@@ -174,7 +185,7 @@ def _drives(rig: Rig, encoders: list[int]) -> NDArray[Any]:
 def _stage(rig: Rig) -> NDArray[Any]:
     """Return the parameters that belong to no single coordinate, shape (1,)."""
     stage = np.zeros(1, STAGE)
-    for name in ("warm_up_s", *_OF_BELTS):
+    for name in ("warm_up_s", *_SCALARS):
         stage[name] = getattr(rig, name)
     if rig.frame:
         hertz, zeta, ratio, stage["frame_ground"] = dataclasses.astuple(rig.frame)

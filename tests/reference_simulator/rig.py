@@ -95,6 +95,10 @@ class Rig:
     friction_stale: PerCoordinate = OFF
     friction_stale_path: PerCoordinate = (0.1, 0.1, 5.0, 5.0)  # d, m and rad
     warm_up_s: float = 40.0  # tau
+    # a in F (1 + a ln(1 + age/tau)), age' = 1 - |v| age/D: contacts that rest grow stronger (Dieterich and Ruina).
+    friction_age: PerCoordinate = OFF
+    friction_age_s: PerCoordinate = (0.02, 0.02, 0.02, 0.02)  # tau
+    friction_age_path: PerCoordinate = (3e-4, 3e-4, 0.015, 0.015)  # D, m and rad
     friction_per_run: float = 0.0  # relative increase of every Coulomb level from one run to the next
     # Presliding (LuGre; Dahl without damping and Stribeck): z' = v - s0 |v| z / F(v), friction force s0 z + s1 z'.
     bristle_stiffness: PerCoordinate = OFF  # s0, N/m and Nm/rad; 0: rigid friction
@@ -109,6 +113,8 @@ class Rig:
     constant_force: PerCoordinate = OFF
     viscous_asymmetry: PerCoordinate = OFF  # a: coefficient b (1 + a) forward, b (1 - a) backward
     quadratic_drag: PerCoordinate = OFF  # c in -c v |v|
+    brake_drag: PerCoordinate = OFF  # c in -c v / (1 + (v/v0)^2), an eddy-current brake
+    brake_speed: PerCoordinate = (0.15, 0.15, 7.5, 7.5)  # v0
     spring_stiffness: PerCoordinate = OFF  # k in -k (q - q0), a trailing cable
     spring_rest: PerCoordinate = OFF  # q0
     spring_square: PerCoordinate = OFF  # k2 in -k2 (q - q0)^2, a cable that lifts off
@@ -134,6 +140,15 @@ class Rig:
         0.0,
     )  # a in torque (1 - a h), tau h' = i^2 - h: relative loss per A^2 in steady state
     heating_s: PerDrive = (2.0, 2.0)  # tau
+    heating_ohm: PerDrive = (0.0, 0.0)  # a in the resistance R (1 + a h), h as above
+    torque_saturation_A: PerDrive = (INF, INF)  # I in torque / (1 + (i/I)^2): the iron saturates
+    dead_time_V: PerDrive = (0.0, 0.0)  # voltage that a bridge loses against the direction of the current
+    dead_time_A: PerDrive = (0.2, 0.2)  # current below which it loses proportionally less
+    # A supply of `supply_V` with inner resistance and, with the capacitor behind it, a time constant. The bridges draw
+    # i V/supply_V from it, and every voltage falls with it.
+    supply_V: float = 12.0
+    supply_ohm: float = 0.0
+    supply_s: float = 0.005
     load_friction: PerDrive = (0.0, 0.0)  # mu: the dry friction of the drive's coordinate grows by mu |torque|
     current_ripple: PerDrive = (0.0, 0.0)  # a in torque (1 + a sin(n phi)): Kt varies with the commutation
     current_ripple_order: PerDrive = (12.0, 12.0)  # n
@@ -153,6 +168,13 @@ class Rig:
     belt_energy_force: bool = True  # the force 1/2 s^2 dk/dq of a belt whose stiffness k depends on position
     belt_pretension_N: float = INF  # the tension cannot fall by more than this
     belt_hardening: float = 0.0  # h: tension k s (1 + h s^2), 1/m^2
+    belt_relaxation: float = 0.0  # a: beside every belt a k ds/dt = dT/dt + T/tau, a spring in series with a damper
+    belt_relaxation_s: float = 0.02  # tau
+    belt_creep: PerDrive = (0.0, 0.0)  # m/s of slip on a motor's pulley per N that it transmits
+    # Teeth of a motor's pulley: force A (1 + |transmitted force| / T) sin(2 pi r phi / pitch) on the belt.
+    mesh_force_N: PerDrive = (0.0, 0.0)  # A
+    mesh_pitch_m: PerDrive = (0.002, 0.002)
+    mesh_tension_N: float = 20.0  # T
 
     # Bodies beyond the 8th-order model.
     idlers: bool = False  # the 20th-order stage: eight pulleys, nine belt sections

@@ -22,6 +22,19 @@ class Sensors:
     range_x_m: tuple[float, float] = (-INF, INF)  # the laser of the bridge saturates at these positions
     range_y_m: tuple[float, float] = (-INF, INF)  # and that of the cart
     delay_s: PerCoordinate = OFF
+    bend: PerCoordinate = OFF  # c in r + c r^2, a scale that is not linear; 1/rad and 1/m
+    wave: PerCoordinate = OFF  # A in r + A sin(2 pi r / L + p): interpolation of a grating, eccentric encoder; rad, m
+    wave_period: PerCoordinate = (2.0 * np.pi, 2.0 * np.pi, 0.004, 0.004)  # L
+    wave_phase: PerCoordinate = OFF  # p, rad
+
+    def graduated(self, measurement: Array) -> Array:
+        """Return measurements with the errors of the scales' graduations.
+
+        Args:
+            measurement: Exact measurements phi1, phi2, x, y, rad and m, shape (..., 4).
+        """
+        angle = 2.0 * np.pi * measurement / np.array(self.wave_period) + np.array(self.wave_phase)
+        return measurement + np.array(self.bend) * measurement**2 + np.array(self.wave) * np.sin(angle)
 
     def ideal(self, time_s: Array, positions: Array, velocities: Array) -> Array:
         """Return the measurements without noise and quantization.
@@ -41,6 +54,7 @@ class Sensors:
         for channel, coordinate in enumerate((2, 3, 0, 1)):
             path = CubicHermiteSpline(time_s, positions[:, coordinate], velocities[:, coordinate])
             measurement[:, channel] = path(np.maximum(time_s - self.delay_s[channel], time_s[0]))
+        measurement = self.graduated(measurement)
         x, y = measurement[:, 2].copy(), measurement[:, 3].copy()
         measurement[:, 2] += self.skew[0] * y
         measurement[:, 3] += self.skew[1] * x

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from scipy.optimize import brentq
 
-from tests.reference_simulator.equations import EXTRA
+from tests.reference_simulator.equations import state_size
 from tests.reference_simulator.integrator import advance
 from tests.reference_simulator.parameter_arrays import parameter_arrays
 from tests.reference_simulator.rig import Array, Rig
@@ -52,7 +52,7 @@ class Stage:
         self._arrays, self._measured = parameter_arrays(rig)
         coordinates = self._arrays.coordinates
         self._n = len(coordinates)
-        self._z = np.zeros(4 * self._n + EXTRA)
+        self._z = np.zeros(state_size(self._arrays))
         self._z[: self._n] = self._unstretched(float(start_xy[0]), float(start_xy[1]))
         # A coordinate without friction never sticks, so it has no events.
         rigid = coordinates["bristle_stiffness"] == 0.0

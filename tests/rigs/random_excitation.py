@@ -99,6 +99,7 @@ def play(
     rng: np.random.Generator,
     jitter_s: float = 0.0,
     gains: tuple[float, float] = (1.0, 1.0),
+    clock: Callable[[Array], Array] | None = None,
 ) -> Played:
     """Play one run.
 
@@ -110,6 +111,7 @@ def play(
         rng: Source of the excitation.
         jitter_s: Standard deviation of the actual sample times, s.
         gains: Factors of the voltages that the drives receive; the recording does not know them.
+        clock: Function that returns the actual sample times, s, of the nominal ones, in place of the jitter.
 
     Returns:
         The run.
@@ -117,6 +119,8 @@ def play(
     rows, period = len(time_s), time_s[1] - time_s[0]
     actual_s = time_s + np.clip(jitter_s * rng.standard_normal(rows), -0.4 * period, 0.4 * period)
     actual_s[0] = time_s[0]
+    if clock is not None:
+        actual_s = clock(time_s)
     plant = plant_at(time_s[0] - 2.0 * _SETTLING_S)
     if start == "jog":
         _jog(plant, time_s[0] - 2.0 * _SETTLING_S, rng)
