@@ -11,9 +11,16 @@ from ..identification import Dataset, prepare
 from ..identification.initial_rest import InitialRest, initial_rest, without_moving_start
 from ..identification.sensor_properties import noise_at_rest
 from ..machine import Machine
-from ..recordings import Recording, only_measurements, peak_to_peak, without_repetitions
+from ..recordings import (
+    Recording,
+    only_measurements,
+    peak_to_peak,
+    without_repetitions,
+    without_wraps,
+    wraps_of,
+)
 from .excitation import check_excitation, constant_inputs
-from .findings import Finding, Severity
+from .findings import Finding, Severity, channel_unit
 from .identifiability import check_parameters
 from .sampling import (
     check_input_timing,
@@ -39,9 +46,9 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     """Check recordings of a machine before identification.
 
     The checks cover the clock, the timing of the voltages, the rest before the motion, the sensors (noise, outliers,
-    empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear ratios), the excitation, and the
-    precision with which parameters can be estimated. If the times of a run appear to be in milliseconds, only this is
-    reported.
+    wrapped, empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear ratios), the
+    excitation, and the precision with which parameters can be estimated. If the times of a run appear to be in
+    milliseconds, only this is reported.
 
     Args:
         recordings: Runs of the machine (times, voltages, measurements), at least one.
@@ -70,9 +77,9 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     """Find faults in recordings that make a fit meaningless, and defects that impair it.
 
     `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the quality of
-    the data: clock, slow sensors, outliers, motion without input, inputs that never change or are logged late, stuck or
-    clipped outputs, and wiring (signs, swapped channels, units, gear ratios). It does not check whether the excitation
-    suffices.
+    the data: clock, slow sensors, wraps, outliers, motion without input, inputs that never change or are logged late,
+    stuck or clipped outputs, and wiring (signs, swapped channels, units, gear ratios). It does not check whether the
+    excitation suffices.
 
     Args:
         recordings: Runs of the machine (times, voltages, measurements), at least one.
@@ -109,14 +116,15 @@ def _faults_and_advice(
     moving: Sequence[str],
     machine: Machine,
 ) -> list[Finding]:
-    """Check slow sensors, sampling, outliers, motion without input, stuck outputs, wiring and the timing of inputs.
+    """Check sensors, sampling, motion without input, stuck outputs, wiring and the timing of inputs.
 
     The runs are given as recorded, without outliers (`cleaned`, with their `rests`), and prepared for a fit (`data`).
     """
     findings = slow_sensors(recordings, machine)
     for recording, cleaned_recording in zip(recordings, cleaned, strict=True):
-        findings += check_sampling(recording)
-        findings += _outliers(without_repetitions(recording), cleaned_recording, machine)
+        findings += check_sampling(recording) + _wraps(recording, machine)
+        continuous = without_wraps(recording, machine)
+        findings += _outliers(without_repetitions(continuous), cleaned_recording, machine)
     findings += _motion_without_input(cleaned, rests, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
@@ -126,6 +134,14 @@ def _faults_and_advice(
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     return findings + check_input_timing(data.with_runs(moving), machine)
+
+
+def _wraps(recording: Recording, machine: Machine) -> list[Finding]:
+    """Report the angles and counters of one run that wrap."""
+    return [
+        Finding("advice", recording.name, channel, wrap.describe(channel_unit(channel, machine)))
+        for channel, wrap in wraps_of(recording, machine).items()
+    ]
 
 
 def _by_severity(findings: Sequence[Finding]) -> list[Finding]:

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..machine import Machine
-from ..recordings import Recording, fill_gaps, without_outliers, without_repetitions
+from ..recordings import (
+    Recording,
+    fill_gaps,
+    without_outliers,
+    without_repetitions,
+    without_wraps,
+    wraps_of,
+)
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .initial_rest import without_moving_start
 from .initial_state import measured_initial_state, model_initial_states
@@ -222,19 +229,23 @@ def require_motion(fitted: Sequence[Recording]) -> None:
 
 
 def clean_recording(recording: Recording, machine: Machine, log: Callable[[str], object]) -> Recording:
-    """Remove unusable measurements from a recording, and log how many there were.
+    """Remove unusable measurements from a recording, unwrap its angles and counters, and log what was done.
 
-    These are repetitions of the last measurement by a sensor that is slower than the log, outliers, and the
+    Unusable are repetitions of the last measurement by a sensor that is slower than the log, outliers, and the
     measurements before the machine comes to rest, if it still moves when the run begins.
 
     Args:
         recording: Run (times, voltages, measurements, SI).
         machine: Machine with its sensors.
-        log: Called with a line of text for each kind of measurements that is removed.
+        log: Called with a line of text for each channel that wraps and each kind of measurements that is removed.
 
     Returns:
         Copy whose measurements, m or rad, shape (n, sensors), are NaN where they were removed.
     """
+    for channel, wrap in wraps_of(recording, machine).items():
+        unit = machine.coordinate(machine.sensor(channel).coordinate).unit("position")
+        log(f"{recording.name}: {channel} {wrap.describe(unit)}")
+    recording = without_wraps(recording, machine)
     measured = without_repetitions(recording)
     inside = without_outliers(measured, machine)
     cleaned = without_moving_start(inside, machine)

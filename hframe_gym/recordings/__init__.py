@@ -8,7 +8,6 @@ from .cleaning import (
     only_measurements,
     outlier_mask,
     peak_to_peak,
-    quantum_of,
     repetitions,
     without_outliers,
     without_repetitions,
@@ -19,8 +18,10 @@ from .log_mapping import MappingOptions
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
+from .quantization import exact_quantum, quantum_of
 from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
 from .table_file import read_path, recording_files
+from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
 
 __all__ = [
     "GAP_PERIODS",
@@ -31,14 +32,18 @@ __all__ = [
     "MappingOptions",
     "Recording",
     "Table",
+    "Wrap",
     "bridge_blanks",
     "comparison_window",
     "copy_examples",
+    "exact_quantum",
     "examples_folder",
     "field_descriptions",
     "field_units",
     "fill_gaps",
+    "find_wrap",
     "import_logs",
+    "known_moduli",
     "load_machine",
     "load_recording",
     "load_recordings",
@@ -57,8 +62,11 @@ __all__ = [
     "run_name",
     "save_machine",
     "table_summary",
+    "unwrapped",
     "without_outliers",
     "without_repetitions",
+    "without_wraps",
+    "wraps_of",
     "write_machine_template",
     "write_recording",
     "write_trajectory",

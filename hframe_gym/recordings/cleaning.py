@@ -13,8 +13,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .quantization import quantum_of
 from .recording import Recording
 from .table_file import Array
+from .wrapping import without_wraps
 
 Mask = NDArray[np.bool_]
 
@@ -34,7 +36,6 @@ _IGNORED_SPEEDS = 2  # smallest and largest speeds that are ignored, because ano
 _SPEED_FACTOR = 1.0
 _NOISE_FACTOR = 8.0  # times the declared noise
 _RESOLUTION_FACTOR = 4.0  # times the resolution
-_MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
 _MIN_CHANGES = 20  # changes of a channel that show whether it is measured in every row
 _LARGE_CHANGE = 3.0  # times the smallest changes (the quantization step); slow motion says nothing
 _REPEATED = 0.9  # fraction of the large changes that a repetition follows
@@ -170,26 +171,6 @@ def without_repetitions(recording: Recording) -> Recording:
     return recording if unchanged else dataclasses.replace(recording, outputs=outputs)
 
 
-def quantum_of(values: Array) -> float:
-    """Estimate the quantization step (quantum) of one channel from one run.
-
-    The quantum is the small change of which nearly all changes from row to row are integer multiples.
-
-    Args:
-        values: Measurements, m or rad, shape (n,), NaN where not measured.
-
-    Returns:
-        Quantum, m or rad; 0 if the changes are not multiples of a quantum, or too few.
-    """
-    steps = np.abs(np.diff(values[np.isfinite(values)]))
-    steps = steps[steps > 0]
-    if len(steps) < _MIN_STEPS:
-        return 0.0
-    smallest = float(np.percentile(steps, 2))
-    deviation = np.abs(steps / smallest - np.rint(steps / smallest))
-    return smallest if np.mean(deviation < 0.1) > 0.95 else 0.0
-
-
 def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     """Find outliers: up to five consecutive samples of a sensor that leave the motion around them and return to it.
 
@@ -221,10 +202,11 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 
 
 def only_measurements(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording, with NaN (not measured) for repeated values of slow sensors and for outliers.
+    """Copy a recording, unwrapped, with NaN (not measured) for repeated values of slow sensors and for outliers.
 
-    A slow sensor measures less often than a row is logged, so that rows repeat its value. Outliers are up to five
-    samples that leave the motion around them and return to it. `repetitions` and `outlier_mask` state the criteria.
+    Angles and counters that wrap are made continuous first (`without_wraps`). A slow sensor measures less often than a
+    row is logged, so that rows repeat its value. Outliers are up to five samples that leave the motion around them and
+    return to it. `repetitions` and `outlier_mask` state the criteria.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).
@@ -233,7 +215,7 @@ def only_measurements(recording: Recording, machine: Machine) -> Recording:
     Returns:
         Copy with measurements, m or rad, shape (n, sensors); the same object if nothing was replaced.
     """
-    return without_outliers(without_repetitions(recording), machine)
+    return without_outliers(without_repetitions(without_wraps(recording, machine)), machine)
 
 
 def without_outliers(recording: Recording, machine: Machine) -> Recording:

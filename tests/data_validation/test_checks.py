@@ -184,6 +184,16 @@ def test_a_sensor_that_is_slower_than_the_log_is_named_once(runs: list[Recording
     assert faults(findings) == []
 
 
+def test_an_angle_that_wraps_is_unwrapped_and_named(runs: list[Recording], hframe: Machine) -> None:
+    """An absolute encoder of one turn behind a motor that makes several."""
+    wrapped = with_column(runs, PHI1, lambda y: y % (2 * np.pi))
+    findings = check_before_fit(wrapped, hframe)
+    lines = [f for f in findings if "wraps" in f.message]
+    assert {(f.severity, f.channel) for f in lines} == {("advice", "phi1_rad")}
+    assert all("at one turn (6.28319 rad) and is unwrapped" in f.message for f in lines)
+    assert [f for f in findings if f not in lines] == []
+
+
 def test_dropped_samples_are_reported(runs: list[Recording], hframe: Machine) -> None:
     run = runs[0]
     keep = np.ones(len(run.time_s), bool)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import prepare
-from hframe_gym.identification.dataset import with_all_measurements
+from hframe_gym.identification.dataset import clean_recording, with_all_measurements
 from hframe_gym.identification.force_sizes import scales_of_motion
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -71,6 +71,19 @@ def test_runs_are_chosen_by_name_and_all_measurements_return(hframe: Machine) ->
     restored = with_all_measurements(data, complete)
     assert restored.count == pytest.approx(1 + 1 + 50 + 50)
     np.testing.assert_allclose(restored.runs[0].outputs[:, 2], 0.01, atol=1e-9)
+
+
+def test_an_angle_that_wraps_is_unwrapped_with_a_word(hframe: Machine) -> None:
+    time_s = np.arange(1000) * 1e-3
+    outputs = np.zeros((1000, 4))
+    outputs[:, 0] = np.round(20.0 * np.sin(4.0 * time_s), 4)
+    wrapped = outputs.copy()
+    wrapped[:, 0] %= 2 * np.pi
+    lines: list[str] = []
+    cleaned = clean_recording(Recording("run", time_s, np.ones((1000, 2)), wrapped), hframe, lines.append)
+    np.testing.assert_allclose(cleaned.outputs[:, 0], outputs[:, 0], atol=1e-9)
+    jumps = np.count_nonzero(np.abs(np.diff(wrapped[:, 0])) > np.pi)
+    assert lines == [f"run: phi1_rad wraps {jumps} times at one turn (6.28319 rad) and is unwrapped"]
 
 
 def test_typical_scales_of_an_axis() -> None:

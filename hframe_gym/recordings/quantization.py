@@ -1,0 +1,77 @@
+"""Find the quantization step (quantum) of a channel: encoders, counters and converters measure multiples of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
+_REFINEMENT = 4.0  # factor by which the distance grows over which quanta are counted
+_SAME_LEVEL = 1e-10  # of the range of the values; levels that are closer differ by the rounding of a computer
+_ON_GRID = 0.1  # distance from the nearest multiple, in quanta
+_MOST = 0.95  # fraction of the values that must be near a multiple
+
+
+def quantum_of(values: Array) -> float:
+    """Estimate the quantization step (quantum) of one channel from one run.
+
+    The quantum is the small change of which nearly all changes from row to row are integer multiples.
+
+    Args:
+        values: Measurements, m or rad, shape (n,), NaN where not measured.
+
+    Returns:
+        Quantum, m or rad; 0 if the changes are not multiples of a quantum, or too few.
+    """
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    steps = steps[steps > 0]
+    if len(steps) < _MIN_STEPS:
+        return 0.0
+    smallest = float(np.percentile(steps, 2))
+    deviation = np.abs(steps / smallest - np.rint(steps / smallest))
+    return smallest if np.mean(deviation < 0.1) > 0.95 else 0.0
+
+
+def exact_quantum(values: Array, declared: float = 0.0) -> float:
+    """Determine a quantization step so exactly that thousands of steps can be counted.
+
+    The smallest change of values in a file has the relative error of their rounding, which is too large to tell 4096
+    steps from 4000 in a file with few digits. The step is therefore fitted to larger and larger differences.
+
+    Args:
+        values: Values of one channel, NaN where not measured, shape (n,).
+        declared: Declared resolution, in the unit of the values; 0 if there is none.
+
+    Returns:
+        Step of which the differences of nearly all values are integer multiples, in their unit; 0 if there is none. The
+        declared resolution is tried first, then the smallest differences of the values. In fast motion, no two
+        successive values differ by one step, but values from other rows do.
+    """
+    levels = np.unique(values[np.isfinite(values)])
+    if len(levels) < _MIN_STEPS:
+        return 0.0
+    distances = levels - levels[0]
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > _SAME_LEVEL * distances[-1]]
+    for start in (declared, quantum_of(values), float(np.percentile(gaps, 2))):
+        quantum = _fitted_quantum(distances, start) if start > 0.0 else 0.0
+        if quantum > 0.0:
+            return quantum
+    return 0.0
+
+
+def _fitted_quantum(distances: Array, quantum: float) -> float:
+    """Return the quantum that fits ascending distances from the lowest level; 0 if they are no multiples of it."""
+    span = _REFINEMENT * quantum
+    while True:
+        near = distances[distances <= span]
+        steps = np.rint(near / quantum)
+        if steps.any():
+            quantum = float(near @ steps / (steps @ steps))
+        if span >= distances[-1]:
+            break
+        span *= _REFINEMENT
+    deviation = np.abs(distances / quantum - np.rint(distances / quantum))
+    return quantum if np.mean(deviation < _ON_GRID) > _MOST else 0.0

@@ -1,0 +1,178 @@
+"""Recognize angles and counters that wrap (start anew after a turn or at the end of a register), and unwrap them.
+
+An absolute encoder measures an angle within one turn, and a counter of n bits counts modulo 2^n. When the motion passes
+the end, the measurement jumps by the modulus against the direction of the motion, and the motion continues at the other
+end. All measurements then lie within one modulus. Both together distinguish a wrap from an outlier and from a step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine
+from .quantization import exact_quantum
+from .recording import Recording
+
+Array = NDArray[np.float64]
+
+_MIN_VALUES = 10  # different successive values; fewer do not show a motion around a jump
+_JUMP = 0.5  # fraction of the range of the values; a larger change may be a wrap
+# Fraction of the modulus that regular changes may reach. At half of it, the direction of the motion is ambiguous.
+_FASTEST = 0.3
+_FAST_PERCENT = 98.0  # of the regular changes; a larger one may extend over a gap
+_NEIGHBORS = 4  # regular changes on each side of a jump, from which the motion during the jump follows
+# Relative deviation of a jump from a modulus. Moduli in use (4000 and 4096 counts) differ by 2.3 %; a constant
+# acceleration changes the motion during a jump by far less.
+_TOLERANCE = 0.01
+_AGREEING = 0.9  # fraction of the jumps that must have the size of the modulus and the opposite sign of the motion
+_BITS = (8, 10, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 32)  # of counters and absolute encoders in use
+_TURNS = {2 * math.pi: "one turn", 360.0: "one turn in degrees", 1.0: "one turn in turns"}
+_COUNTS_PER_TURN = (400, 800, 1000, 1440, 1600, 2000, 2400, 2500, 3600, 4000, 5000, 7200, 8000, 10000, 20000, 36000)
+
+
+class Wrap(NamedTuple):
+    """How the values of a channel wrap.
+
+    Attributes:
+        modulus: Size of the jumps, in the unit of the values.
+        name: What the modulus is, such as "one turn" or "a counter of 16 bits".
+        jumps: Number of jumps.
+    """
+
+    modulus: float
+    name: str
+    jumps: int
+
+    def describe(self, unit: str) -> str:
+        """Describe the wrap in a clause that follows the name of the channel.
+
+        Args:
+            unit: Unit of the channel.
+
+        Returns:
+            Clause such as "wraps 13 times at one turn (6.28319 rad) and is unwrapped".
+        """
+        times = "once" if self.jumps == 1 else f"{self.jumps} times"
+        return f"wraps {times} at {self.name} ({self.modulus:.6g} {unit}) and is unwrapped"
+
+
+def known_moduli(quantum: float, *, angle: bool) -> dict[float, str]:
+    """Return the moduli of angles and counters, by size.
+
+    Args:
+        quantum: Quantization step in the unit of the values; 1 for raw counts, 0 if there is none.
+        angle: Whether the values may be an angle (in radians, degrees or turns).
+
+    Returns:
+        Name of each modulus by its size: turns for an angle, powers of two and usual numbers of counts per turn for
+        quantized values.
+    """
+    moduli = dict(_TURNS) if angle else {}
+    if quantum > 0.0:
+        counted = {count * quantum: f"{count} counts" for count in _COUNTS_PER_TURN}
+        counted |= {2.0**bits * quantum: f"a counter of {bits} bits" for bits in _BITS}
+        # A turn is known exactly, a quantization step only as exactly as the file states the values.
+        turns = list(moduli)
+        moduli |= {m: name for m, name in counted.items() if not np.isclose(m, turns, rtol=_TOLERANCE).any()}
+    return moduli
+
+
+def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
+    """Recognize values that wrap at a known modulus.
+
+    Args:
+        values: Values of one channel in one run, NaN where not measured, shape (n,).
+        moduli: Name of each possible modulus by its size, in the unit of the values, see `known_moduli`.
+
+    Returns:
+        Modulus, its name and the number of jumps. None if nothing jumps, if the jumps have no known size, if the values
+        extend over more than one modulus, or if the motion is so fast that its direction at a jump is ambiguous.
+    """
+    measured = values[np.isfinite(values)]
+    changes = np.diff(measured)
+    changes = changes[changes != 0.0]  # repeated values do not matter
+    extent = float(np.ptp(measured)) if len(measured) else 0.0
+    jumps = np.flatnonzero(np.abs(changes) > _JUMP * extent)
+    regular = np.delete(changes, jumps)
+    if len(jumps) == 0 or len(regular) < _MIN_VALUES:
+        return None
+    motions = np.array([_motion_around(changes, int(jump), extent) for jump in jumps])
+    sizes = np.abs(changes[jumps] - motions)
+    modulus = min(moduli, key=lambda m: abs(m - float(np.median(sizes))), default=0.0)
+    fast, smallest = np.percentile(np.abs(regular), _FAST_PERCENT), float(np.abs(regular).min())
+    agreeing = (np.abs(sizes - modulus) < _TOLERANCE * modulus) & (changes[jumps] * motions <= 0.0)
+    if np.mean(agreeing) < _AGREEING or fast > _FASTEST * modulus:
+        return None
+    if extent > (1.0 + _TOLERANCE) * modulus + smallest:
+        return None
+    return Wrap(modulus, moduli[modulus], len(jumps))
+
+
+def _motion_around(changes: Array, jump: int, extent: float) -> float:
+    """Return the median of the regular changes around a jump; 0 if they are few or do not have one direction."""
+    near = changes[max(jump - _NEIGHBORS, 0) : jump + _NEIGHBORS + 1]
+    regular = near[np.abs(near) <= _JUMP * extent]
+    moves = len(regular) >= _NEIGHBORS and abs(int(np.sign(regular).sum())) == len(regular)
+    return float(np.median(regular)) if moves else 0.0
+
+
+def unwrapped(values: Array, modulus: float) -> Array:
+    """Unwrap values: add multiples of the modulus, so that no change between successive measurements exceeds half.
+
+    Args:
+        values: Values of one channel, NaN where not measured, shape (n,).
+        modulus: Size of the jumps, in the unit of the values.
+
+    Returns:
+        Copy that begins with the same value and has no jumps, NaN where the values are, shape (n,).
+    """
+    result = values.copy()
+    measured = np.isfinite(values)
+    turns = np.rint(np.diff(values[measured]) / modulus)
+    result[measured] -= modulus * np.concatenate([np.zeros(min(1, int(measured.sum()))), np.cumsum(turns)])
+    return result
+
+
+def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
+    """Recognize the outputs of a recording that wrap.
+
+    Args:
+        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
+        machine: Machine with the sensors.
+
+    Returns:
+        Wrap by output channel, in the channel's unit; only channels that wrap.
+    """
+    found = {}
+    for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
+        angle = machine.coordinate(sensor.coordinate).kind == "rotary"
+        wrap = find_wrap(values, known_moduli(exact_quantum(values, sensor.resolution), angle=angle))
+        if wrap is not None:
+            found[sensor.channel] = wrap
+    return found
+
+
+def without_wraps(recording: Recording, machine: Machine) -> Recording:
+    """Copy a recording, with continuous measurements of the angles and counters that wrap.
+
+    Args:
+        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
+        machine: Machine with the sensors.
+
+    Returns:
+        Copy with measurements, m or rad, shape (n, sensors); the same object if no output wraps.
+    """
+    wraps = wraps_of(recording, machine)
+    if not wraps:
+        return recording
+    outputs = recording.outputs.copy()
+    for j, channel in enumerate(machine.output_channels):
+        if channel in wraps:
+            outputs[:, j] = unwrapped(outputs[:, j], wraps[channel].modulus)
+    return dataclasses.replace(recording, outputs=outputs)
