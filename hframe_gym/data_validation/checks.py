@@ -120,7 +120,7 @@ def _faults_and_advice(
 
     The runs are given as recorded, without outliers (`cleaned`, with their `rests`), and prepared for a fit (`data`).
     """
-    findings = slow_sensors(recordings, machine)
+    findings = slow_sensors([without_wraps(recording, machine) for recording in recordings], machine)
     for recording, cleaned_recording in zip(recordings, cleaned, strict=True):
         findings += check_sampling(recording) + _wraps(recording, machine)
         continuous = without_wraps(recording, machine)

@@ -174,11 +174,11 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
     """
     findings = []
     for j, channel in enumerate(machine.output_channels):
-        rows = [count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1]
-        if rows:
+        counts = {r.name: count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1.0}
+        if counts:
             message = (
-                f"is measured every {float(np.median(rows)):g} rows and repeated between them ({len(rows)} runs): the "
-                "repetitions are excluded, as if these cells were empty"
+                f"is measured every {float(np.median(list(counts.values()))):.3g} rows and repeated between them "
+                f"({len(counts)} runs): the repeated values are not used, as if these cells were empty"
             )
             findings.append(Finding("advice", "", channel, message))
     return findings

@@ -178,7 +178,7 @@ def test_outliers_are_reported_by_run_and_channel_and_are_no_fault(runs: list[Re
 def test_a_sensor_that_is_slower_than_the_log_is_named_once(runs: list[Recording], hframe: Machine) -> None:
     slow = with_column(runs, X, lambda x: x[np.arange(len(x)) // 4 * 4])
     findings = check_before_fit(slow, hframe)
-    [line] = [f for f in findings if "repetitions" in f.message]
+    [line] = [f for f in findings if "repeated between" in f.message]
     assert (line.severity, line.run, line.channel) == ("advice", "", "x_m")
     assert line.message.startswith(f"is measured every 4 rows and repeated between them ({len(runs)} runs)")
     assert faults(findings) == []
