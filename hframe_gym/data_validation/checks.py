@@ -61,6 +61,8 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
         return wrong_times
     cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
+    if data.jitter:
+        findings.append(Finding("note", "", "time_s", f"the clock {data.describe_jitter()}"))
     findings += _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
     for recording, rest in zip(cleaned, rests, strict=True):
         findings += _short_rest(recording, rest, data) + _unmeasured_outputs(recording, machine)

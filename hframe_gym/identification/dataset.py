@@ -20,6 +20,7 @@ from ..machine import Machine
 from ..recordings import (
     Recording,
     fill_gaps,
+    repetitions,
     without_outliers,
     without_repetitions,
     without_wraps,
@@ -130,6 +131,7 @@ class Dataset:
         quantum: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
         behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
         zeros: Zeros of the encoders that have the same one in all runs, because they stayed on. None: unknown.
+        jitter: Standard deviation of the sampling times, s, which the noise of the runs includes; 0 if none is found.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -137,6 +139,7 @@ class Dataset:
     quantum: Array
     behind_belts: NDArray[np.bool_]
     zeros: EncoderZeros | None = None
+    jitter: float = 0.0
 
     @property
     def count(self) -> float:
@@ -176,6 +179,15 @@ class Dataset:
 
         runs = (with_observer(run, observers[run.name]) if run.name in observers else run for run in self.runs)
         return dataclasses.replace(self, runs=tuple(runs))
+
+    def describe_jitter(self) -> str:
+        """Describe the jitter of the clock in a clause that follows "the clock"; empty if there is none."""
+        if not self.jitter:
+            return ""
+        return (
+            f"jitters by {1e3 * self.jitter:.2g} ms (standard deviation, from fast motion; the period is "
+            f"{1e3 * self.period:.3g} ms): measurements in motion count as less accurate"
+        )
 
     def single_runs(self) -> tuple[Dataset, ...]:
         """Divide the data set into data sets of one run each.
@@ -249,8 +261,11 @@ def clean_recording(recording: Recording, machine: Machine, log: Callable[[str],
     measured = without_repetitions(recording)
     inside = without_outliers(measured, machine)
     cleaned = without_moving_start(inside, machine)
-    removed = ((recording, measured, "repetitions"), (measured, inside, "outliers"), (inside, cleaned, "moving start"))
-    for before, after, what in removed:
+    for channel, before, after in zip(machine.output_channels, recording.outputs.T, measured.outputs.T, strict=True):
+        if repeated := int(np.isfinite(before).sum() - np.isfinite(after).sum()):
+            rows = f"{channel} is measured every {repetitions(before):.3g} rows"
+            log(f"{recording.name}: {rows}; the {repeated} repeated values are not used")
+    for before, after, what in ((measured, inside, "outliers"), (inside, cleaned, "moving start")):
         if after is not before:
             count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
             found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
@@ -298,7 +313,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         )
         for recorded, run, state in zip(recordings, filled, initial, strict=True)
     )
-    return Dataset(runs, noise, quanta, behind_belts(machine), zeros)
+    return Dataset(runs, noise, quanta, behind_belts(machine), zeros, jitter)
 
 
 def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Array) -> float:

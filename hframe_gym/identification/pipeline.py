@@ -245,6 +245,8 @@ def _prepare(
         log(f"saturated at the end of the range: {', '.join(ranges)}")
         usable = [blank_saturated(r, ranges, machine, everything.noise, criteria) for r in recordings]
         everything = prepare(usable, machine)
+    if everything.jitter:
+        log(f"the clock {everything.describe_jitter()}")
     for warning in merge_run_warnings((run.name, w) for run in everything.runs for w in run.initial.warnings):
         log(f"warning: {warning}")
     return everything, ranges
