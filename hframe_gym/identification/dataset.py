@@ -30,10 +30,20 @@ from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .initial_rest import without_moving_start
 from .initial_state import measured_initial_state, model_initial_states
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
-from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
+from .sensor_properties import (
+    clock_jitter,
+    difference_noise,
+    independent_values,
+    noise_by_row,
+    sensor_noise,
+    sensor_quantum,
+)
 
 Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
+_NORMAL_SPAN = 4.65  # standard deviations of noise between its 1st and 99th percentile
+_MOVES = 0.01  # fraction of a sensor's largest span in all runs; with less, the error of a run says nothing
+_NO_NOISE = 0.5  # fraction of a span that noise does not explain
 
 
 class RunObserver(NamedTuple):
@@ -227,6 +237,29 @@ def require_rows(recordings: Sequence[Recording]) -> None:
             )
 
 
+def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Find the runs in which the machine moves: a sensor moves by more than its noise and than 1 % of its largest span.
+
+    A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong samples
+    and the first steps of a motor that hardly turns do not count.
+
+    Args:
+        recordings: All runs (times, voltages, measurements, SI).
+
+    Returns:
+        Names of the runs in which at least one sensor moves.
+    """
+    spans, moves = np.zeros((2, len(recordings), recordings[0].outputs.shape[1]))
+    for i, recording in enumerate(recordings):
+        for j, values in enumerate(recording.outputs.T):
+            measured = values[np.isfinite(values)]
+            if len(measured):
+                spans[i, j] = np.ptp(np.percentile(measured, [1, 99]))
+                moves[i, j] = max(spans[i, j] ** 2 - (_NORMAL_SPAN * difference_noise([measured])) ** 2, 0.0) ** 0.5
+    moving = (moves > _MOVES * spans.max(axis=0)) & (moves > _NO_NOISE * spans)
+    return tuple(r.name for r, moves in zip(recordings, moving.any(axis=1), strict=True) if moves)
+
+
 def require_motion(fitted: Sequence[Recording]) -> None:
     """Check that at least one sensor measures motion in at least one of the fitted runs.
 
@@ -234,9 +267,9 @@ def require_motion(fitted: Sequence[Recording]) -> None:
         fitted: Runs that are not held out (times, voltages, measurements, SI).
 
     Raises:
-        InputError: If the measurements of every sensor are constant in every fitted run.
+        InputError: If every sensor measures only noise in every fitted run.
     """
-    if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
+    if not moving_runs(fitted):
         raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
 
 
