@@ -30,6 +30,7 @@ from .sampling import (
     slow_sensors,
     times_in_milliseconds,
 )
+from .scales import check_scales
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
 
@@ -132,7 +133,7 @@ def _faults_and_advice(
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
     findings += stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
-    findings += check_wiring(data.with_runs(moving), machine)
+    findings += check_wiring(data.with_runs(moving), machine) + check_scales(data.with_runs(moving), machine)
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     return findings + check_input_timing(data.with_runs(moving), machine)

@@ -1,4 +1,4 @@
-"""Find mistakes in the wiring that contradict the machine: signs, swapped channels, units and ratios.
+"""Find mistakes in the wiring that contradict the machine: wrong signs and swapped channels.
 
 Rigid kinematics (belts that do not stretch) alone cannot distinguish swapped encoders from a laser that counts
 backwards; the forces that the motion requires can. Therefore each single mistake (one channel negated, two channels
@@ -15,18 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
-from ..machine import Machine, Sensor, rigid_motions
-from ..recordings import bridge_blanks, comparison_window
-from .findings import Finding, channel_unit
+from ..machine import Machine, rigid_motions
+from ..recordings import comparison_window
+from .findings import Finding
 from .force_balance import Balance, force_balance, motion_windows
 
 Array = NDArray[np.float64]
 
-_WINDOW = 0.02  # s, least time over which motion is compared; long enough to average out noise
-_MAX_ROWS = 20_000  # rows of a run that are simulated; enough to determine a sign
-_STEP = 1e-3  # s, longest integration step; the comparison needs no accuracy
 _WINDOWS = (0.02, 0.05, 0.1, 0.2)  # s; windows of the balance of forces
 # Fractions of the squared force of the drives, or of the squared motion. On 33 recorded and simulated sets of right
 # wiring, at most 0.05 is unexplained; with one wrong sign, 0.1 to 1.
@@ -35,17 +31,6 @@ _UNEXPLAINED = 0.5  # more is unexplained by inputs or a machine of another reco
 _IMPROVEMENT = 0.1  # minimum reduction by a correction that is reported
 _CLEARLY_LESS = 1 / 3  # maximum remaining fraction of what the declared wiring does not explain
 _TIE = 0.02  # corrections that differ by less are equally likely
-_RATIO_TOLERANCE = 0.02  # relative error of a pulley radius or gear ratio that is not reported
-_MAX_RATIO_ERROR = 0.5  # a larger relative error is no inaccurate radius or scale but a mistake
-_RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
-_MIN_ROWS = 10  # rows that a correlation or slope needs
-_SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is suspected
-_CONTRADICTION = 4.0  # factor between measured motion and prediction by other channels that proves a contradiction
-_UNIT_TOLERANCE = 2.0  # factor between measured and simulated speed, beyond that of a unit, that a model may cause
-_CAUSE = "is its unit or gain wrong?"
-_LESS_VOLTAGE = "is it blocked, or does less than the recorded voltage act (amplifier limit, emergency stop)?"
-# Suspected unit by the unit of the channel: value per m or rad, and its name.
-_SUSPECTS = {"m": ((1000.0, "millimeters"), (0.001, "kilometers")), "rad": ((180 / np.pi, "degrees"),)}
 
 
 def sensor_motions(machine: Machine) -> Array:
@@ -123,11 +108,10 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
 
 
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
-    """Check for channels with a wrong sign, unit or gear ratio, for swapped channels and for a wrong unit of time.
+    """Check for channels with a wrong sign and for swapped channels.
 
-    For signs and swaps, the force of the drives is compared with the one that the motion requires, over all runs
-    together. If this gives no fault, each single run is checked as well. For units, measured speeds are compared with
-    those of a simulation with the recorded voltages; for gear ratios, encoders with other sensors.
+    The force of the drives is compared with the one that the motion requires, over all runs together. If this gives no
+    fault, each single run is checked as well.
 
     Args:
         data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at
@@ -138,40 +122,26 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
         Findings (severity, run, channel, message) about all runs together, and faults of single runs.
     """
     findings = _signs_and_swaps(data.runs, machine)
-    if not any(finding.severity == "fault" for finding in findings):
-        for run in data.runs:
-            alone = _signs_and_swaps([run], machine)
-            findings += [dataclasses.replace(f, run=run.name) for f in alone if f.severity == "fault"]
-    units = _units(data, machine)
-    # A wrong unit of one channel makes the ratios of others wrong as well.
-    ratios = [] if any(finding.severity == "fault" for finding in units) else _ratios(data, machine)
-    return findings + units + [ratio for ratio in ratios if ratio.channel not in {unit.channel for unit in units}]
+    if any(finding.severity == "fault" for finding in findings):
+        return findings
+    for run in data.runs:
+        alone = _signs_and_swaps([run], machine)
+        findings += [dataclasses.replace(f, run=run.name) for f in alone if f.severity == "fault"]
+    return findings
 
 
-def _speeds(outputs: Array, time_s: Array, span: float) -> Array:
-    """Return the change of each channel over a span in s, shape (..., rows, channels): mean speed times span."""
-    period = float(np.median(np.diff(time_s)))
-    window = max(1, min(len(time_s) - 1, round(span / period)))
-    return (outputs[..., window:, :] - outputs[..., :-window, :])[..., :: max(1, window // 4), :]
+def declared_balance(data: Dataset, machine: Machine) -> Balance | None:
+    """Return the balance of forces of the declared wiring, in the window that explains the motion best.
 
+    Args:
+        data: Runs in which the machine moves.
+        machine: Declared machine.
 
-def _first_rows(run: PreparedRecording) -> PreparedRecording:
-    """Return a run with at most `_MAX_ROWS` rows, which begin where the first input changes."""
-    if len(run.time_s) <= _MAX_ROWS:
-        return run
-    changed = np.any(run.inputs != run.inputs[0], axis=1)
-    first = min(int(np.argmax(changed)), len(run.time_s) - _MAX_ROWS)
-    rows = slice(first, first + _MAX_ROWS)
-    return dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows])
-
-
-def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:
-    """Simulate outputs, shape (n, sensors), from the center of the workspace.
-
-    A position in a wrong unit would be far outside.
+    Returns:
+        The balance; None if the sensors determine no motion.
     """
-    step = resolved_step(machine, _STEP)
-    return np.asarray(rollout(machine, run.time_s, run.inputs, longest_step=step)[0] @ machine.sensor_matrix.T)
+    declared, _ = _explanations(data.runs, machine)
+    return declared.balance if declared else None
 
 
 def _single_corrections(machine: Machine) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -274,97 +244,3 @@ def _corrected(measurements: Array, correction: Array) -> Array:
     """Return measurements after a correction, NaN where one of those it combines is missing."""
     missing = np.isnan(measurements).astype(float) @ np.abs(correction).T > 0.0
     return np.where(missing, np.nan, np.nan_to_num(measurements) @ correction.T)
-
-
-def _units(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report channels whose measured speed is a multiple or a fraction of the simulated one.
-
-    This is a fault if the other channels contradict the channel too, or if no other channel measures the motion and the
-    factor is that of a known unit. Otherwise the machine file may be wrong, and the finding is advice.
-    """
-    measured_by_run, simulated_by_run = [], []
-    for run in map(_first_rows, data.runs):
-        span = comparison_window(run.outputs, run.time_s, _WINDOW)
-        measured_by_run.append(_speeds(bridge_blanks(run.outputs, run.time_s, span), run.time_s, span))
-        simulated_by_run.append(_speeds(_simulate_outputs(machine, run), run.time_s, span))
-    measured, simulated = np.concatenate(measured_by_run), np.concatenate(simulated_by_run)
-    findings = []
-    for j, sensor in enumerate(machine.sensors):
-        rows = np.isfinite(measured[:, j])
-        size = float(np.std(simulated[rows, j])) if rows.any() else 0.0
-        if size == 0.0:
-            continue
-        unit = channel_unit(sensor.channel, machine)
-        factor = float(np.std(measured[rows, j])) / size
-        if 1 / _SPEED_FACTOR < factor < _SPEED_FACTOR or (factor < 1 and _is_resting(measured[rows, j], data, j)):
-            continue
-        near = [s for s in _SUSPECTS[unit] if 1 / _SPEED_FACTOR < factor / s[0] < _SPEED_FACTOR]
-        suspects = near if factor > 1 else []
-        prediction = rigid_prediction(measured, j, machine)
-        if prediction is None:
-            certain = any(1 / _UNIT_TOLERANCE < factor / value < _UNIT_TOLERANCE for value, _ in suspects)
-        else:
-            both = rows & np.isfinite(prediction[0])
-            expected = float(np.std(prediction[0][both])) if both.any() else 0.0
-            ratio = float(np.std(measured[both, j])) / expected if expected else 1.0
-            certain = not 1 / _CONTRADICTION < ratio < _CONTRADICTION
-        cause = f"is the column in {suspects[0][1]}, not in {unit}?" if suspects else _CAUSE
-        message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
-        if factor < 1:
-            message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, {_LESS_VOLTAGE}"
-        findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
-    return findings
-
-
-def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report encoders that move too far or too little for the travel that sensors with a fixed zero measure.
-
-    Positions are compared over complete runs, because fast motion also stretches the belts. A small deviation is
-    advice, not a fault: a scale error of the other sensors, which identification can find, has the same appearance.
-    """
-    findings = []
-    kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
-    compared = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]
-    for column in compared:
-        parts = []
-        for run in data.runs:
-            fixed_only = run.outputs.copy()
-            fixed_only[:, compared] = np.nan  # other encoders may have the same mistake
-            prediction = rigid_prediction(fixed_only, column, machine)
-            both = np.column_stack([run.outputs[:, column], prediction[0]]) if prediction else np.zeros((0, 2))
-            both = both[np.isfinite(both).all(axis=1)]
-            parts.append(both - both.mean(axis=0) if len(both) else both)
-        rows = np.concatenate(parts) if parts else np.zeros((0, 2))
-        if len(rows) < _MIN_ROWS or not np.any(rows[:, 1]):
-            continue
-        measured, predicted = rows.T
-        slope = float(measured @ predicted / (predicted @ predicted))
-        if abs(slope - 1) > _RATIO_TOLERANCE and _correlation(measured, predicted) > _RATIO_CORRELATION:
-            findings.append(_ratio_finding(machine, machine.sensors[column], slope))
-    return findings
-
-
-def _ratio_finding(machine: Machine, sensor: Sensor, ratio: float) -> Finding:
-    """Return the finding about an encoder that moves a multiple of the travel that other sensors measure."""
-    if abs(ratio - 1) > _MAX_RATIO_ERROR:
-        cause = "a unit, scale factor or gear ratio is wrong"
-        message = f"moves {ratio:.3g} times as far as the sensors with a fixed zero measure: {cause}"
-        return Finding("fault", "", sensor.channel, message)
-    coordinate, direction = machine.coordinate(sensor.coordinate), "far" if ratio > 1 else "little"
-    too_far = f"{100 * abs(ratio - 1):.1f} % too {direction}"
-    message = f"moves {too_far} for what other sensors measure: its scale factor or a gear ratio is wrong"
-    if coordinate.kind == "rotary":
-        radii = f"{coordinate.radius / ratio:.4g} m instead of {coordinate.radius:.4g} m"
-        cause = f"the pulley has a radius of {radii}, or a gear ratio is wrong by that factor"
-        message = f"turns {too_far} for the carriage's travel: {cause}"
-    return Finding("advice", "", sensor.channel, message)
-
-
-def _correlation(a: Array, b: Array) -> float:
-    """Return the correlation about zero, not about the means: a constant speed has a sign too."""
-    return float(a @ b / np.sqrt((a @ a) * (b @ b)))
-
-
-def _is_resting(changes: Array, data: Dataset, channel: int) -> bool:
-    """Return whether changes of a channel are within its noise and quantum."""
-    return bool(np.ptp(changes) < max(10 * data.noise[channel], 3 * data.quantum[channel]))
