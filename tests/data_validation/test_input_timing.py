@@ -149,3 +149,16 @@ def test_a_delay_that_is_declared_too_long_is_no_fault_of_the_recordings() -> No
     declared = DECLARED.with_effects(EFFECTS["input_delay"].at("drives", d=2e-3))
     findings = check_before_fit(recordings(RIG, 0), declared)
     assert [f.message for f in findings if f.severity == "fault"] == []
+
+
+def test_voltages_that_a_faster_controller_changes_between_the_rows_are_no_fault() -> None:
+    """Only every fourth voltage of the controller is logged."""
+    fast = recordings(RIG, 1)
+    rng = np.random.default_rng(5)
+    runs = []
+    for run in fast:
+        inputs = np.repeat(rng.uniform(-5.0, 5.0, (len(run.time_s) // 3, 2)), 3, axis=0)
+        inputs[:100] = 0.0
+        outputs = RIG.simulate(run.time_s, inputs).outputs + rng.normal(0.0, [2e-4, 2e-4, 2e-5, 2e-5], (1200, 4))
+        runs.append(Recording(run.name, run.time_s[::4], inputs[::4], outputs[::4]))
+    assert [f for f in check_before_fit(runs, DECLARED) if f.severity == "fault"] == []
