@@ -44,7 +44,7 @@ from .lost_voltages import with_lost_voltages
 from .recording_simulation import evaluate_held_out
 from .residual import white_sensors
 from .result import IdentificationResult, RejectedEffect
-from .run_differences import find_run_differences
+from .run_differences import describe_run_differences
 from .search import SearchOutcome, search_effects
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .start_estimation import refine_dataset
@@ -121,8 +121,7 @@ def identify(
     messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     messages += (*map(_HELD_OUT_CONTRADICTION.format, checked.differing), *hint)
     if messages or outcome.verdict == "unexplained":
-        difference = find_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
-        messages += (str(difference),) if difference else ()
+        messages += describe_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
     validation = with_all_measurements(checked.held_out, cleaned)
     result = _result(outcome, machine, ranges, validation, recordings, criteria)
     messages += _unexcited(result, outcome.after.bandwidth)
