@@ -18,7 +18,7 @@ from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, Sensor
 from ..recordings import bridge_blanks, comparison_window
 from .findings import Finding, channel_unit
-from .force_balance import Balance
+from .force_balance import EXPLAINED, Balance
 from .wiring import declared_balance, rigid_prediction
 
 Array = NDArray[np.float64]
@@ -86,7 +86,9 @@ def _clock(balance: Balance | None) -> list[Finding]:
     With times too large by f, the motion requires f^2 times the inertia and f times the viscous friction. A wrong unit
     of a position or a wrong gain changes both by the same factor.
     """
-    if balance is None or not np.isfinite([balance.inertia, balance.viscous]).all():
+    if balance is None or balance.unexplained > EXPLAINED:
+        return []
+    if not np.isfinite([balance.inertia, balance.viscous]).all():
         return []
     for factor in _CLOCK_FACTORS:
         friction = np.abs(np.log(np.maximum(balance.viscous, 1e-12) / factor))
@@ -267,7 +269,7 @@ def _in_every_run(factors: _SpeedFactors, sensor: int, value: float) -> bool:
 
 def _agrees(balance: Balance | None, value: float) -> bool:
     """Return whether inertia and friction agree with the machine file once the measurements are divided by a value."""
-    if balance is None:
+    if balance is None or balance.unexplained > EXPLAINED:
         return False
     ratios = value * np.concatenate([balance.inertia, balance.viscous])
     ratios = ratios[np.isfinite(ratios)]

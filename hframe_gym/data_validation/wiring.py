@@ -19,14 +19,12 @@ from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, rigid_motions
 from ..recordings import comparison_window
 from .findings import Finding
-from .force_balance import Balance, force_balance, motion_windows
+from .force_balance import EXPLAINED, Balance, force_balance, motion_windows
 
 Array = NDArray[np.float64]
 
 _WINDOWS = (0.02, 0.05, 0.1, 0.2)  # s; windows of the balance of forces
-# Fractions of the squared force of the drives, or of the squared motion. On 33 recorded and simulated sets of right
-# wiring, at most 0.05 is unexplained; with one wrong sign, 0.1 to 1.
-_EXPLAINED = 0.2  # less is unexplained by a wiring that explains the motion
+# Fractions of the squared force of the drives, or of the squared motion, as `EXPLAINED`.
 _UNEXPLAINED = 0.5  # more is unexplained by inputs or a machine of another recording
 _IMPROVEMENT = 0.1  # minimum reduction by a correction that is reported
 _CLEARLY_LESS = 1 / 3  # maximum remaining fraction of what the declared wiring does not explain
@@ -194,7 +192,7 @@ def _signs_and_swaps(runs: Sequence[PreparedRecording], machine: Machine) -> lis
     best = min((explanation.unexplained for explanation in corrected.values()), default=np.inf)
     if best < declared.unexplained - _IMPROVEMENT and best < _CLEARLY_LESS * declared.unexplained:
         likely = " or ".join(label for label, each in corrected.items() if each.unexplained < best + _TIE)
-        if best < _EXPLAINED:
+        if best < EXPLAINED:
             remedy = "correct the columns of the file, or the declaration in machine.json"
             return [Finding("fault", "", "", f"{likely}: {remedy}")]
         fractions = f"{100 * (1 - best):.0f} % of the motion instead of {100 * max(1 - declared.unexplained, 0):.0f} %"
@@ -235,7 +233,7 @@ def _explanations(
         best = min((explanation.unexplained for explanation in explanations.values()), default=np.inf)
         if "" in explanations and best < least:
             chosen, least = explanations, best
-        if least < _EXPLAINED / 2:
+        if least < EXPLAINED / 2:
             break
     return chosen.pop("", None), chosen
 
