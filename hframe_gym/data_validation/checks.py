@@ -30,6 +30,7 @@ from .sampling import (
     slow_sensors,
     times_in_milliseconds,
 )
+from .scales import check_scales
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
 
@@ -61,6 +62,8 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
         return wrong_times
     cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
+    if data.jitter:
+        findings.append(Finding("note", "", "time_s", f"the clock {data.describe_jitter()}"))
     findings += _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
     for recording, rest in zip(cleaned, rests, strict=True):
         findings += _short_rest(recording, rest, data) + _unmeasured_outputs(recording, machine)
@@ -120,7 +123,7 @@ def _faults_and_advice(
 
     The runs are given as recorded, without outliers (`cleaned`, with their `rests`), and prepared for a fit (`data`).
     """
-    findings = slow_sensors(recordings, machine)
+    findings = slow_sensors([without_wraps(recording, machine) for recording in recordings], machine)
     for recording, cleaned_recording in zip(recordings, cleaned, strict=True):
         findings += check_sampling(recording) + _wraps(recording, machine)
         continuous = without_wraps(recording, machine)
@@ -130,7 +133,7 @@ def _faults_and_advice(
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
     findings += stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
-    findings += check_wiring(data.with_runs(moving), machine)
+    findings += check_wiring(data.with_runs(moving), machine) + check_scales(data.with_runs(moving), machine)
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     return findings + check_input_timing(data.with_runs(moving), machine)

@@ -1,8 +1,8 @@
-"""Find mistakes in the wiring that contradict the machine model: signs, swapped channels, units and ratios.
+"""Find mistakes in the wiring that contradict the machine: wrong signs and swapped channels.
 
 Rigid kinematics (belts that do not stretch) alone cannot distinguish swapped encoders from a laser that counts
-backwards; the motion that the machine simulates under the recorded voltages can. Therefore each single mistake (one
-channel negated, two channels swapped) is corrected in turn, and the correction that fits the data best is reported.
+backwards; the forces that the motion requires can. Therefore each single mistake (one channel negated, two channels
+swapped) is corrected in turn, and the correction with which the inputs explain the motion best is reported.
 """
 
 from __future__ import annotations
@@ -10,38 +10,25 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
-from ..machine import Machine, Sensor, rigid_motions
-from ..recordings import bridge_blanks, comparison_window
-from .findings import Finding, channel_unit
+from ..machine import Machine, rigid_motions
+from ..recordings import comparison_window
+from .findings import Finding
+from .force_balance import EXPLAINED, Balance, force_balance, motion_windows
 
 Array = NDArray[np.float64]
 
-_WINDOW = 0.02  # s, least time over which motion is compared; long enough to average out noise
-_MAX_ROWS = 20_000  # rows of a run that are simulated; enough to determine a sign
-_STEP = 1e-3  # s, longest integration step; the comparison needs no accuracy
-_GOOD_AGREEMENT = 0.7  # correlation of measured and simulated speed above which no mistake is suspected
-_POOR_AGREEMENT = 0.35  # correlation below which the machine itself is doubted
-_GOOD_MISFIT = 0.2  # relative misfit of the rigid kinematics below which no mistake is suspected
-_IMPROVEMENT = 0.2  # minimum improvement of the score that makes a correction credible
-_CERTAIN_SCORE = 0.5  # score after a correction above which the mistake is certain, not only likely
-_TIE = 0.05  # corrections whose scores differ by less are equally likely
-_RATIO_TOLERANCE = 0.02  # relative error of a pulley radius or gear ratio that is not reported
-_MAX_RATIO_ERROR = 0.5  # a larger relative error is no inaccurate radius or scale but a mistake
-_RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
-_MIN_ROWS = 10  # rows that a correlation or slope needs
-_SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is suspected
-_CONTRADICTION = 4.0  # factor between measured motion and prediction by other channels that proves a contradiction
-_UNIT_TOLERANCE = 2.0  # factor between measured and simulated speed, beyond that of a unit, that a model may cause
-_CAUSE = "is its unit or gain wrong?"
-_LESS_VOLTAGE = "is it blocked, or does less than the recorded voltage act (amplifier limit, emergency stop)?"
-# Suspected unit by the unit of the channel: value per m or rad, and its name.
-_SUSPECTS = {"m": ((1000.0, "millimeters"), (0.001, "kilometers")), "rad": ((180 / np.pi, "degrees"),)}
+_WINDOWS = (0.02, 0.05, 0.1, 0.2)  # s; windows of the balance of forces
+# Fractions of the squared force of the drives, or of the squared motion, as `EXPLAINED`.
+_UNEXPLAINED = 0.5  # more is unexplained by inputs or a machine of another recording
+_IMPROVEMENT = 0.1  # minimum reduction by a correction that is reported
+_CLEARLY_LESS = 1 / 3  # maximum remaining fraction of what the declared wiring does not explain
+_TIE = 0.02  # corrections that differ by less are equally likely
 
 
 def sensor_motions(machine: Machine) -> Array:
@@ -119,11 +106,10 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
 
 
 def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
-    """Check for channels with a wrong sign, unit or gear ratio and for swapped channels.
+    """Check for channels with a wrong sign and for swapped channels.
 
-    For signs, swaps and units, measured speeds are compared with those of a simulation with the recorded voltages, over
-    all runs together. If this gives no fault in signs and swaps, each single run is checked for them as well. For gear
-    ratios, encoders are compared with sensors that have a fixed zero.
+    The force of the drives is compared with the one that the motion requires, over all runs together. If this gives no
+    fault, each single run is checked as well.
 
     Args:
         data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at
@@ -133,53 +119,27 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     Returns:
         Findings (severity, run, channel, message) about all runs together, and faults of single runs.
     """
-    # Matrices that undo one mistake (a sign, or two swapped channels), by its description.
-    output_corrections, input_corrections = _single_corrections(machine)
-    transforms = np.array([np.eye(len(machine.drives)), *input_corrections.values()])  # the first: inputs as recorded
-    runs = [_first_rows(run) for run in data.runs]
-    measured, simulated = [], []  # arrays of shape (rows, sensors) and (transforms, rows, sensors)
-    for run in runs:
-        span = comparison_window(run.outputs, run.time_s, _WINDOW)
-        measured.append(_speeds(bridge_blanks(run.outputs, run.time_s, span), run.time_s, span))
-        simulated.append(_speeds(_simulate_outputs(machine, run, transforms), run.time_s, span))
-    labels = list(input_corrections)
-    all_measured, all_simulated = np.concatenate(measured), np.concatenate(simulated, axis=1)
-    findings = _signs_and_swaps(all_measured, all_simulated, output_corrections, labels, machine)
-    if not any(finding.severity == "fault" for finding in findings):
-        for run, speeds, predictions in zip(runs, measured, simulated, strict=True):
-            alone = _signs_and_swaps(speeds, predictions, output_corrections, labels, machine)
-            findings += [dataclasses.replace(f, run=run.name) for f in alone if f.severity == "fault"]
-    units = _units(all_measured, all_simulated[0], data, machine)
-    # A wrong unit of one channel makes the ratios of others wrong as well.
-    ratios = [] if any(finding.severity == "fault" for finding in units) else _ratios(data, machine)
-    return findings + units + [ratio for ratio in ratios if ratio.channel not in {unit.channel for unit in units}]
+    findings = _signs_and_swaps(data.runs, machine)
+    if any(finding.severity == "fault" for finding in findings):
+        return findings
+    for run in data.runs:
+        alone = _signs_and_swaps([run], machine)
+        findings += [dataclasses.replace(f, run=run.name) for f in alone if f.severity == "fault"]
+    return findings
 
 
-def _speeds(outputs: Array, time_s: Array, span: float) -> Array:
-    """Return the change of each channel over a span in s, shape (..., rows, channels): mean speed times span."""
-    period = float(np.median(np.diff(time_s)))
-    window = max(1, min(len(time_s) - 1, round(span / period)))
-    return (outputs[..., window:, :] - outputs[..., :-window, :])[..., :: max(1, window // 4), :]
+def declared_balance(data: Dataset, machine: Machine) -> Balance | None:
+    """Return the balance of forces of the declared wiring, in the window that explains the motion best.
 
+    Args:
+        data: Runs in which the machine moves.
+        machine: Declared machine.
 
-def _first_rows(run: PreparedRecording) -> PreparedRecording:
-    """Return a run with at most `_MAX_ROWS` rows, which begin where the first input changes."""
-    if len(run.time_s) <= _MAX_ROWS:
-        return run
-    changed = np.any(run.inputs != run.inputs[0], axis=1)
-    first = min(int(np.argmax(changed)), len(run.time_s) - _MAX_ROWS)
-    rows = slice(first, first + _MAX_ROWS)
-    return dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows])
-
-
-def _simulate_outputs(machine: Machine, run: PreparedRecording, transforms: Array) -> Array:
-    """Simulate outputs, shape (transforms, n, sensors), for the inputs multiplied by each matrix.
-
-    The simulation starts at the center of the workspace: a position in a wrong unit would be far outside.
+    Returns:
+        The balance; None if the sensors determine no motion.
     """
-    inputs = np.einsum("vij,nj->vni", transforms, run.inputs)
-    step = resolved_step(machine, _STEP)
-    return rollout(machine, run.time_s, inputs, longest_step=step) @ machine.sensor_matrix.T
+    declared, _ = _explanations(data.runs, machine)
+    return declared.balance if declared else None
 
 
 def _single_corrections(machine: Machine) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -207,137 +167,78 @@ def _corrections(channels: Sequence[str], groups: Sequence[str]) -> dict[str, Ar
     return corrections
 
 
-def _signs_and_swaps(
-    measured: Array, simulated: Array, output_corrections: dict[str, Array], input_labels: list[str], machine: Machine
-) -> list[Finding]:
-    """Report the single correction that makes measured and simulated speeds agree, or that they do not agree."""
-    unchanged = np.eye(len(machine.sensors))
-    initial_score = _score(measured, simulated[0], unchanged, machine)
-    agreement, misfit = _agreement(measured, simulated[0]), rigid_misfit(measured, machine)
-    if initial_score is None or (agreement > _GOOD_AGREEMENT and misfit < _GOOD_MISFIT):
+class _Explanation(NamedTuple):
+    """How well a declared or corrected wiring explains the motion.
+
+    Attributes:
+        unexplained: Fraction of the squared force of the drives that no machine explains, plus the fraction of the
+            squared motion that contradicts rigid kinematics.
+        balance: Balance of forces.
+    """
+
+    unexplained: float
+    balance: Balance
+
+
+def _signs_and_swaps(runs: Sequence[PreparedRecording], machine: Machine) -> list[Finding]:
+    """Report the single correction that makes the motion explainable, or that the inputs do not explain it.
+
+    It is a fault only if the motion is explained with the correction and clearly not without it, whatever spring,
+    weight, friction or offset the machine file lacks.
+    """
+    declared, corrected = _explanations(runs, machine)
+    if declared is None:
         return []
-    of_outputs = {label: (simulated[0], matrix) for label, matrix in output_corrections.items()}
-    of_inputs = {label: (simulated[i], unchanged) for i, label in enumerate(input_labels, start=1)}
-    all_scores = {
-        label: _score(measured, *correction, machine) for label, correction in (of_outputs | of_inputs).items()
-    }
-    scores = {label: score for label, score in all_scores.items() if score is not None}
-    best = max(scores.values())
-    if best > initial_score + _IMPROVEMENT:
-        likely = " or ".join(label for label, score in scores.items() if score > best - _TIE)
-        if best > _CERTAIN_SCORE:
+    best = min((explanation.unexplained for explanation in corrected.values()), default=np.inf)
+    if best < declared.unexplained - _IMPROVEMENT and best < _CLEARLY_LESS * declared.unexplained:
+        likely = " or ".join(label for label, each in corrected.items() if each.unexplained < best + _TIE)
+        if best < EXPLAINED:
             remedy = "correct the columns of the file, or the declaration in machine.json"
             return [Finding("fault", "", "", f"{likely}: {remedy}")]
-        return [Finding("advice", "", "", f"{likely}? The speeds would agree better with the simulated ones")]
-    if agreement < _POOR_AGREEMENT:
-        message = f"measured and simulated speeds do not agree (correlation {agreement:.2f}): "
-        return [Finding("advice", "", "", message + "is the machine file that of the recorded machine?")]
+        fractions = f"{100 * (1 - best):.0f} % of the motion instead of {100 * max(1 - declared.unexplained, 0):.0f} %"
+        return [Finding("advice", "", "", f"{likely}? The inputs would then explain {fractions}")]
+    if declared.balance.unexplained > _UNEXPLAINED:
+        message = (
+            f"the inputs explain only {100 * (1 - declared.balance.unexplained):.0f} % of the forces that the motion "
+            "requires: is the machine file that of the recorded machine, and do inputs and outputs belong together?"
+        )
+        return [Finding("advice", "", "", message)]
     return []
 
 
-def _units(measured: Array, simulated: Array, data: Dataset, machine: Machine) -> list[Finding]:
-    """Report channels whose measured speed is a multiple or a fraction of the simulated one.
+def _explanations(
+    runs: Sequence[PreparedRecording], machine: Machine
+) -> tuple[_Explanation | None, dict[str, _Explanation]]:
+    """Return how well the declared wiring explains the motion, and each wiring with one correction, by description.
 
-    This is a fault if the other channels contradict the channel too, or if no other channel measures the motion and the
-    factor is that of a known unit. Otherwise the machine file may be wrong, and the finding is advice.
+    The shortest window is used in which one of them explains the motion, otherwise the one in which it explains most:
+    noise spoils accelerations over short windows, long ones smooth them away.
     """
-    findings = []
-    for j, sensor in enumerate(machine.sensors):
-        rows = np.isfinite(measured[:, j])
-        size = float(np.std(simulated[rows, j])) if rows.any() else 0.0
-        if size == 0.0:
-            continue
-        unit = channel_unit(sensor.channel, machine)
-        factor = float(np.std(measured[rows, j])) / size
-        if 1 / _SPEED_FACTOR < factor < _SPEED_FACTOR or (factor < 1 and _is_resting(measured[rows, j], data, j)):
-            continue
-        near = [s for s in _SUSPECTS[unit] if 1 / _SPEED_FACTOR < factor / s[0] < _SPEED_FACTOR]
-        suspects = near if factor > 1 else []
-        prediction = rigid_prediction(measured, j, machine)
-        if prediction is None:
-            certain = any(1 / _UNIT_TOLERANCE < factor / value < _UNIT_TOLERANCE for value, _ in suspects)
-        else:
-            both = rows & np.isfinite(prediction[0])
-            expected = float(np.std(prediction[0][both])) if both.any() else 0.0
-            ratio = float(np.std(measured[both, j])) / expected if expected else 1.0
-            certain = not 1 / _CONTRADICTION < ratio < _CONTRADICTION
-        cause = f"is the column in {suspects[0][1]}, not in {unit}?" if suspects else _CAUSE
-        message = f"moves {factor:.3g} times as fast as the machine simulates: {cause}"
-        if factor < 1:
-            message = f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, {_LESS_VOLTAGE}"
-        findings.append(Finding("fault" if certain else "advice", "", sensor.channel, message))
-    return findings
+    output_corrections, input_corrections = _single_corrections(machine)
+    of_outputs, of_inputs = np.eye(len(machine.sensors)), np.eye(len(machine.drives))
+    wirings = {"": (of_outputs, of_inputs)}  # as declared
+    wirings |= {label: (matrix, of_inputs) for label, matrix in output_corrections.items()}
+    wirings |= {label: (of_outputs, matrix) for label, matrix in input_corrections.items()}
+    chosen: dict[str, _Explanation] = {}
+    least = np.inf
+    for window in _WINDOWS:
+        windows = [motion_windows(r, comparison_window(r.outputs, r.time_s, window)) for r in runs]
+        speeds = np.concatenate([w.velocity for w in windows])
+        explanations: dict[str, _Explanation] = {}
+        for label, (outputs, inputs) in wirings.items():
+            balance = force_balance(windows, machine, outputs, inputs)
+            if balance is not None:
+                misfit = rigid_misfit(_corrected(speeds, outputs), machine)
+                explanations[label] = _Explanation(balance.unexplained + misfit**2, balance)
+        best = min((explanation.unexplained for explanation in explanations.values()), default=np.inf)
+        if "" in explanations and best < least:
+            chosen, least = explanations, best
+        if least < EXPLAINED / 2:
+            break
+    return chosen.pop("", None), chosen
 
 
-def _ratios(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report encoders that move too far or too little for the travel that sensors with a fixed zero measure.
-
-    Positions are compared over complete runs, because fast motion also stretches the belts. A small deviation is
-    advice, not a fault: a scale error of the other sensors, which identification can find, has the same appearance.
-    """
-    findings = []
-    kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
-    compared = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]
-    for column in compared:
-        parts = []
-        for run in data.runs:
-            fixed_only = run.outputs.copy()
-            fixed_only[:, compared] = np.nan  # other encoders may have the same mistake
-            prediction = rigid_prediction(fixed_only, column, machine)
-            both = np.column_stack([run.outputs[:, column], prediction[0]]) if prediction else np.zeros((0, 2))
-            both = both[np.isfinite(both).all(axis=1)]
-            parts.append(both - both.mean(axis=0) if len(both) else both)
-        rows = np.concatenate(parts) if parts else np.zeros((0, 2))
-        if len(rows) < _MIN_ROWS or not np.any(rows[:, 1]):
-            continue
-        measured, predicted = rows.T
-        slope = float(measured @ predicted / (predicted @ predicted))
-        if abs(slope - 1) > _RATIO_TOLERANCE and _correlation(measured, predicted) > _RATIO_CORRELATION:
-            findings.append(_ratio_finding(machine, machine.sensors[column], slope))
-    return findings
-
-
-def _ratio_finding(machine: Machine, sensor: Sensor, ratio: float) -> Finding:
-    """Return the finding about an encoder that moves a multiple of the travel that other sensors measure."""
-    if abs(ratio - 1) > _MAX_RATIO_ERROR:
-        cause = "a unit, scale factor or gear ratio is wrong"
-        message = f"moves {ratio:.3g} times as far as the sensors with a fixed zero measure: {cause}"
-        return Finding("fault", "", sensor.channel, message)
-    coordinate, direction = machine.coordinate(sensor.coordinate), "far" if ratio > 1 else "little"
-    too_far = f"{100 * abs(ratio - 1):.1f} % too {direction}"
-    message = f"moves {too_far} for what other sensors measure: its scale factor or a gear ratio is wrong"
-    if coordinate.kind == "rotary":
-        radii = f"{coordinate.radius / ratio:.4g} m instead of {coordinate.radius:.4g} m"
-        cause = f"the pulley has a radius of {radii}, or a gear ratio is wrong by that factor"
-        message = f"turns {too_far} for the carriage's travel: {cause}"
-    return Finding("advice", "", sensor.channel, message)
-
-
-def _score(measured: Array, simulated: Array, correction: Array, machine: Machine) -> float | None:
-    """Return the score of a correction: agreement with the simulation minus rigid misfit; None if nothing moves."""
-    available = np.isfinite(measured).any(axis=0)
-    missing = np.abs(correction) @ (~available).astype(float) > 0
-    corrected = np.where(missing, np.nan, np.nan_to_num(measured) @ correction.T)
-    corrected[~np.isfinite(measured).all(axis=1) & available.all()] = np.nan
-    agreement = _agreement(corrected, simulated)
-    return None if np.isnan(agreement) else agreement - rigid_misfit(corrected, machine)
-
-
-def _agreement(measured: Array, simulated: Array) -> float:
-    """Return the mean correlation of measured and simulated speeds over the channels that move, or NaN."""
-    correlations = []
-    for measured_speed, simulated_speed in zip(measured.T, simulated.T, strict=True):
-        rows = np.isfinite(measured_speed) & np.isfinite(simulated_speed)
-        if rows.sum() > _MIN_ROWS and np.any(measured_speed[rows]) and np.any(simulated_speed[rows]):
-            correlations.append(_correlation(measured_speed[rows], simulated_speed[rows]))
-    return float(np.mean(correlations)) if correlations else float("nan")
-
-
-def _correlation(a: Array, b: Array) -> float:
-    """Return the correlation about zero, not about the means: a constant speed has a sign too."""
-    return float(a @ b / np.sqrt((a @ a) * (b @ b)))
-
-
-def _is_resting(changes: Array, data: Dataset, channel: int) -> bool:
-    """Return whether changes of a channel are within its noise and quantum."""
-    return bool(np.ptp(changes) < max(10 * data.noise[channel], 3 * data.quantum[channel]))
+def _corrected(measurements: Array, correction: Array) -> Array:
+    """Return measurements after a correction, NaN where one of those it combines is missing."""
+    missing = np.isnan(measurements).astype(float) @ np.abs(correction).T > 0.0
+    return np.where(missing, np.nan, np.nan_to_num(measurements) @ correction.T)

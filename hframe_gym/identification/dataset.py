@@ -20,6 +20,7 @@ from ..machine import Machine
 from ..recordings import (
     Recording,
     fill_gaps,
+    repetitions,
     without_outliers,
     without_repetitions,
     without_wraps,
@@ -29,10 +30,20 @@ from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .initial_rest import without_moving_start
 from .initial_state import measured_initial_state, model_initial_states
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
-from .sensor_properties import clock_jitter, independent_values, noise_by_row, sensor_noise, sensor_quantum
+from .sensor_properties import (
+    clock_jitter,
+    difference_noise,
+    independent_values,
+    noise_by_row,
+    sensor_noise,
+    sensor_quantum,
+)
 
 Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
+_NORMAL_SPAN = 4.65  # standard deviations of noise between its 1st and 99th percentile
+_MOVES = 0.01  # fraction of a sensor's largest span in all runs; with less, the error of a run says nothing
+_NO_NOISE = 0.5  # fraction of a span that noise does not explain
 
 
 class RunObserver(NamedTuple):
@@ -130,6 +141,7 @@ class Dataset:
         quantum: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
         behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
         zeros: Zeros of the encoders that have the same one in all runs, because they stayed on. None: unknown.
+        jitter: Standard deviation of the sampling times, s, which the noise of the runs includes; 0 if none is found.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -137,6 +149,7 @@ class Dataset:
     quantum: Array
     behind_belts: NDArray[np.bool_]
     zeros: EncoderZeros | None = None
+    jitter: float = 0.0
 
     @property
     def count(self) -> float:
@@ -177,6 +190,15 @@ class Dataset:
         runs = (with_observer(run, observers[run.name]) if run.name in observers else run for run in self.runs)
         return dataclasses.replace(self, runs=tuple(runs))
 
+    def describe_jitter(self) -> str:
+        """Describe the jitter of the clock in a clause that follows "the clock"; empty if there is none."""
+        if not self.jitter:
+            return ""
+        return (
+            f"jitters by {1e3 * self.jitter:.2g} ms (standard deviation, from fast motion; the period is "
+            f"{1e3 * self.period:.3g} ms): measurements in motion count as less accurate"
+        )
+
     def single_runs(self) -> tuple[Dataset, ...]:
         """Divide the data set into data sets of one run each.
 
@@ -215,6 +237,29 @@ def require_rows(recordings: Sequence[Recording]) -> None:
             )
 
 
+def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Find the runs in which the machine moves: a sensor moves by more than its noise and than 1 % of its largest span.
+
+    A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong samples
+    and the first steps of a motor that hardly turns do not count.
+
+    Args:
+        recordings: All runs (times, voltages, measurements, SI).
+
+    Returns:
+        Names of the runs in which at least one sensor moves.
+    """
+    spans, moves = np.zeros((2, len(recordings), recordings[0].outputs.shape[1]))
+    for i, recording in enumerate(recordings):
+        for j, values in enumerate(recording.outputs.T):
+            measured = values[np.isfinite(values)]
+            if len(measured):
+                spans[i, j] = np.ptp(np.percentile(measured, [1, 99]))
+                moves[i, j] = max(spans[i, j] ** 2 - (_NORMAL_SPAN * difference_noise([measured])) ** 2, 0.0) ** 0.5
+    moving = (moves > _MOVES * spans.max(axis=0)) & (moves > _NO_NOISE * spans)
+    return tuple(r.name for r, moves in zip(recordings, moving.any(axis=1), strict=True) if moves)
+
+
 def require_motion(fitted: Sequence[Recording]) -> None:
     """Check that at least one sensor measures motion in at least one of the fitted runs.
 
@@ -222,9 +267,9 @@ def require_motion(fitted: Sequence[Recording]) -> None:
         fitted: Runs that are not held out (times, voltages, measurements, SI).
 
     Raises:
-        InputError: If the measurements of every sensor are constant in every fitted run.
+        InputError: If every sensor measures only noise in every fitted run.
     """
-    if not any(len(np.unique(values[np.isfinite(values)])) > 1 for run in fitted for values in run.outputs.T):
+    if not moving_runs(fitted):
         raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
 
 
@@ -249,8 +294,11 @@ def clean_recording(recording: Recording, machine: Machine, log: Callable[[str],
     measured = without_repetitions(recording)
     inside = without_outliers(measured, machine)
     cleaned = without_moving_start(inside, machine)
-    removed = ((recording, measured, "repetitions"), (measured, inside, "outliers"), (inside, cleaned, "moving start"))
-    for before, after, what in removed:
+    for channel, before, after in zip(machine.output_channels, recording.outputs.T, measured.outputs.T, strict=True):
+        if repeated := int(np.isfinite(before).sum() - np.isfinite(after).sum()):
+            rows = f"{channel} is measured every {repetitions(before):.3g} rows"
+            log(f"{recording.name}: {rows}; the {repeated} repeated values are not used")
+    for before, after, what in ((measured, inside, "outliers"), (inside, cleaned, "moving start")):
         if after is not before:
             count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
             found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
@@ -298,7 +346,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         )
         for recorded, run, state in zip(recordings, filled, initial, strict=True)
     )
-    return Dataset(runs, noise, quanta, behind_belts(machine), zeros)
+    return Dataset(runs, noise, quanta, behind_belts(machine), zeros, jitter)
 
 
 def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Array) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import Recording
-from .dataset import Dataset, PreparedRecording
+from .dataset import Dataset, PreparedRecording, moving_runs
 from .estimation import Fit, prediction_cost
 from .force_sizes import force_error
 from .forward_selection import SelectedEffect
@@ -44,6 +44,9 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     2. The run is no repetition of another held-out run.
     3. The run is close to the fourth, eighth, ... of all runs. If all runs are alike, every fourth one is held out.
 
+    Runs in which nothing moves (`moving_runs`) are fitted, for the noise of the sensors, and never chosen: an error on
+    them says nothing about the machine.
+
     Args:
         recordings: All runs (times, s; voltages, V; measurements, m or rad).
         chosen: Names of the runs to hold out. Default: one of each group of four; one if there are fewer than four.
@@ -52,13 +55,26 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
         Names of the held-out runs.
 
     Raises:
-        InputError: If a run is unknown or no run is left to fit.
+        InputError: If a run is unknown, no run is left to fit, or nothing moves in any of the held-out runs although
+            the machine moves in others.
     """
     names = [r.name for r in recordings]
     unknown = [c for c in chosen if c not in names]
     if unknown:
         raise InputError(f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}")
-    held_out = tuple(chosen) or tuple(names[i] for i in _representative_runs(spectral_differences(recordings)))
+    moving = moving_runs(recordings)
+    eligible = [r for r in recordings if r.name in moving] or recordings
+    if len(eligible) == 1 < len(names):
+        raise InputError(
+            f"nothing moves except in run {eligible[0].name}; a run that moves must be fitted and another one held "
+            "out, so record more runs or split this one: hframe import FILE --split-every SECONDS"
+        )
+    held_out = tuple(chosen) or tuple(eligible[i].name for i in _representative_runs(spectral_differences(eligible)))
+    if not set(held_out) & {run.name for run in eligible}:
+        raise InputError(
+            f"--hold-out {', '.join(held_out)}: nothing moves in it, so its error says nothing about the machine; hold "
+            f"out a run that moves, such as {eligible[-1].name}"
+        )
     if len(set(held_out)) >= len(names):
         raise InputError(
             f"runs: {len(names)}, held out: {len(set(held_out))}; at least one must be left to fit, so split the "

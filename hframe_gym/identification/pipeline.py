@@ -44,7 +44,7 @@ from .lost_voltages import with_lost_voltages
 from .recording_simulation import evaluate_held_out
 from .residual import white_sensors
 from .result import IdentificationResult, RejectedEffect
-from .run_differences import find_run_differences
+from .run_differences import describe_run_differences
 from .search import SearchOutcome, search_effects
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .start_estimation import refine_dataset
@@ -121,8 +121,7 @@ def identify(
     messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     messages += (*map(_HELD_OUT_CONTRADICTION.format, checked.differing), *hint)
     if messages or outcome.verdict == "unexplained":
-        difference = find_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
-        messages += (str(difference),) if difference else ()
+        messages += describe_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
     validation = with_all_measurements(checked.held_out, cleaned)
     result = _result(outcome, machine, ranges, validation, recordings, criteria)
     messages += _unexcited(result, outcome.after.bandwidth)
@@ -245,6 +244,8 @@ def _prepare(
         log(f"saturated at the end of the range: {', '.join(ranges)}")
         usable = [blank_saturated(r, ranges, machine, everything.noise, criteria) for r in recordings]
         everything = prepare(usable, machine)
+    if everything.jitter:
+        log(f"the clock {everything.describe_jitter()}")
     for warning in merge_run_warnings((run.name, w) for run in everything.runs for w in run.initial.warnings):
         log(f"warning: {warning}")
     return everything, ranges

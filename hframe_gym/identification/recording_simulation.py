@@ -30,6 +30,7 @@ from .residual import ChannelError, errors_by_channel
 from .rest_measurement import (
     InitialState,
     behind_belts,
+    max_reported_zero_means,
     max_zero_means,
     sensor_zero_error,
 )
@@ -194,9 +195,9 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
     Returns:
         Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose errors
         identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `zeros` the
-        zeros of the sensors, m or rad, shape (sensors,), with which this simulation fits the recording best. If the
-        simulation diverges, the zeros follow from the measurements at rest. `warnings` lists what could not be
-        determined.
+        zeros of the sensors, m or rad, shape (sensors,): those at rest, corrected by the mean error of the run as far
+        as rounding and the stretch of the belts at the start explain it. If the simulation diverges, the zeros follow
+        from the measurements at rest. `warnings` lists what could not be determined.
     """
     return _initial_state(machine, _cleaned(recording, machine))
 
@@ -255,7 +256,8 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     error = errors(start, recording.outputs)
     if not np.isfinite(error).all():
         return initial
-    zeros = sensor_zero_error(error, np.isfinite(recording.outputs), rows, max_means, quanta)[0, 0]
+    limits = max_reported_zero_means(machine, initial, quanta)
+    zeros = sensor_zero_error(error, np.isfinite(recording.outputs), rows, limits, quanta)[0, 0]
     return dataclasses.replace(initial, zeros=zeros)
 
 

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from ..dynamics.effect_instances import instances_with_state
 from ..machine import Machine
 from ..recordings import Recording
-from .belt_stretch import rigid_basis
-from .encoder_zeros import EncoderZeros
+from .belt_stretch import rigid_basis, stretch_angles
+from .encoder_zeros import EncoderZeros, zero_tolerance
 from .initial_rest import InitialVelocity, count_resting_rows, initial_velocity
 
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
 _FIRST_ROWS = 5  # rows from which the zero of a noisy sensor is estimated if only one row is at rest
+_MOVING_STRETCH = 4.0  # times the typical stretch of the belts at the start of a run that begins in motion
 _STRETCH_RESIDUAL = 1.0 / 3.0  # of the belts' stretch under the drives' force, which a linear model leaves
 
 
@@ -304,6 +305,33 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
         Limits, m or rad, shape (sensors,): infinite behind belts, otherwise half a quantization step.
     """
     return np.where(behind, np.inf, quanta / 2)
+
+
+def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Array) -> Array:
+    """Return how far, in a reported error, the zero of each sensor may differ from its estimate by the rows at rest.
+
+    A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported error,
+    the zero accounts only for what the stretch of the belts at the start can cause. The rest of a mean error over the
+    run is an error of the model.
+
+    Args:
+        machine: Machine whose error is reported.
+        initial: Initial state of the run.
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+
+    Returns:
+        Limits, m or rad, shape (sensors,): half a quantization step; behind belts, what `zero_tolerance` permits, and
+        for a run that begins in motion four times the stretch that the drives typically cause.
+    """
+    behind = behind_belts(machine)
+    limits = max_zero_means(np.zeros(len(behind), np.bool_), quanta)
+    if not behind.any():
+        return limits
+    stretched = zero_tolerance(machine, EncoderZeros.of_machine(machine), quanta)
+    if initial.velocity.any():
+        angles = stretch_angles(machine, moving=True)
+        stretched = stretched + _MOVING_STRETCH * np.array([angles.get(s.coordinate, 0.0) for s in machine.sensors])
+    return np.where(behind, stretched, limits)
 
 
 def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:

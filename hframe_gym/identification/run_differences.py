@@ -37,6 +37,7 @@ _CANDIDATES = 3  # quantities that are fitted: those that promise most by the li
 _ITERATIONS = 25
 _TOLERANCE = 1e-3  # relative decrease of the cost below which a fit ends
 _DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+_EQUAL = 0.1  # range of the amounts / their mean below which all runs need the same other value
 _SAME = 0.05  # fraction of the range of the amounts below which two are the same
 _LEAST_FACTOR = 0.05  # of a mass that is reduced
 _STEP = 1e-6  # of finite differences between optimizer variables, which need no simulation
@@ -98,12 +99,20 @@ class RunDifferences(NamedTuple):
             runs' times.
         chi2_before: Chi-squared per sample with one machine for all runs.
         chi2: The same with the differences.
+        shared: Smallest amount, dimensionless: by how much every run departs from the fit that the amounts start from.
     """
 
     quantity: Quantity
     amounts: dict[str, float]
     chi2_before: float
     chi2: float
+    shared: float = 0.0
+
+    @property
+    def differs(self) -> bool:
+        """Whether the runs differ; otherwise the amounts are equal, and all runs need the same other value."""
+        amounts = np.array(list(self.amounts.values()))
+        return bool(np.ptp(amounts) > _EQUAL * abs(self.shared + float(np.mean(amounts))))
 
     @property
     def drifts(self) -> bool:
@@ -124,6 +133,15 @@ class RunDifferences(NamedTuple):
     def __str__(self) -> str:
         """Return a sentence for the user."""
         chi2 = f"chi-squared per sample {self.chi2:.3g} instead of {self.chi2_before:.3g}"
+        if not self.differs:
+            amount = self.shared + float(np.mean(list(self.amounts.values())))
+            change = self.quantity.describe(amount) + ("" if self.quantity.additions else " times the fitted value")
+            return (
+                f"One machine explains all runs with another value of {self.quantity.name} than the fit permits, the "
+                f"same in every run: {change} ({chi2}). That is no difference between runs but a common factor, such "
+                "as a wrong unit of a column or a wrong gain: check the units, the constants of the drives and the "
+                "gear ratios."
+            )
         run = self.different_run
         if run is not None:
             amount = self.amounts[run] - float(np.mean([a for name, a in self.amounts.items() if name != run]))
@@ -153,20 +171,44 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
         criteria: Decision thresholds for what explains the data.
 
     Returns:
-        The quantity with the smallest remaining error, if it explains the data. None if there is no such quantity, if
-        one machine explains all runs, for fewer than three runs, or if the machine diverges.
+        The quantity with the smallest remaining error, if it explains the data and differs between the runs. None if
+        there is no such quantity, if one machine explains all runs, for fewer than three runs, or if the machine
+        diverges.
     """
+    found = [each for each in _explanations(fitted, data, criteria) if each.differs]
+    return min(found, key=lambda each: each.chi2, default=None)
+
+
+def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[str, ...]:
+    """Describe the quantity that explains all runs with values of their own, or with a common one beyond its limits.
+
+    Args:
+        fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
+        data: All runs (times, voltages, measurements, SI).
+        criteria: Decision thresholds for what explains the data.
+
+    Returns:
+        One sentence about a quantity that differs between the runs; if there is none, about a quantity that needs the
+        same other value in all runs; nothing if no quantity explains the runs.
+    """
+    found = _explanations(fitted, data, criteria)
+    best = min(found, key=lambda each: (not each.differs, each.chi2), default=None)
+    return (str(best),) if best else ()
+
+
+def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
+    """Return the quantities that explain all runs with values of their own, whether these differ or not."""
     if len(data.runs) < _MIN_RUNS:
-        return None
+        return []
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
     explained = criteria.explained_chi2 * innovation_variance(common, data)[0]
     if common.chi2 < explained:
-        return None
+        return []
     # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
     model = _ModelByRun(fitted, data)
     start = model.linearize(model.start, Quantity("nothing"))
     if not math.isfinite(start.cost):
-        return None
+        return []
     promising = sorted(_quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity))
     found: list[RunDifferences] = []
     for quantity in promising[:_CANDIDATES]:
@@ -175,8 +217,9 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
             relative = (amounts - amounts.min()).tolist()
             in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
             by_run = {run.name: amount for run, amount in in_time}
-            found.append(RunDifferences(quantity, by_run, common.chi2, cost / data.count))
-    return min(found, key=lambda each: each.chi2, default=None)
+            shared = float(amounts.min())
+            found.append(RunDifferences(quantity, by_run, common.chi2, cost / data.count, shared))
+    return found
 
 
 def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantity]:

@@ -123,6 +123,10 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
 
 
 _SPEED_ROWS, _MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; measured rows of a run
+# Largest jitter, in sampling periods. Times that err uniformly over a whole period have a standard deviation of 0.29;
+# much larger errors would exchange the order of the samples. What looks like more has another cause, such as a sensor
+# that is slower than the log, and must not be taken for noise.
+_LARGEST_JITTER = 0.5
 _FIFTH_DIFFERENCE_VARIANCE = 252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
 
 
@@ -166,8 +170,8 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         noise: Standard deviation of the sensor's noise at rest, m or rad.
 
     Returns:
-        Standard deviation of the sampling time, s. 0 if there are no fast rows or no run of 50 measurements, or if s^2
-        is at most 2 * noise^2, because vibrations may cause such a value.
+        Standard deviation of the sampling time, s. 0 if there are no fast rows or no run of 50 measurements, if s^2 is
+        at most 2 * noise^2, because vibrations may cause such a value, or if it would exceed half a sampling period.
     """
     squares, speeds, travels = [], [], []
     for time_s, values in zip(times, channel, strict=True):
@@ -188,7 +192,9 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         return 0.0
     # The median is robust against shocks; that of a squared Gaussian variable is 0.455 of its variance.
     variance = float(np.median(square[fast])) / 0.455 - noise**2
-    return math.sqrt(variance / float(np.median(speed[fast] ** 2))) if variance > noise**2 else 0.0
+    jitter = math.sqrt(variance / float(np.median(speed[fast] ** 2))) if variance > noise**2 else 0.0
+    period = float(np.median(np.concatenate([np.diff(time_s) for time_s in times])))
+    return jitter if jitter <= _LARGEST_JITTER * period else 0.0
 
 
 def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> Array:

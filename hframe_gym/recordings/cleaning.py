@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..machine import Machine
-from .quantization import quantum_of
+from .quantization import exact_quantum, quantum_of
 from .recording import Recording
 from .table_file import Array
 from .wrapping import without_wraps
@@ -37,8 +37,12 @@ _SPEED_FACTOR = 1.0
 _NOISE_FACTOR = 8.0  # times the declared noise
 _RESOLUTION_FACTOR = 4.0  # times the resolution
 _MIN_CHANGES = 20  # changes of a channel that show whether it is measured in every row
-_LARGE_CHANGE = 3.0  # times the smallest changes (the quantization step); slow motion says nothing
-_REPEATED = 0.9  # fraction of the large changes that a repetition follows
+_LARGE_CHANGE = 3.0  # quantization steps; slow motion says nothing
+_SMALL_CHANGE = 1.5  # quantization steps; a change of one step
+_LEAST_REPEATED = 0.05  # fraction of the rows in motion; single repetitions have other causes, such as a late message
+_NOISY = 0.5  # changes of one step per repetition; noise makes two, a sensor that is held none
+# Ratio of the 90th to the 10th percentile: intervals of a held sensor are alike at any speed, and its changes are not.
+_LARGEST_RATIO = 2.0
 _EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sample have neighbors on one side only
 
 
@@ -120,27 +124,52 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     return bridged
 
 
-def repetitions(values: Array) -> int:
+def repetitions(values: Array) -> float:
     """Estimate in how many successive rows a log repeats each measurement of a sensor.
 
     A sensor that measures less often than a row is logged changes by several quantization steps in one row and not at
-    all in the next. A sensor that measures in every row does not do this during a motion.
+    all in the next. A sensor that measures in every row does not do this: its motion does not stop for one row, and
+    noise that makes two measurements equal makes them differ by a single step about twice as often.
 
     Args:
         values: Measurements of one channel, m or rad, shape (n,), NaN where not measured.
 
     Returns:
-        Median number of rows per measurement during motion; 1 for a sensor that measures in every row, or with fewer
-        than 20 changes of at least three quantization steps.
+        Rows per measurement during motion: their median, or their mean if the median is one row. 1 for a sensor that
+        measures in every row, or with fewer than 20 pairs of successive changes of at least three quantization steps.
     """
-    changes = np.abs(np.diff(values[np.isfinite(values)]))
-    if np.count_nonzero(changes) < _MIN_CHANGES:
-        return 1
-    smallest = float(np.percentile(changes[changes > 0.0], 2))
-    large = np.flatnonzero(changes[:-1] >= _LARGE_CHANGE * smallest)
-    if len(large) < _MIN_CHANGES or np.mean(changes[large + 1] == 0.0) < _REPEATED:
-        return 1
-    return max(1, round(float(np.median(np.diff(large)))))
+    measured = values[np.isfinite(values)]
+    changes = np.abs(np.diff(measured))
+    changed = np.flatnonzero(changes)
+    if len(changed) < _MIN_CHANGES:
+        return 1.0
+    quantum = exact_quantum(measured)
+    sizes, intervals = changes[changed], np.diff(changed)
+    large = sizes >= _LARGE_CHANGE * quantum
+    of_motion = intervals[large[:-1] & large[1:]]  # rows between two large changes
+    repeated = int(np.count_nonzero(of_motion > 1))
+    if len(of_motion) < _MIN_CHANGES or repeated < max(_MIN_CHANGES, _LEAST_REPEATED * len(of_motion)):
+        return 1.0
+    if quantum > 0.0:
+        small = (sizes <= _SMALL_CHANGE * quantum)[1:-1] & large[:-2] & large[2:]
+        if np.count_nonzero(small & (intervals[:-1] == 1) & (intervals[1:] == 1)) > _NOISY * repeated:
+            return 1.0
+    elif not _held_regularly(sizes, intervals):
+        return 1.0
+    middle = float(np.median(of_motion))
+    return middle if middle > 1.0 else float(np.mean(of_motion))
+
+
+def _held_regularly(sizes: Array, intervals: NDArray[np.int_]) -> bool:
+    """Return whether changes of a channel without a quantum come at regular intervals, whatever their size is.
+
+    Steps of a sensor that are not equal are not recognized as a quantum either. In slow motion, they come at intervals
+    that depend on the speed and differ from step to step, and their sizes are similar.
+    """
+    shortest, longest = np.percentile(intervals, [10, 90])
+    smallest, largest = np.percentile(sizes, [10, 90])
+    varying = longest <= _LARGEST_RATIO * shortest and largest > _LARGEST_RATIO * smallest
+    return bool(shortest > 1 and (longest == shortest or varying))
 
 
 def without_repetitions(recording: Recording) -> Recording:
@@ -159,8 +188,9 @@ def without_repetitions(recording: Recording) -> Recording:
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:
-        count, measured = repetitions(values), np.flatnonzero(np.isfinite(values))
-        if count > 1:
+        rows, measured = repetitions(values), np.flatnonzero(np.isfinite(values))
+        if rows > 1:
+            count = round(rows)
             changed = np.append(True, np.diff(values[measured]) != 0.0)
             last_change = np.maximum.accumulate(np.where(changed, np.arange(len(measured)), 0))
             # A sensor at rest measures the same value again after as many rows, give or take some.

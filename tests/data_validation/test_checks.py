@@ -178,7 +178,7 @@ def test_outliers_are_reported_by_run_and_channel_and_are_no_fault(runs: list[Re
 def test_a_sensor_that_is_slower_than_the_log_is_named_once(runs: list[Recording], hframe: Machine) -> None:
     slow = with_column(runs, X, lambda x: x[np.arange(len(x)) // 4 * 4])
     findings = check_before_fit(slow, hframe)
-    [line] = [f for f in findings if "repetitions" in f.message]
+    [line] = [f for f in findings if "repeated between" in f.message]
     assert (line.severity, line.run, line.channel) == ("advice", "", "x_m")
     assert line.message.startswith(f"is measured every 4 rows and repeated between them ({len(runs)} runs)")
     assert faults(findings) == []
@@ -211,6 +211,19 @@ def test_jitter_of_a_few_percent_is_a_note_and_more_is_advice(runs: list[Recordi
     assert [f[0].severity for f in found] == ["note", "note", "advice"]
     assert found[1][0].message == "sampling is irregular, 0.9964 ms with a jitter of 0.085 ms"
     assert check_before_fit(jittered[:1], hframe) == []
+
+
+def test_the_jitter_of_the_clock_is_stated(runs: list[Recording], hframe: Machine) -> None:
+    assert not any("the clock jitters" in f.message for f in check_recordings(runs, hframe))
+    rng = np.random.default_rng(0)
+    jittered = []
+    for run in runs:
+        taken = run.time_s + rng.uniform(-3e-4, 3e-4, len(run.time_s))
+        outputs = np.column_stack([np.interp(taken, run.time_s, values) for values in run.outputs.T])
+        jittered.append(dataclasses.replace(run, outputs=outputs))
+    [line] = [f for f in check_recordings(jittered, hframe) if "the clock jitters" in f.message]
+    assert (line.severity, line.channel) == ("note", "time_s")
+    assert float(line.message.split("by ")[1].split(" ms")[0]) == pytest.approx(0.6 / np.sqrt(12), rel=0.2)
 
 
 def test_an_output_that_was_not_measured_is_advice_and_no_fault(runs: list[Recording], hframe: Machine) -> None:

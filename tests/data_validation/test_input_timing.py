@@ -149,3 +149,18 @@ def test_a_delay_that_is_declared_too_long_is_no_fault_of_the_recordings() -> No
     declared = DECLARED.with_effects(EFFECTS["input_delay"].at("drives", d=2e-3))
     findings = check_before_fit(recordings(RIG, 0), declared)
     assert [f.message for f in findings if f.severity == "fault"] == []
+
+
+def test_measurements_that_are_taken_within_a_row_are_no_fault() -> None:
+    """The sensor is read 0.6 rows after the time of the row: neither the logged nor the shifted voltages fit."""
+    rng = np.random.default_rng(5)
+    runs = []
+    for k in range(3):
+        time_s = np.arange(6000) * 2e-4
+        inputs = np.repeat(rng.uniform(-3.0, 3.0, 120), 50)[:, None]
+        inputs[:500] = 0.0
+        outputs = AXIS.simulate(time_s, inputs).outputs + rng.normal(0.0, 1e-6, (6000, 1))
+        runs.append(Recording(f"run_{k}", time_s[:-5:5], inputs[:-5:5], outputs[3:-2:5]))
+    ((severity, message),) = timing_findings(runs)
+    assert severity == "advice"
+    assert message.startswith("v_V may be logged one row late")

@@ -86,6 +86,16 @@ def test_an_angle_that_wraps_is_unwrapped_with_a_word(hframe: Machine) -> None:
     assert lines == [f"run: phi1_rad wraps {jumps} times at one turn (6.28319 rad) and is unwrapped"]
 
 
+def test_the_repetitions_of_a_slow_sensor_are_not_used_and_named(hframe: Machine) -> None:
+    time_s = np.arange(1000) * 1e-3
+    outputs = np.zeros((1000, 4))
+    outputs[:, 2] = 0.1 * np.sin(6.0 * time_s)[np.arange(1000) // 5 * 5]
+    lines: list[str] = []
+    cleaned = clean_recording(Recording("run", time_s, np.ones((1000, 2)), outputs), hframe, lines.append)
+    assert np.flatnonzero(np.isfinite(cleaned.outputs[:, 2])).tolist() == list(range(0, 1000, 5))
+    assert lines == ["run: x_m is measured every 5 rows; the 800 repeated values are not used"]
+
+
 def test_typical_scales_of_an_axis() -> None:
     """The axis moves over 0.2 m at up to 0.5 m/s; its typical force is a tenth of the force at rated voltage."""
     axis = BUILTIN_MACHINES["axis"]()

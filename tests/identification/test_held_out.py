@@ -61,6 +61,25 @@ def test_every_fourth_run_is_held_out_if_all_are_alike(kind: str, count: int, ex
     assert hold_out(recordings) == tuple(recordings[i].name for i in expected)
 
 
+def with_motion(recording: Recording, size: float) -> Recording:
+    """Return a run with a measured motion and noise of 20 um."""
+    noise = np.random.default_rng(len(recording.name)).normal(0.0, 2e-5, recording.inputs.shape)
+    return dataclasses.replace(recording, outputs=size * np.sin(9.0 * recording.time_s)[:, None] + noise)
+
+
+@pytest.mark.parametrize("still", [(0,), (3,), (0, 1, 3), (1, 2, 3)])
+def test_a_run_in_which_nothing_moves_is_not_held_out(still: tuple[int, ...]) -> None:
+    """A motor turns only above a dead band; the third and fourth of five runs stay below."""
+    recordings = [with_motion(r, 5e-5 if i in still else 0.1) for i, r in enumerate(recorded(["sine"] * 5))]
+    [chosen] = hold_out(recordings)
+    assert chosen not in {recordings[i].name for i in still}
+    with pytest.raises(InputError, match="nothing moves in it, so its error says nothing about the machine"):
+        hold_out(recordings, [recordings[still[0]].name])
+    moving = [r for i, r in enumerate(recordings) if i not in still]
+    with pytest.raises(InputError, match=f"nothing moves except in run {moving[0].name}"):
+        hold_out([moving[0], recordings[still[0]]])
+
+
 KINDS = ("steps", "sine", "multisine", "chirp")
 
 
@@ -118,13 +137,12 @@ def test_noise_of_the_voltages_does_not_change_the_choice(seed: int) -> None:
 
 
 def test_impossible_choices_of_held_out_runs_are_refused() -> None:
-    count = 4
-    recordings: Any = [SimpleNamespace(name=f"r{i}") for i in range(count)]
-    assert hold_out(recordings, ["r0"]) == ("r0",)
+    recordings = recorded(KINDS)
+    assert hold_out(recordings, ["r00_steps"]) == ("r00_steps",)
     with pytest.raises(InputError, match="--hold-out nothing: no such run"):
-        hold_out(recordings, ["r0", "nothing"])
+        hold_out(recordings, ["r00_steps", "nothing"])
     with pytest.raises(InputError, match="at least one must be left to fit"):
-        hold_out(recordings, [f"r{i}" for i in range(count)])
+        hold_out(recordings, [recording.name for recording in recordings])
 
 
 def test_a_single_run_cannot_be_held_out() -> None:

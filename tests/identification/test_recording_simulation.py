@@ -260,3 +260,19 @@ def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine)
         ).deviating_sensors
         == ()
     )  # nothing else measures this motion
+
+
+def test_a_wrong_model_has_no_error_of_the_zero(hframe: Machine) -> None:
+    """The mean error of an encoder that drifts away by 1.4 rad is one of the model, not of the zero."""
+    time_s = np.arange(1500) * 1e-3
+    inputs = np.where(time_s[:, None] > 0.1, [3.0, 3.0], 0.0) * np.sign(np.sin(9 * time_s))[:, None]
+    motion = hframe.simulate(time_s, inputs).outputs
+    drifting = motion.copy()
+    drifting[:, 0] += np.maximum(time_s - 0.1, 0.0)
+    error = simulate_recording(hframe, Recording("run", time_s, inputs, drifting)).error[:, 0]
+    assert abs(error[:100].mean()) < 0.2  # rad; twice what friction can hold
+    assert error[-1] == pytest.approx(1.4, abs=0.2)
+    held = motion.copy()
+    held[:, 0] += 0.05  # rad; stretched belts at rest, which the encoder does not measure
+    error = simulate_recording(hframe, Recording("run", time_s, inputs, held)).error[:, 0]
+    assert np.sqrt(np.mean(error**2)) < 0.01

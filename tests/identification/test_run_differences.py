@@ -10,7 +10,12 @@ from hframe_gym.identification import Dataset, SelectionCriteria, identify, prep
 from hframe_gym.identification.estimation import Fit, fit
 from hframe_gym.identification.free_parameters import default_free_parameters
 from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.run_differences import Quantity, RunDifferences, find_run_differences
+from hframe_gym.identification.run_differences import (
+    Quantity,
+    RunDifferences,
+    describe_run_differences,
+    find_run_differences,
+)
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
 from tests.euler_simulator.stage import EulerStage
@@ -119,6 +124,36 @@ def test_a_single_run_that_differs_is_named(amounts, different):
     assert found.different_run == different
     if different:
         assert f"{np.exp(amounts[2] - amounts[0]):.3g} times that of the others" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("amounts", "shared", "differs"),
+    [([0.0, 0.0, 0.0], 0.9, False), ([0.01, 0.0, 0.02], -1.1, False), ([0.0, 0.2, 0.1], 0.0, True)],
+)
+def test_equal_amounts_are_a_common_factor_and_no_difference(amounts, shared, differs):
+    by_run = {f"run_{i}": amount for i, amount in enumerate(amounts)}
+    quantity = Quantity("the conductance of motor1", {"motor1.Kt": 1.0})
+    found = RunDifferences(quantity, by_run, 10.0, 1.0, shared)
+    assert found.differs == differs
+    assert ("The runs differ" in str(found)) == differs
+    if not differs:
+        factor = f"{np.exp(shared + np.mean(amounts)):.3g} times the fitted value"
+        assert f"the same in every run: {factor}" in str(found)
+        assert "no difference between runs but a common factor, such as a wrong unit" in str(found)
+
+
+def test_a_unit_that_all_runs_share_is_described_as_a_common_factor():
+    """Positions in a unit 4 times too large: no free parameter may change that much, and all runs agree."""
+    motor = BUILTIN_MACHINES["axis"]()
+    rng, runs = np.random.default_rng(2), []
+    for k in range(4):
+        time = np.arange(1500) * 1e-3
+        volts = np.repeat(rng.uniform(-6.0, 6.0, 15), 100)[:, None] * (time > 0.1)[:, None]
+        runs.append(Recording(f"run_{k}", 5.0 * k + time, volts, motor.simulate(time, volts).outputs / 4.0))
+    data = prepare(runs, motor)
+    fitted = fit(motor, default_free_parameters(motor), data, SEARCH_BANDWIDTH)
+    assert find_run_differences(fitted, data, SelectionCriteria()) is None
+    assert not any("The runs differ" in line for line in describe_run_differences(fitted, data, SelectionCriteria()))
 
 
 def test_an_effect_that_all_runs_have_is_no_difference():

@@ -183,3 +183,15 @@ def test_noise_of_a_slow_sensor_comes_from_its_measurements() -> None:
     values = np.full(5000, np.nan)
     values[::5] = rng.normal(0.0, 20e-6, 1000)
     assert sensor_noise([values], [1], 0.0, 0.0) == pytest.approx(20e-6, rel=0.2)
+
+
+def test_a_jitter_of_more_than_half_a_period_is_none() -> None:
+    """A sensor that keeps each value for four rows deviates from a smooth motion by several periods times the speed."""
+    time_s = np.arange(2000) * 1e-3
+    held = np.sin(8.0 * time_s)[np.arange(2000) // 4 * 4]
+    assert clock_jitter([time_s], [held], 1e-5) == 0.0
+    late = time_s + np.random.default_rng(0).uniform(-0.5e-3, 0.5e-3, 2000)
+    assert clock_jitter([time_s], [np.sin(8.0 * late)], 1e-5) == pytest.approx(
+        1e-3 / np.sqrt(12),
+        rel=0.2,  # the median of squares is that of a normal distribution
+    )

@@ -166,3 +166,36 @@ def test_steps_of_an_encoder_that_is_coarser_than_declared_are_no_outliers() -> 
     beyond = coarse.outputs.copy()
     beyond[1000] += 30 * count
     assert np.flatnonzero(outlier_mask(dataclasses.replace(coarse, outputs=beyond), axis)).tolist() == [1000]
+
+
+def test_a_held_sensor_is_found_in_fast_steady_motion() -> None:
+    """Every change is of many steps, so that no change is that of a single one."""
+    time = np.arange(800) * 5e-3
+    x = np.rint(2.0 * np.maximum(time - 0.5, 0.0) ** 1.02 / 2.5e-5) * 2.5e-5  # 400 steps per row
+    assert repetitions(x) == 1.0
+    assert repetitions(held(x, 4)) == 4.0
+
+
+def test_a_sensor_that_measures_in_four_of_five_rows_is_found() -> None:
+    time = np.arange(2000) * 1e-3
+    x = np.rint(0.1 * np.sin(8.0 * time) / 1e-5) * 1e-5
+    last = (np.arange(2000) * 4 // 5 * 5 + 3) // 4  # row of the last measurement
+    assert repetitions(x[np.minimum(last, np.arange(2000))]) == pytest.approx(1.25, abs=0.02)
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.7, 2.5, 30.0])  # quantization steps per row
+@pytest.mark.parametrize("noise", [0.0, 0.5, 2.0])  # quantization steps
+@pytest.mark.parametrize("turning", [True, False])
+def test_a_coarse_or_noisy_sensor_is_not_held(speed: float, noise: float, turning: bool) -> None:
+    rows = np.arange(3000)
+    motion = speed * 200 * np.sin(rows / 200) if turning else speed * rows
+    steps = np.rint(motion + noise * np.random.default_rng(0).standard_normal(3000))
+    assert repetitions(2e-3 * steps) == 1.0
+
+
+def test_unequal_steps_in_slow_motion_are_no_repetitions() -> None:
+    """The lines of a cheap encoder are not equally far apart; at a low speed, its value changes in few rows."""
+    lines = np.cumsum(np.random.default_rng(1).uniform(0.8e-3, 1.2e-3, 500))
+    motion = 0.05 + 0.04 * np.sin(np.arange(4000) / 600)
+    assert repetitions(lines[np.searchsorted(lines, motion)]) == 1.0
+    assert repetitions(lines[np.searchsorted(lines, 5e-5 * np.arange(4000))]) == 1.0
