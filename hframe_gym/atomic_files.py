@@ -29,7 +29,7 @@ _SCRATCH = "hframe_gym-scratch-"
 _POLL_S = 0.01  # a file that another process writes is free after milliseconds
 # Virus scanners and indexers of Windows open new files for less than this; meanwhile these cannot be moved.
 _SCANNER_S = 1.0
-_IN_USE = (5, 32)  # error codes of Windows: access denied, sharing violation
+_ATTEMPTS = 20  # to make a folder that other processes remove
 
 
 class _Stage:
@@ -48,24 +48,25 @@ class _Stage:
         """Create and lock the folder, and remove it in the end; False if another process has locked it."""
         from filelock import FileLock, Timeout  # takes 50 ms, and most commands begin with reading
 
-        lock, free = FileLock(self.lock), True
-        while free and not lock.is_locked:
+        lock, attempts = FileLock(self.lock), 0
+        while not lock.is_locked:
             try:
-                self.path.mkdir(exist_ok=True)
+                self.path.mkdir(parents=True, exist_ok=True)
                 lock.acquire(timeout=-1 if wait else 0, poll_interval=_POLL_S)
             except Timeout:
-                free = False
+                break
             except OSError as error:
-                # Its former owner removed the folder between the two calls; without its parent, it cannot be made.
-                if isinstance(error, FileNotFoundError) and self.path.parent.is_dir():
-                    continue
-                with suppress(OSError):  # not empty
-                    self.path.rmdir()
-                raise
+                attempts += 1
+                removed = isinstance(error, FileNotFoundError | FileExistsError) or _in_use(error)
+                if not removed or attempts == _ATTEMPTS:
+                    with suppress(OSError):  # not empty
+                        self.path.rmdir()
+                    raise
+                time.sleep(_POLL_S)  # its former owner removes the folder in this moment
         try:
-            yield free
+            yield lock.is_locked
         finally:
-            if free:
+            if lock.is_locked:
                 self._remove(lock)
 
     def _remove(self, lock: BaseFileLock) -> None:
@@ -390,7 +391,7 @@ def _move(source: Path, target: Path) -> None:
             else:
                 os.replace(source, target)
         except PermissionError as error:
-            if getattr(error, "winerror", None) not in _IN_USE:
+            if not _in_use(error):
                 raise
             if time.monotonic() > deadline:
                 advice = "close it there and run the command again"
@@ -398,6 +399,11 @@ def _move(source: Path, target: Path) -> None:
             time.sleep(_POLL_S)
         else:
             return
+
+
+def _in_use(error: OSError) -> bool:
+    """Return whether Windows refuses something because a file is open: access denied, or sharing violation."""
+    return getattr(error, "winerror", None) in (5, 32)
 
 
 def _with_parents(path: Path) -> Path:

@@ -8,6 +8,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +29,7 @@ from hframe_gym.atomic_files import (
     write_text,
 )
 from hframe_gym.errors import InputError
+from tests.worker_tasks import write_repeatedly
 
 OLD = {"a.txt": "old a", "gone.txt": "old", "plots/p.txt": "old plot"}
 NEW = {"a.txt": "new a", "added.txt": "new", "plots/p.txt": "new plot"}
@@ -301,6 +305,17 @@ def test_a_commit_from_elsewhere_changes_no_file_outside_its_folder(tmp_path: Pa
     with pytest.raises(InputError, match="link is a link out of this folder; delete"):
         complete_commit(folder)
     assert contents(mine) == OLD
+
+
+@pytest.mark.integration
+def test_writers_that_create_and_remove_stages_at_once_disturb_nobody(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(4, mp_context=get_context("spawn")) as pool:
+        results = list(pool.map(partial(write_repeatedly, tmp_path), range(4)))
+    assert [whole for whole, _ in results] == [100] * 4
+    assert max(refused for _, refused in results) < 100
+    found = contents(tmp_path)
+    assert set(found) == {"same.txt", "batch/a", "batch/b"}
+    assert found["batch/a"] == found["batch/b"]
 
 
 def windows_error(number: int) -> PermissionError:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hframe_gym.atomic_files import output_batch, write_text
 from hframe_gym.errors import InputError
 
 
@@ -33,6 +34,22 @@ def fail(seed: int) -> int:
         raise InputError("seed 1: is wrong")
     time.sleep(0 if seed < 1 else 600)
     return seed
+
+
+def write_repeatedly(folder: Path, writer: int) -> tuple[int, int]:
+    """Write a file and a batch that other processes write too; return how many were written whole, and refused."""
+    whole = refused = 0
+    for _ in range(100):
+        write_text(folder / "same.txt", f"{writer}" * 1000)
+        text = (folder / "same.txt").read_text()
+        whole += len(text) == 1000 and len(set(text)) == 1
+        try:
+            with output_batch(folder / "batch"):
+                for name in ("a", "b"):
+                    write_text(folder / "batch" / name, f"{writer}")
+        except InputError:  # another process has locked the folder
+            refused += 1
+    return whole, refused
 
 
 def announce(folder: str) -> None:
