@@ -77,7 +77,8 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
         span: Length of a window, s.
 
     Returns:
-        Means and derivatives, two rows per window; no rows for a run that is shorter than three windows.
+        Means and derivatives, m or rad, shape (rows, sensors), with two rows per window; no rows for a run that is
+        shorter than three windows.
     """
     time_s = run.time_s - run.time_s[0]
     grid = np.arange(span / 2, time_s[-1] - span / 2, span / _OVERLAP)
@@ -133,7 +134,8 @@ def force_balance(
         input_correction: Matrix that multiplies the inputs, shape (drives, drives).
 
     Returns:
-        The balance. None if the sensors determine no motion, nothing moves, or too few rows are measured.
+        The balance, with ratios of shape (motions,). None if the sensors determine no motion, nothing moves, or too
+        few rows are measured.
     """
     R = _motions(machine)
     if not len(R) or not windows:

@@ -191,7 +191,11 @@ class Dataset:
         return dataclasses.replace(self, runs=tuple(runs))
 
     def describe_jitter(self) -> str:
-        """Describe the jitter of the clock in a clause that follows "the clock"; empty if there is none."""
+        """Describe the jitter of the clock.
+
+        Returns:
+            Clause that follows "the clock", such as "jitters by 0.1 ms ..."; empty if there is no jitter.
+        """
         if not self.jitter:
             return ""
         return (

@@ -135,8 +135,9 @@ def repetitions(values: Array) -> float:
         values: Measurements of one channel, m or rad, shape (n,), NaN where not measured.
 
     Returns:
-        Rows per measurement during motion: their median, or their mean if the median is one row. 1 for a sensor that
-        measures in every row, or with fewer than 20 pairs of successive changes of at least three quantization steps.
+        Rows per measurement during motion, dimensionless: their median, or their mean if the median is one row. 1 for a
+        sensor that measures in every row, or with fewer than 20 pairs of successive changes of at least three
+        quantization steps.
     """
     measured = values[np.isfinite(values)]
     changes = np.abs(np.diff(measured))
