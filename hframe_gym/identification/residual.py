@@ -202,7 +202,7 @@ def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
         data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
-        Forces, N or Nm, disagreements and motion, one entry per run.
+        Forces, N or Nm, disagreements and motion, arrays of shape (n, ...), one entry per run of n samples.
     """
     observed, combinations = _observed_forces(machine, data.period), sensor_combinations(machine, data)
     rng, motions = np.random.default_rng(0), []
