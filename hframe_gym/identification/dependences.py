@@ -290,6 +290,8 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
     if not deviating.any():
         return []
     motions = missing_motions(machine, data)
+    if not all(np.isfinite(array).all() for motion in motions for array in motion):
+        return []  # the prediction diverges
     signals = _Signals(machine, data, motions, _FORCE_HZ, filtered=True)
     if not signals.count:
         return []

@@ -216,3 +216,11 @@ def test_the_error_of_one_sensor_is_named_with_the_sensor(hframe: Machine) -> No
     strongest = rank_dependences(hframe, prepare(runs, hframe))[0]
     assert (strongest.component, strongest.variable) == ("x_m", "position of x")
     assert strongest.explained > 0.8
+
+
+def test_a_prediction_that_diverges_has_no_causes(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = prepare(excited_runs(hframe.with_effects(EFFECTS["quadratic_drag"].at("x", c=20.0)), count=1), hframe)
+    [motion] = missing_motions(hframe, data)
+    diverged = motion._replace(correction=np.full_like(motion.correction, np.nan))
+    monkeypatch.setattr("hframe_gym.identification.dependences.missing_motions", lambda *_: [diverged])
+    assert rank_dependences(hframe, data) == []
