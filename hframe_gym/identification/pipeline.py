@@ -298,7 +298,7 @@ def _result(
     corrected, selected = _corrected(after, outcome.selected, ranges, refined, f"{machine.name}-identified")
     refitted = before.machine.replace(name=f"{machine.name}-refitted")
     declared_evaluation, refitted_evaluation, corrected_evaluation = (
-        evaluate_held_out(m, data, validation, recordings) for m in (machine, refitted, corrected)
+        evaluate_held_out(m, data, validation, recordings, criteria) for m in (machine, refitted, corrected)
     )
     corrected = corrected_evaluation.machine
     experiments = (

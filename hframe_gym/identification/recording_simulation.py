@@ -139,7 +139,9 @@ class SimulatedRecording(NamedTuple):
         return self.trajectory.outputs
 
 
-def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecording:
+def simulate_recording(
+    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None
+) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
     The simulation starts from the most probable state, which is estimated from the measurements at rest and the motion,
@@ -153,6 +155,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     Args:
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
+        criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
 
     Returns:
         Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
@@ -161,8 +164,9 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     Raises:
         NotFiniteError: If the motion diverges.
     """
-    cleaned = _cleaned(recording, machine)
-    initial = _initial_state(machine, cleaned)
+    criteria = criteria or SelectionCriteria()
+    cleaned = _cleaned(recording, machine, criteria)
+    initial = _initial_state(machine, cleaned, criteria)
     motion = simulate(
         machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.zeros, longest_step=POLISH_STEP
     )
@@ -198,10 +202,11 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         simulation diverges, the zeros follow from the measurements at rest. `warnings` lists what could not be
         determined.
     """
-    return _initial_state(machine, _cleaned(recording, machine))
+    criteria = SelectionCriteria()
+    return _initial_state(machine, _cleaned(recording, machine, criteria), criteria)
 
 
-def _cleaned(recording: Recording, machine: Machine) -> Recording:
+def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria) -> Recording:
     """Return a recording without outliers, gaps, and measurements before the machine came to rest.
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
@@ -211,7 +216,7 @@ def _cleaned(recording: Recording, machine: Machine) -> Recording:
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled
     _, _, noise = _rest_and_noise(filled, machine)
-    data = prepare([_without_saturated(machine, usable, noise)], machine)
+    data = prepare([_without_saturated(machine, usable, noise, criteria)], machine)
     (run,) = estimate_lost_voltages(data, machine).runs
     return dataclasses.replace(filled, inputs=run.inputs)
 
@@ -227,10 +232,10 @@ def _rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array,
     return rows, quanta, noise
 
 
-def _initial_state(machine: Machine, recording: Recording) -> InitialState:
+def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCriteria) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
     rows, quanta, noise = _rest_and_noise(recording, machine)
-    usable = _without_saturated(machine, recording, noise)
+    usable = _without_saturated(machine, recording, noise, criteria)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
@@ -259,13 +264,14 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     return dataclasses.replace(initial, zeros=zeros)
 
 
-def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> Recording:
+def _without_saturated(
+    machine: Machine, recording: Recording, noise: Array, criteria: SelectionCriteria
+) -> Recording:
     """Return a recording without saturated measurements.
 
     The machine's effects ``sensor_range`` define where a sensor saturates; other sensors are examined as in
     identification.
     """
-    criteria = SelectionCriteria()
     ends: dict[str, Range] = saturation_ranges([recording], machine, noise, criteria)
     for e in machine.effects:
         if e.name == "sensor_range":
@@ -274,7 +280,11 @@ def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> 
 
 
 def evaluate_held_out(
-    machine: Machine, fitted: Dataset, held_out: Dataset, recordings: Sequence[Recording]
+    machine: Machine,
+    fitted: Dataset,
+    held_out: Dataset,
+    recordings: Sequence[Recording],
+    criteria: SelectionCriteria | None = None,
 ) -> ModelEvaluation:
     """Evaluate a machine on the held-out runs (not fitted): simulate it as ``hframe simulate`` does, and compare.
 
@@ -286,6 +296,7 @@ def evaluate_held_out(
         fitted: Runs that the machine was fitted to (times, voltages, measurements, SI).
         held_out: Runs to evaluate on, as prepared for identification.
         recordings: The recordings of these runs as they were measured; others are ignored.
+        criteria: Thresholds of the identification. Default: `SelectionCriteria()`.
 
     Returns:
         The machine with these zeros, its errors by channel, and its simulation errors (measured minus simulated), m or
@@ -303,7 +314,7 @@ def evaluate_held_out(
         """Return the errors at the rows of a run (n, sensors), warnings about its start, and whether it diverges."""
         recording = measured[run.name]
         try:
-            simulation = simulate_recording(machine, recording)
+            simulation = simulate_recording(machine, recording, criteria)
         except NotFiniteError:
             return np.full(run.outputs.shape, np.nan), run.initial.warnings, True
         error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN
