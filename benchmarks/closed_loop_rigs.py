@@ -70,7 +70,9 @@ def run_rig(folder: Path, truth: tuple[DrawnEffect, ...], *, log: bool = False) 
     report = result.as_json()
     named = {f"{e['name']}@{e['site']}": list(e.get("rivals", ())) for e in report["effects"]}
     names = score_names(truth, result.verdict, named)
-    noise = np.array([s.noise or estimated for s, estimated in zip(declared.sensors, result.held_out.noise, strict=True)])
+    noise = np.array(
+        [s.noise or estimated for s, estimated in zip(declared.sensors, result.held_out.noise, strict=True)]
+    )
     machines = {"declared": declared, "before": result.before.machine, "after": result.after.machine}
     return {
         "rig": folder.name,

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .budget import spend
 from .dataset import Dataset, PreparedRecording, RunObserver
 from .free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from .linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
@@ -154,6 +155,7 @@ def _descend(model: ResidualModel, theta: Array, iterations: int, tolerance: flo
     free, prior = model.free, prior_precision(model.free)
     information, cost = np.zeros((len(free), len(free))), math.inf
     for _ in range(iterations):
+        spend()
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
         if not equations.finite:  # this machine diverges, or one with slightly different parameters

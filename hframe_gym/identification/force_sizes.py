@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,8 +119,33 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
         (torque / pulley radius).
     """
-    machine = fitted.machine
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
+    return _observed_force(fitted.machine, data, bandwidth, lambda run: run.noise)
+
+
+def lacking_force(machine: Machine, data: Dataset) -> float:
+    """Return the root mean square force that a machine lacks during recordings, relative to the force of the drives.
+
+    It is the force of `residue_force` for the widest observer, which tolerates any error of the machine. Only the noise
+    of the sensors at rest is subtracted: jitter of the clock is an estimate from the motion, and an error of the model
+    or a sensor that repeats its measurements may be mistaken for it.
+
+    Args:
+        machine: Machine that predicts.
+        data: Runs, for example held-out ones (times, voltages, measurements, SI).
+
+    Returns:
+        Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges.
+    """
+    force = _observed_force(machine, data, SEARCH_BANDWIDTH, lambda run: np.broadcast_to(data.noise, run.noise.shape))
+    drives = drive_force(machine, data)
+    return force / drives if drives > 0.0 and math.isfinite(force) else math.inf
+
+
+def _observed_force(
+    machine: Machine, data: Dataset, bandwidth: float, noise_of: Callable[[PreparedRecording], Array]
+) -> float:
+    """Return the rms force by which an observer corrects predictions, N, beyond what noise (n, sensors) causes."""
     velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
     mass = np.array([c.mass for c in machine.coordinates])
     # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's innovation.
@@ -129,10 +154,11 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
     def of_run(run: PreparedRecording) -> tuple[Array, Array]:
         motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
         innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
-        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * run.noise**2) @ force_gains**2)
+        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * noise_of(run) ** 2) @ force_gains**2)
 
     correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
-    return math.sqrt(max(force_size(correction) ** 2 - force_size(noise) ** 2, 0.0))
+    square = force_size(correction) ** 2 - force_size(noise) ** 2
+    return math.sqrt(max(square, 0.0)) if math.isfinite(square) else math.inf
 
 
 def force_error(machine: Machine, data: Dataset) -> float | None:

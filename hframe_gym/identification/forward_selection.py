@@ -103,6 +103,7 @@ class EffectSearch:
 
     Attributes:
         considered: Effects that reduced the error but failed a test, by label (name@site).
+        reached: What was selected before the present step; None before the first one.
         data: The recordings; `run` may replace the initial states of their runs by more probable ones.
     """
 
@@ -111,6 +112,7 @@ class EffectSearch:
         self.considered: dict[str, ConsideredEffect] = {}
         # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect passed.
         self._structures_failed = (math.nan, math.inf)
+        self.reached: Selection | None = None
         # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
         self._doubted: tuple[float, Step] | None = None
 
@@ -146,6 +148,7 @@ class EffectSearch:
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
+            self.reached = current, selected
             found = self._next_effect(current)
             extended = self._next_pair(current, selected) if found is None else self._extended(selected, *found)
             if extended is None:

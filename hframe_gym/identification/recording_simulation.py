@@ -21,7 +21,7 @@ from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, prepare
 from .encoder_zeros import EncoderZeros
-from .force_sizes import force_error
+from .force_sizes import force_error, lacking_force
 from .initial_rest import count_resting_rows, without_moving_start
 from .initial_state import measured_initial_state, model_initial_states, refine_encoder_zeros
 from .lost_voltages import estimate_lost_voltages
@@ -49,10 +49,12 @@ class PredictionErrors:
     Attributes:
         channels: Simulation error by output channel.
         force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
+        lacking: rms force that the machine lacks, by an observer, / rms force of the drives; None if it is not known.
     """
 
     channels: dict[str, ChannelError]
     force: float | None
+    lacking: float | None = None
 
     @property
     def noise_ratio(self) -> float:
@@ -60,15 +62,25 @@ class PredictionErrors:
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
 
+    @property
+    def motion_ratio(self) -> float:
+        """Ratio of simulation error to motion, rms over the channels that move; NaN if there is none."""
+        ratios = [error.motion_ratio for error in self.channels.values() if error.motion_ratio is not None]
+        return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
+
     def as_json(self) -> dict[str, Any]:
         """Convert the errors to the format of report.json.
 
         Returns:
-            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit) and "noise_ratio" (rmse
-            / standard deviation of the sensor's noise). In addition "force_error", the relative error of the drives'
-            force, dimensionless, if there is one.
+            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit), "noise_ratio" (rmse
+            / standard deviation of the sensor's noise) and, if it moves, "percent_of_motion" (100 rmse / rms motion). In addition
+            "force_error", the relative error of the drives' force, dimensionless, if there is one.
         """
-        content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
+        content: dict[str, Any] = {
+            channel: {"rmse": error.rmse, "noise_ratio": error.noise_ratio}
+            | ({} if error.motion_ratio is None else {"percent_of_motion": 100.0 * error.motion_ratio})
+            for channel, error in self.channels.items()
+        }
         return content if self.force is None else content | {"force_error": self.force}
 
 
@@ -264,9 +276,7 @@ def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCr
     return dataclasses.replace(initial, zeros=zeros)
 
 
-def _without_saturated(
-    machine: Machine, recording: Recording, noise: Array, criteria: SelectionCriteria
-) -> Recording:
+def _without_saturated(machine: Machine, recording: Recording, noise: Array, criteria: SelectionCriteria) -> Recording:
     """Return a recording without saturated measurements.
 
     The machine's effects ``sensor_range`` define where a sensor saturates; other sensors are examined as in
@@ -324,12 +334,16 @@ def evaluate_held_out(
     results = list(map_runs(simulated, refined))
     errors = {run.name: error for run, (error, *_) in zip(refined.runs, results, strict=True)}
     diverged = tuple(run.name for run, (*_, infinite) in zip(refined.runs, results, strict=True) if infinite)
-    channels = errors_by_channel(list(errors.values()), machine, held_out.noise)
+    channels = errors_by_channel(list(errors.values()), machine, held_out.noise, [run.outputs for run in refined.runs])
     if diverged:  # an error over the other runs would be compared with those of other machines over all runs
         channels = dict.fromkeys(channels, ChannelError(None, None))
     warnings = tuple((run.name, w) for run, (_, texts, _) in zip(refined.runs, results, strict=True) for w in texts)
     return ModelEvaluation(
-        machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings, diverged
+        machine,
+        PredictionErrors(channels, force_error(machine, refined), lacking_force(machine, refined)),
+        errors,
+        warnings,
+        diverged,
     )
 
 

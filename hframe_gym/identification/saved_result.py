@@ -42,12 +42,14 @@ class _ChannelErrors(_Entry):
 
     rmse: FiniteFloat | None
     noise_ratio: FiniteFloat | None
+    percent_of_motion: FiniteFloat | None = None
 
 
 class _Evaluation(_Entry):
     """Errors by channel, and force_error where the machine has one."""
 
     held_out: dict[str, _ChannelErrors | FiniteFloat]
+    missing_force_percent: FiniteFloat | None = None
 
 
 class _ParameterEntry(_Entry):
@@ -140,6 +142,22 @@ class _NotSeparable(_Entry):
     determined: list[_DeterminedSum]
 
 
+class _Hint(_Entry):
+    """What the force that the machine lacks depends on, where no effect is named."""
+
+    component: str
+    variable: str
+    share: FiniteFloat
+    nearest: list[str]
+
+
+class _Unfinished(_Entry):
+    """A search that ended before it was complete."""
+
+    stage: str
+    reason: str
+
+
 class _Report(_Entry):
     """Content of report.json that the report uses."""
 
@@ -160,6 +178,9 @@ class _Report(_Entry):
     next_experiment: _Experiment | None
     seconds: FiniteFloat
     warnings: list[str] = []
+    reason: str = ""
+    hint: _Hint | None = None
+    unfinished: _Unfinished | None = None
     proposed_formulas: list[_TableEntry] = []
 
 
@@ -294,7 +315,7 @@ def _check_report(saved: SavedResult, path: Path) -> None:
             raise _damaged(path, f"proposed_formulas: {table['table']} is not in machine.json")
     for dependence in saved.report["residual"]["depends_on"]:
         names = {dependence["coordinate"], dependence["variable"].partition(" of ")[2] or dependence["coordinate"]}
-        if not names <= set(machine.coordinate_names):
+        if not names <= {*machine.coordinate_names, *(drive.name for drive in machine.drives)}:
             raise _damaged(path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}")
 
 

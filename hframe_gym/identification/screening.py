@@ -26,6 +26,7 @@ from ..dynamics.simulation import Motion, parameter_batch
 from ..effects import EFFECTS, effect_sites
 from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, Machine
+from .budget import spender
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit
 from .force_sizes import TypicalScales
@@ -93,9 +94,10 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     """
     if not candidates:
         return []
-    model = _screening_model(fit, data)
+    model, may_go_on = _screening_model(fit, data), spender()
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
+        may_go_on()
         return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, run, motion))
 
     equations = model.linearize(fit.theta, responses).normal_equations
@@ -313,9 +315,13 @@ def _structure_gains(
     if not simulated:
         return {}
     model, batches = _screening_model(current, data), _batches(simulated, current.machine)
+    may_go_on = spender()
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
-        predicted = [predict(m, run, model.bandwidth, period=data.period, parameters=table) for m, table in batches]
+        predicted = []
+        for machine, parameters in batches:
+            may_go_on()  # new code may have to be compiled for each
+            predicted.append(predict(machine, run, model.bandwidth, period=data.period, parameters=parameters))
         expected = model.residuals(run, motion.readings)
         changes = np.vstack([model.residuals(run, moved.readings) for moved in predicted]) - expected
         return np.where(np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0)  # a variant may diverge

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import share_kernel
 from ..machine import AppliedEffect, Machine
+from .budget import spend
 from .candidates import candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
@@ -79,12 +80,13 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
     best_promise, explaining = 0.0, ""  # largest linearized gain of a candidate that explains the data, and its effect
     promising = _promising(start, ranked, data, enough, criteria)
     share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
-    for scored in promising:
+    for i, scored in enumerate(promising):
         # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
         # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
         fitted = [t.machine.effects[-1].label for t in trials]
         elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
         if elsewhere or scored.gain > criteria.rival_promise * best_promise:
+            spend(f"trial fit {i + 1} of {len(promising)}: {scored.candidate.label}")
             trials = _with_better_shape(trials, fit_with_candidate(start, scored, scales, data))
             if not explaining and unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
                 best_promise, explaining = scored.gain, scored.candidate.effect.name
@@ -125,7 +127,10 @@ def structural_trial_fits(
     # Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
     least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
     fits: list[Fit] = []
-    for machine in screen_structures(current, data, scales, least):
+    spend("screening the effects that replace a part of the model")
+    promising = screen_structures(current, data, scales, least)
+    for i, machine in enumerate(promising):
+        spend(f"trial fit {i + 1} of {len(promising)}: {machine.effects[-1].label}")
         fits = _with_better_shape(fits, _replace(current, machine, scales, data))
     return fits
 
@@ -159,6 +164,7 @@ def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list
         missing_force(current.machine, data),
         slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
     )
+    spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
     return scales, screen(current, proposed, data)
 
 

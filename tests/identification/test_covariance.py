@@ -172,7 +172,7 @@ def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
 
 @pytest.mark.parametrize(("name", "factor"), [("motor.Ke", np.exp(4 * 0.2)), ("x.viscous", np.exp(-4 * 0.7))])
 def test_every_parameter_at_the_limit_of_the_fit_is_reported(axis: Machine, name: str, factor: float) -> None:
-    """Only masses, belt stiffnesses and torque constants were named: a back-EMF that is wrong by a factor was silent."""
+    """Only masses, belt stiffnesses and torque constants were named, not a back-EMF that is wrong by a factor."""
     assert axis.parameters[name] > 0.0
     far = axis.replace({name: axis.parameters[name] * factor})
     (text,) = parameters_at_limit(far, axis).values()
