@@ -154,13 +154,9 @@ def identify(
         difference = find_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
         messages += (str(difference),) if difference else ()
     result = _result(evaluated._replace(outcome=outcome), criteria)
-    unfinished = Unfinished(outcome.unfinished, budget.reason) if outcome.unfinished else None
-    if unfinished:
-        log(f"warning: {unfinished}")
+    unfinished = Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
     result = dataclasses.replace(result, reason=reason, hint=_hint(result), unfinished=unfinished)
     messages += _unexcited(result, outcome.after.bandwidth)
-    for warning in (*messages, *result.limit_warnings, *result.divergence_warnings):
-        log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")

@@ -73,8 +73,8 @@ class PredictionErrors:
 
         Returns:
             By channel name, a dictionary with "rmse" (simulation error, in the channel's unit), "noise_ratio" (rmse
-            / standard deviation of the sensor's noise) and, if it moves, "percent_of_motion" (100 rmse / rms motion). In addition
-            "force_error", the relative error of the drives' force, dimensionless, if there is one.
+            / standard deviation of the noise) and, if it moves, "percent_of_motion" (100 rmse / rms motion). In
+            addition "force_error", the relative error of the drives' force, dimensionless, if there is one.
         """
         content: dict[str, Any] = {
             channel: {"rmse": error.rmse, "noise_ratio": error.noise_ratio}

@@ -104,10 +104,16 @@ class Unfinished(NamedTuple):
     Attributes:
         stage: What it was doing, in words.
         reason: Why it ended, in words.
+        interrupted: Whether the user ended it.
     """
 
     stage: str
     reason: str
+    interrupted: bool = False
+
+    def as_json(self) -> dict[str, str]:
+        """Return the entry "unfinished" of report.json: "stage" and "reason"."""
+        return {"stage": self.stage, "reason": self.reason}
 
     def __str__(self) -> str:
         """Return a sentence for the user."""
@@ -228,7 +234,7 @@ class IdentificationResult:
             "verdict": self.verdict,
             "runs": {"fitted": [r.name for r in self.fitted.runs], "held_out": [r.name for r in self.held_out.runs]},
             "reason": self.reason,
-            "unfinished": self.unfinished._asdict() if self.unfinished else None,
+            "unfinished": self.unfinished.as_json() if self.unfinished else None,
             "contradicting": list(self.contradicting),
             **{stage: {"held_out": error} | self._missing_force(stage) for stage, error in errors.items()},
             "effects": [self._effect(selected) for selected in self.effects],

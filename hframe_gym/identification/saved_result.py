@@ -347,6 +347,17 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
             raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")
 
 
+def _has_workspace(machine: Machine) -> bool:
+    """Return whether controllers can be evaluated on a machine."""
+    from ..envs.workspace import workspace_of
+
+    try:
+        workspace_of(machine)
+    except InputError:
+        return False
+    return True
+
+
 def next_command(verdict: str, machine: Machine, folder: Path) -> str:
     """Return the command that the user should run after an identification, as a suggestion to print.
 
@@ -356,10 +367,11 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
         folder: Folder of the result.
 
     Returns:
-        Command line that evaluates a controller on the machine; for the verdict "unexplained", a command that opens the
-        report, which shows what the residual depends on and what to record next.
+        Command line that evaluates a controller on the machine. For the verdict "unexplained", or a machine for which
+        there are no controllers (it has no tool that moves within a declared range), a command that opens the report,
+        which shows what the residual depends on and what to record next.
     """
-    if verdict == "unexplained":
+    if verdict == "unexplained" or not _has_workspace(machine):
         return f"hframe report {folder} --open"
     randomize = " --randomize identified" if machine.uncertainty else ""
     return f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"
