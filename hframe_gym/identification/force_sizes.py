@@ -32,6 +32,7 @@ _FORCE_DECIMATION = 10
 _FILTER_TRANSIENT_S = 0.05
 _RESOLVED_SPEED = 3.0  # standard deviations of the noise of the speed
 _NO_MOTION = 1e-9  # m or rad, m/s or rad/s, V, A; size where nothing moves or acts, which permits a division
+SESSION = "session"  # key of the duration of all runs together, s, in `TypicalScales.general`
 _CREEP = 1e-12  # m/s or rad/s; a velocity that has a direction only
 
 
@@ -373,4 +374,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
     )
     positions = np.concatenate([motion.positions[0] for motion in motions])
     velocities = np.concatenate([motion.velocities[0] for motion in motions])
-    return scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])
+    scales = scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])
+    # Of all fitted runs on the clock of the rig, which they share.
+    session = max(float(run.time_s[-1]) for run in data.runs) - min(float(run.time_s[0]) for run in data.runs)
+    return dataclasses.replace(scales, general={**scales.general, SESSION: session})

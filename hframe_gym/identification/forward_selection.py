@@ -22,10 +22,11 @@ from .estimation import Fit, describe_gain
 from .model_error import continue_fit, fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SIMULATION, noise_floor
 from .rivals import close_rivals, compare_rivals, rivals_in_combination, selected_first, simplest_first
-from .significance import doubt_about_candidate, doubt_beside_others
+from .significance import doubt_about_candidate, doubt_beside_others, long_run_variance
 from .start_estimation import with_probable_starts
 from .trial_fits import (
     converge,
+    indistinguishable,
     replacement_fit,
     structural_trial_fits,
     trial_fits,
@@ -293,6 +294,32 @@ class EffectSearch:
             if self._doubted is None or gain > self._doubted[0]:
                 self._doubted = gain, (current, selected_first(fitted, trials))
         return None
+
+    def with_indistinguishable(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> tuple[SelectedEffect, ...]:
+        """Add to the rivals of each selected effect those that these runs may not distinguish from it.
+
+        The trial fits of the search show rivals only among the few best candidates of one step. Here all candidates are
+        compared with the effect, to first order, in the machine with all other effects; `settle_rivals` then fits those
+        that may take its place. An effect may do so if the increase of chi-squared is no more than chance causes. That
+        is doubled, because the comparison is of first order.
+
+        Args:
+            current: Fit of the machine with all selected effects.
+            selected: These effects, with their rivals.
+
+        Returns:
+            The same effects with more rivals.
+        """
+        extended = []
+        for s in selected:
+            known = {s.effect.label, *(e.label for e in (*current.machine.effects, *s.rival_effects))}
+            loss = 2.0 * self._criteria.min_chance_gain * long_run_variance(current, s.effect.label, self.data)
+            found = indistinguishable(current, s.effect, loss, self.data) if math.isfinite(loss) else []
+            further = tuple(effect for effect in found if effect.label not in known)
+            if further:
+                self._log(f"  {s.effect.label} resembles {', '.join(e.label for e in further)} in these runs")
+            extended.append(dataclasses.replace(s, rival_effects=(*s.rival_effects, *further)))
+        return tuple(extended)
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Compare each selected effect with its rivals again, in a machine that has all other selected effects.

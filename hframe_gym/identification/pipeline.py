@@ -45,7 +45,7 @@ from .held_out import (
 )
 from .input_timing import with_input_timing
 from .lost_voltages import with_lost_voltages
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, noise_floor
+from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
 from .recording_simulation import ModelEvaluation, PredictionErrors, evaluate_held_out
 from .residual import Dependence, errors_by_channel, white_sensors
 from .result import Hint, IdentificationResult, RejectedEffect, Unfinished
@@ -398,22 +398,16 @@ def _remaining_prediction(evaluated: _Evaluated, names: Sequence[str], criteria:
     """Return the fraction of the squared prediction error that effects leave on some of the held-out runs.
 
     Errors are in units of the noise at rest: jitter of the clock is an estimate from the motion, and a sensor that
-    repeats its measurements may be mistaken for it. The widest observer tolerates any error of the machine; if the fit
-    needs a narrower one, that one counts as well, because it hides less.
+    repeats its measurements may be mistaken for it. The widest observer predicts: it tolerates any error of a machine.
     """
     validation = refine_dataset(evaluated.validation, evaluated.after.machine, evaluated.outcome.data).with_runs(names)
-    quiet = tuple(
-        dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape)) for r in validation.runs
+    quiet = [dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape)) for r in validation.runs]
+    validation = dataclasses.replace(validation, runs=tuple(quiet))
+    after, before = (
+        prediction_cost(model.machine, validation, SEARCH_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
+        for model in (evaluated.after, evaluated.before)
     )
-    validation = dataclasses.replace(validation, runs=quiet)
-    fractions = []
-    for bandwidth in {SEARCH_BANDWIDTH, evaluated.outcome.after.bandwidth}:
-        after, before = (
-            prediction_cost(model.machine, validation, bandwidth, longest_step=POLISH_STEP) / validation.count
-            for model in (evaluated.after, evaluated.before)
-        )
-        fractions.append(remaining(after, before, noise_floor(bandwidth, criteria)))
-    return min(fractions)
+    return remaining(after, before, criteria.one_step_floor)
 
 
 def _without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:

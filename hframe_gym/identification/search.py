@@ -368,6 +368,7 @@ class _Search:
             data = search.data
             search.reached = current, effects
             spend("comparing rivals")
+            effects = search.with_indistinguishable(current, effects)
             current, effects = search.settle_rivals(current, effects)
             search.reached = current, effects
             spend("testing each effect beside the others")
