@@ -18,7 +18,7 @@ from hframe_gym.recordings import Recording
 from tests.identification.axis_results import AXIS
 
 pytestmark = pytest.mark.unit
-RIG = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.05))
+RIG = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.3, vs=0.1))
 
 
 def sines(frequencies: list[list[float]]) -> Dataset:
@@ -45,8 +45,8 @@ def test_one_sine_cannot_tell_friction_over_speed_from_other_friction() -> None:
         return [effect.name for effect in indistinguishable(complete, RIG.effects[0], loss, data)]
 
     single, several = rivals(sines([[1.0]] * 2)), rivals(sines([[1.0], [0.4, 2.3], [0.7, 5.0], [0.3]]))
-    assert single
-    assert len(several) < len(single)
+    assert "tustin_friction" in single
+    assert several == []
 
 
 @pytest.mark.parametrize(
