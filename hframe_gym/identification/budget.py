@@ -103,13 +103,21 @@ class Budget:
             self._progress(self.doing, self.spent, self.seconds)
 
     def check_quietly(self) -> None:
-        """As `check`, without a report of progress."""
+        """Let the search go on, or end it, as `check` does, but without a report of progress.
+
+        Raises:
+            BudgetEndedError: If the time for the search is used up, or the user interrupted.
+        """
         if self.interrupted or self.spent >= _SEARCH_PART * self.seconds:
             raise BudgetEndedError
 
     @contextmanager
     def limiting(self) -> Iterator[None]:
-        """Let `spend` ask this budget within a `with` block."""
+        """Let `spend` ask this budget within a `with` block.
+
+        Yields:
+            Nothing.
+        """
         token = _ACTIVE.set(self)
         self.searching = True
         try:
@@ -136,7 +144,11 @@ def spend(doing: str = "") -> None:
 
 
 def spender() -> Callable[[], None]:
-    """Return a function that other threads may call to ask the budget that is active in this thread."""
+    """Return a function that asks the budget which is active in this thread.
+
+    Returns:
+        Function without arguments for other threads; it raises `BudgetEndedError` as `spend` does.
+    """
     budget = _ACTIVE.get()
     return (lambda: None) if budget is None else budget.check_quietly
 
@@ -145,7 +157,7 @@ def default_budget(recordings: Sequence[Recording], machine: Machine) -> float:
     """Return the processor time that an identification may take by default.
 
     Args:
-        recordings: Runs of one rig.
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
 
     Returns:

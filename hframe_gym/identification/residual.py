@@ -113,10 +113,12 @@ def errors_by_channel(
         by_run: Errors by run, m or rad, NaN where not measured, shape (n, sensors) each.
         machine: Machine with the sensors.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
-        measured: Measurements of the same runs, for the ratio of error and motion. Default: without this ratio.
+        measured: Measurements of the same runs, m or rad, shape (n, sensors) each, for the ratio of error and motion.
+            Default: without this ratio.
 
     Returns:
-        Errors by name of the output channel; None for a channel without measurements.
+        Errors by name of the output channel, m or rad, and dimensionless relative to noise and motion; None for a
+        channel without measurements.
     """
     error = np.concatenate(by_run)
     motions = np.concatenate([_motion(*run) for run in zip(measured, by_run, strict=True)]) if measured else None

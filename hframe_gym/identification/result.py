@@ -94,7 +94,11 @@ class Hint(NamedTuple):
     nearest: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return the entry "hint" of report.json: "component", "variable", "share" and "nearest", a list of labels."""
+        """Return the hint as in report.json.
+
+        Returns:
+            "component", "variable", "share" and "nearest", a list of labels.
+        """
         return self._asdict() | {"share": round(self.share, 4), "nearest": list(self.nearest)}
 
 
@@ -112,7 +116,11 @@ class Unfinished(NamedTuple):
     interrupted: bool = False
 
     def as_json(self) -> dict[str, str]:
-        """Return the entry "unfinished" of report.json: "stage" and "reason"."""
+        """Return the entry "unfinished" of report.json.
+
+        Returns:
+            "stage" and "reason", in words.
+        """
         return {"stage": self.stage, "reason": self.reason}
 
     def __str__(self) -> str:

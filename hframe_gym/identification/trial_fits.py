@@ -177,7 +177,8 @@ def indistinguishable(current: Fit, effect: AppliedEffect, largest_loss: float, 
         current: Fit of the machine with all effects.
         effect: One of them. There is no answer for an effect that adds coordinates or replaces dry friction, or that
             another effect requires.
-        largest_loss: Increase of chi-squared, to first order, up to which the runs do not distinguish effects.
+        largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not distinguish
+            effects.
         data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:

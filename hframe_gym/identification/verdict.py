@@ -53,9 +53,9 @@ def remaining(after: float, before: float, floor: float) -> float:
     """Return which fraction of a mean squared error effects leave, beyond that of an exact machine.
 
     Args:
-        after: Mean squared error with the effects, in units of the noise.
-        before: The same without them.
-        floor: The same of an exact machine.
+        after: Mean squared error with the effects / noise variance, dimensionless.
+        before: The same without them, dimensionless.
+        floor: The same of an exact machine, dimensionless.
 
     Returns:
         Fraction, 0 or more; infinite if the machine with effects diverges, or if it leaves an error where there was
