@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from hframe_gym.cli import app
 from hframe_gym.cli import support as cli_support
-from hframe_gym.cli.support import finishing_on_interrupt, search_progress
+from hframe_gym.cli.support import finishing_on_interrupt, print_warning, search_progress
 from hframe_gym.identification.budget import Budget, spend
 from hframe_gym.recordings import save_machine, write_recording
 from tests.identification.axis_results import AXIS
@@ -129,3 +129,15 @@ def test_progress_is_a_plain_line_every_ten_seconds_where_there_is_no_terminal()
         "  trial fit 22.5 (22 s of at most 120)",
         "  the last (40 s)",
     ]
+
+
+def test_warnings_about_numbers_that_overflow_are_not_for_the_user(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("HFRAME_DEBUG", raising=False)
+    print_warning("overflow encountered in square", RuntimeWarning)
+    print_warning("a length in millimeters?", UserWarning)
+    assert capsys.readouterr().err == "hframe: warning: a length in millimeters?\n"
+    monkeypatch.setenv("HFRAME_DEBUG", "1")
+    print_warning("overflow encountered in square", RuntimeWarning)
+    assert "overflow" in capsys.readouterr().err

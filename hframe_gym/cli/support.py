@@ -217,12 +217,18 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
 
 
-def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None:
+def print_warning(message: Warning | str, category: type[Warning], *_args: Any, **_keywords: Any) -> None:
     """Print a warning of the library as one line on standard error (assigned to `warnings.showwarning`).
 
+    Warnings of NumPy about numbers that overflow are left out: a search tries machines that diverge, and tells so where
+    it matters.
+
     Args:
-        message: The warning; the other arguments of `warnings.showwarning` (category, file, line) are ignored.
+        message: The warning.
+        category: Its class; the other arguments of `warnings.showwarning` (file, line) are ignored.
     """
+    if issubclass(category, RuntimeWarning) and not os.environ.get(DEBUG_VARIABLE):
+        return
     print(f"hframe: warning: {plain_text(' '.join(str(message).split()))}", file=sys.stderr)
 
 

@@ -89,6 +89,8 @@ class Fit:
 def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
+    A fit with the effect may end in a worse minimum: "does not reduce chi-squared per sample (500.5, with it 533.5)".
+
     Args:
         before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that is 0.
         after: Fit with the effect, at the same bandwidth.
@@ -96,6 +98,8 @@ def describe_gain(before: Fit, after: Fit) -> str:
     Returns:
         Text that continues a sentence whose subject is the effect.
     """
+    if not after.chi2 < before.chi2:
+        return f"does not reduce chi-squared per sample ({before.chi2:.4g}, with it {after.chi2:.4g}, {before.mode})"
     return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({before.mode})"
 
 
