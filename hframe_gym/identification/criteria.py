@@ -101,10 +101,10 @@ class SelectionCriteria:
             uncertain initial states and a clock that jitters by some microseconds leave up to 2.
         max_motion_error: Largest simulation error on the held-out runs, relative to the motion, for the verdict
             "no_effect". If the noise is larger, the recordings cannot show whether an effect is missing.
-        max_remaining: Largest fraction of the squared prediction error beyond the noise, on the held-out runs, that
-            effects may leave to be named if they do not explain the fitted runs. The widest observer predicts. Three
-            wrong names for a torque constant that falls with the current left 0.19, two for friction that rises with
-            the time at rest 0.23; Stribeck friction beside a log that misses the voltages between its rows leaves 0.09.
+        max_remaining: Largest fraction of the squared prediction error beyond the noise, on the held-out runs and with
+            an observer of 15 rad/s, that effects may leave to be named if they do not explain the fitted runs. Three
+            wrong names for a torque constant that falls with the current left 0.10, two for friction that rises with
+            the time at rest 0.07; Stribeck friction beside a log that misses the voltages between its rows leaves 0.01.
         max_remaining_explained: The same for effects that explain the fitted runs at the noise and with the observer of
             the fit, where the simulation error counts if it falls more. Each effect was larger than what remains; this
             limit holds where the noise of the fit was estimated too large.
@@ -158,7 +158,7 @@ class SelectionCriteria:
     max_partial_excess: float = 0.25
     max_noise_ratio_explained: float = 2.0
     max_motion_error: float = 0.1
-    max_remaining: float = 0.125
+    max_remaining: float = 0.03
     max_remaining_explained: float = 0.5
     min_saturated_fraction: float = 0.01
     second_end_factor: float = 0.2

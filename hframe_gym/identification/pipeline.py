@@ -45,7 +45,7 @@ from .held_out import (
 )
 from .input_timing import with_input_timing
 from .lost_voltages import with_lost_voltages
-from .prediction import POLISH_STEP, SEARCH_BANDWIDTH
+from .prediction import POLISH_STEP
 from .recording_simulation import ModelEvaluation, PredictionErrors, evaluate_held_out
 from .residual import Dependence, errors_by_channel, white_sensors
 from .result import Hint, IdentificationResult, RejectedEffect, Unfinished
@@ -75,6 +75,7 @@ _UNEXCITED = (
 )
 _WORSENS = "reduces the error of the held-out runs, but they are simulated worse with {} than without effects"
 _CAUSED_ERROR = -1.0  # gain on a held-out run below which effects cause its error: half of the squared error or more
+_JUDGING_BANDWIDTH = 15.0  # rad/s, of the observer with which held-out runs judge effects; decision 0032
 _MAX_NEAREST = 3  # Effects that a hint lists as the nearest of the library.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
@@ -398,16 +399,18 @@ def _remaining_prediction(evaluated: _Evaluated, names: Sequence[str], criteria:
     """Return the fraction of the squared prediction error that effects leave on some of the held-out runs.
 
     Errors are in units of the noise at rest: jitter of the clock is an estimate from the motion, and a sensor that
-    repeats its measurements may be mistaken for it. The widest observer predicts: it tolerates any error of a machine.
+    repeats its measurements may be mistaken for it. The observer is slow enough to show what a missing force does over
+    some tenths of a second, and fast enough that its errors do not add up over the run, where parameters fitted beside
+    a wrong effect compensate for it.
     """
     validation = refine_dataset(evaluated.validation, evaluated.after.machine, evaluated.outcome.data).with_runs(names)
     quiet = [dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape)) for r in validation.runs]
     validation = dataclasses.replace(validation, runs=tuple(quiet))
     after, before = (
-        prediction_cost(model.machine, validation, SEARCH_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
+        prediction_cost(model.machine, validation, _JUDGING_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
         for model in (evaluated.after, evaluated.before)
     )
-    return remaining(after, before, criteria.one_step_floor)
+    return remaining(after, before, 1.0)
 
 
 def _without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:

@@ -33,9 +33,9 @@ def test_no_effect_is_not_said_if_the_noise_is_as_large_as_the_motion() -> None:
 @pytest.mark.parametrize(
     ("explained", "prediction", "left", "named"),
     [
-        (False, 0.19, 687.0, False),  # a torque constant that falls with the current: three wrong names
-        (False, 0.23, 408.0, False),  # friction that rises with the time at rest: two
-        (False, 0.12, 408.0, True),
+        (False, 0.10, 687.0, False),  # a torque constant that falls with the current: three wrong names
+        (False, 0.067, 408.0, False),  # friction that rises with the time at rest: two
+        (False, 0.0097, 66.8, True),  # Stribeck friction, rightly
         (True, 0.49, 50.0, True),
         (True, 0.51, 900.0, False),  # the noise of the fit was too large
         (True, 0.9, 2.5, True),  # an observer hides what the simulation shows
