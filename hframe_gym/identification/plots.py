@@ -201,8 +201,10 @@ def _residual_force(report: Mapping[str, Any], curves: Mapping[str, Array], mach
 
 
 def _with_unit(variable: str, machine: Machine) -> str:
-    """Return a variable's name with its unit: `velocity of x, m/s`, `time, s`, `v1_V`."""
+    """Return a variable's name with its unit: `velocity of x, m/s`, `current of motor1, A`, `time, s`, `v1_V`."""
     what, _, coordinate = variable.partition(" of ")
+    if what == "current":
+        return f"{variable}, A"
     if not coordinate:
         return "time, s" if what == "time" else what
     quantity = {"velocity": "speed", "path": "position"}.get(what, what)
