@@ -70,6 +70,7 @@ class Budget:
             raise InputError(f"budget {seconds}: must be a number of seconds of processor time, 0 or more")
         self.seconds, self.doing, self.interrupted, self.searching = seconds, "", False, False
         self._clock, self._progress = clock, progress
+        self._ended: float | None = None  # time spent when the search ended
         self._began = clock()
 
     @property
@@ -81,7 +82,7 @@ class Budget:
     def reason(self) -> str:
         """Why the search ended before it was complete, in words."""
         if self.interrupted:
-            return f"interrupted after {self.spent:.0f} s of processor time"
+            return f"interrupted after {self.spent if self._ended is None else self._ended:.0f} s of processor time"
         return f"the budget of {self.seconds:.0f} s of processor time ended"
 
     def stop(self) -> None:
@@ -108,7 +109,9 @@ class Budget:
         Raises:
             BudgetEndedError: If the time for the search is used up, or the user interrupted.
         """
-        if self.interrupted or self.spent >= _SEARCH_PART * self.seconds:
+        spent = self.spent
+        if self.interrupted or spent >= _SEARCH_PART * self.seconds:
+            self._ended = spent
             raise BudgetEndedError
 
     @contextmanager

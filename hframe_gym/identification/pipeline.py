@@ -425,13 +425,17 @@ def _without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
 
 
 def _hint(result: IdentificationResult) -> Hint | None:
-    """Return where the missing force acts and on what it depends, and the nearest effects, if none is named."""
+    """Return where the missing force acts and on what it depends, and the nearest effects, if none is named.
+
+    If single sensors deviate although others would show an error of the motion, the first of them is the component.
+    """
     if result.verdict != "unexplained" or not result.dependence:
         return None
     strongest: Dependence = result.dependence[0]
+    component = next(iter(result.after.deviating_sensors), strongest.coordinate)
     nearest = sorted(result.considered, key=lambda entry: -entry.held_out_gain)
     labels = dict.fromkeys(entry.effect.label for entry in nearest if entry.held_out_gain > 0.0)
-    return Hint(strongest.coordinate, strongest.variable, strongest.explained, tuple(labels)[:_MAX_NEAREST])
+    return Hint(component, strongest.variable, strongest.explained, tuple(labels)[:_MAX_NEAREST])
 
 
 def _result(evaluated: _Evaluated, criteria: SelectionCriteria) -> IdentificationResult:

@@ -82,7 +82,7 @@ class Hint(NamedTuple):
     """What the force that a machine lacks depends on, where no effect of the library is named.
 
     Attributes:
-        component: Coordinate on which the force acts.
+        component: Coordinate on which the force acts, or the channel of the sensor that deviates alone.
         variable: Variable on which it depends most, for example "current of motor1".
         share: Fraction of its variance that a curve over this variable explains, beyond noise.
         nearest: Labels (name@site) of effects that describe a part of it: neighbors in kind, no causes.
