@@ -24,6 +24,9 @@ from ..machine import Machine
 from ..recordings import Recording
 
 SECONDS_PER_CORE = 60.0
+# Cores for which there is time at least: simulation code that a computer runs for the first time has to be compiled,
+# which takes up to a minute.
+_LEAST_CORES = 2
 # Rows times coordinates of a normal session. The time of a search grows in proportion to them; 160,000 are eight runs
 # of 5 s at 1 kHz of a machine with four coordinates, whose complete search takes one to three minutes.
 NORMAL_SESSION = 160_000
@@ -164,8 +167,8 @@ def default_budget(recordings: Sequence[Recording], machine: Machine) -> float:
         machine: Machine as declared.
 
     Returns:
-        A minute for each core that is used, s; more in proportion to rows times coordinates beyond a normal session
-        (160,000).
+        A minute for each core that is used, at least two minutes, s; more in proportion to rows times coordinates
+        beyond a normal session (160,000).
     """
     size = sum(len(recording.time_s) for recording in recordings) * len(machine.coordinates)
-    return SECONDS_PER_CORE * threads() * max(1.0, size / NORMAL_SESSION)
+    return SECONDS_PER_CORE * max(threads(), _LEAST_CORES) * max(1.0, size / NORMAL_SESSION)

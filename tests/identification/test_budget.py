@@ -84,11 +84,14 @@ def test_a_budget_is_a_number_of_seconds(seconds: float) -> None:
         Budget(seconds)
 
 
-@pytest.mark.parametrize(("rows", "seconds"), [(1000, 120.0), (NORMAL_SESSION, 120.0), (2 * NORMAL_SESSION, 240.0)])
+@pytest.mark.parametrize(
+    ("rows", "cores", "seconds"),
+    [(1000, 4, 240.0), (NORMAL_SESSION, 4, 240.0), (2 * NORMAL_SESSION, 4, 480.0), (1000, 1, 120.0)],
+)
 def test_the_default_is_a_minute_per_core_and_more_for_long_sessions(
-    monkeypatch: pytest.MonkeyPatch, rows: int, seconds: float
+    monkeypatch: pytest.MonkeyPatch, rows: int, cores: int, seconds: float
 ) -> None:
-    monkeypatch.setattr(module, "threads", lambda: 2)
+    monkeypatch.setattr(module, "threads", lambda: cores)
     half = np.zeros(rows // 2)
     runs = [Recording(f"run_{k}", half, half[:, None], half[:, None]) for k in range(2)]
     assert len(AXIS.coordinates) == 1
