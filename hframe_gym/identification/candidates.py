@@ -250,14 +250,14 @@ def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[f
         scales: Typical sizes at its component, by unit (`TypicalScales`).
 
     Returns:
-        Smallest and largest value, SI; 0 and infinite where the runs set no limit.
+        Smallest and largest value, SI; infinite where the runs set no limit.
     """
     if not covered_by_runs(parameter):
-        return 0.0, np.inf
+        return -np.inf, np.inf
     if parameter.role == "rate":
         return 2 * np.pi * MIN_FORCE_PERIODS / scales.get("position", np.inf), np.inf
     key = "position" if parameter.role == "period" else SESSION if parameter.unit == "s" else parameter.unit
-    return 0.0, scales.get(key, np.inf)
+    return -np.inf, scales.get(key, np.inf)
 
 
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:

@@ -52,13 +52,13 @@ def test_one_sine_cannot_tell_friction_over_speed_from_other_friction() -> None:
 @pytest.mark.parametrize(
     ("name", "parameter", "low", "high"),
     [
-        ("position_friction", "L", 0.0, 0.2),  # a period of at most the travel
-        ("stribeck_friction", "vs", 0.0, 0.5),  # a speed that the runs reach
-        ("tustin_friction", "vs", 0.0, 0.5),
-        ("friction_warm_up", "tau", 0.0, 40.0),  # a time that the session lasts
+        ("position_friction", "L", -np.inf, 0.2),  # a period of at most the travel
+        ("stribeck_friction", "vs", -np.inf, 0.5),  # a speed that the runs reach
+        ("tustin_friction", "vs", -np.inf, 0.5),
+        ("friction_warm_up", "tau", -np.inf, 40.0),  # a time that the session lasts
         ("cogging", "n", 2 * np.pi / 0.2, np.inf),
-        ("electrical_lag", "tau", 0.0, np.inf),
-        ("quadratic_drag", "c", 0.0, np.inf),
+        ("electrical_lag", "tau", -np.inf, np.inf),
+        ("quadratic_drag", "c", -np.inf, np.inf),
     ],
 )
 def test_runs_show_shapes_only_within_their_motion(name: str, parameter: str, low: float, high: float) -> None:
@@ -92,3 +92,18 @@ def test_a_shape_at_the_limit_of_what_the_runs_cover_is_doubted(part: float, dou
     complete = fit(machine, effect_parameters(effect, machine, scales), data, 60.0, iterations=0)
     reason = _at_limit(effect, complete)
     assert ("at the limit of what the runs cover" in reason) == doubted
+
+
+@pytest.mark.parametrize(
+    ("name", "site", "parameter"), [("cable_spring", "x", "q0"), ("voltage_offset", "motor", "V0")]
+)
+def test_what_the_runs_do_not_limit_may_be_negative(name: str, site: str, parameter: str) -> None:
+    data = sines([[1.0], [0.4]])
+    scales = typical_scales(fit(AXIS, default_free_parameters(AXIS), data, 60.0, iterations=1), data)
+    definition = EFFECTS[name]
+    effect = definition.at(site, **{p.name: 0.0 for p in definition.parameters})
+    free = {f.name: f for f in effect_parameters(effect, AXIS.with_effects(effect), scales)}
+    assert free[f"{effect.label}.{parameter}"].lower < 0.0
+    missing = {"x": np.zeros((100, 3))}
+    proposed = [c for c in candidates(AXIS, data, scales, missing) if c.effect.name == "cable_spring"]
+    assert len(proposed) == 3  # the spring is relaxed at the middle or at one of two ends
