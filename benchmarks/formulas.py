@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import time
 from functools import partial
@@ -77,7 +78,9 @@ def measure(session: Session) -> dict[str, Any]:
         recommended formula with its error; times, s.
     """
     began = time.perf_counter()
-    result = identify(session.recordings(), session.machine(), criteria=SelectionCriteria(max_effects=0), log=print)
+    result = identify(
+        session.recordings(), session.machine(), criteria=SelectionCriteria(max_effects=0), log=print, budget=math.inf
+    )
     identified = time.perf_counter()
     comparisons = compare_formulas(result, print)
     write_result(result, session.folder / "result", (), comparisons)

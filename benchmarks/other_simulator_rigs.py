@@ -42,7 +42,7 @@ def _unchanged(rig: Any, sensors: Any) -> Any:
     return rig, sensors
 
 
-def _hidden(label: str, *accepted: str, absorbed: bool = False) -> DrawnEffect:
+def hidden(label: str, *accepted: str, absorbed: bool = False) -> DrawnEffect:
     """Return a hidden effect; `accepted` labels identify one that the library lacks, besides `unexplained`."""
     name, site = label.split("@")
     outside = (*accepted, "") if accepted else ()
@@ -52,19 +52,19 @@ def _hidden(label: str, *accepted: str, absorbed: bool = False) -> DrawnEffect:
 TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
     1: (),
     2: (),
-    3: (_hidden("stribeck_friction@y"),),
-    4: (_hidden("gain_mismatch@motor2", absorbed=True), _hidden("voltage_offset@motor1")),
-    5: (_hidden("cogging@motor1"),),
+    3: (hidden("stribeck_friction@y"),),
+    4: (hidden("gain_mismatch@motor2", absorbed=True), hidden("voltage_offset@motor1")),
+    5: (hidden("cogging@motor1"),),
     # Coulomb friction that differs by direction is a constant force beside the mean friction.
-    6: (_hidden("input_delay@drives"), _hidden("constant_force@x")),
-    7: (_hidden("bridge_yaw@machine"),),
-    8: (_hidden("cable with memory@x", "presliding@x", "*hysteresis*@x", "*memory*@x", "*dahl*@x"),),
-    9: (_hidden("frame resonance@x_m", "*frame*", "*mode*", "*resonance*"),),
-    10: (_hidden("sensor_range@x_m"), _hidden("sensor_range@y_m"), _hidden("eccentric_pulley@motor2")),
-    11: (_hidden("belt_play@belts"), _hidden("stribeck_friction@x")),
-    12: (_hidden("quadratic_drag@x"), _hidden("voltage_offset@motor2")),
-    13: (_hidden("magnetic catch@x", "smooth_force[position of x]@x"),),
-    14: (_hidden("warm-up@machine", *_WARM_UP),),
+    6: (hidden("input_delay@drives"), hidden("constant_force@x")),
+    7: (hidden("bridge_yaw@machine"),),
+    8: (hidden("cable with memory@x", "presliding@x", "*hysteresis*@x", "*memory*@x", "*dahl*@x"),),
+    9: (hidden("frame resonance@x_m", "*frame*", "*mode*", "*resonance*"),),
+    10: (hidden("sensor_range@x_m"), hidden("sensor_range@y_m"), hidden("eccentric_pulley@motor2")),
+    11: (hidden("belt_play@belts"), hidden("stribeck_friction@x")),
+    12: (hidden("quadratic_drag@x"), hidden("voltage_offset@motor2")),
+    13: (hidden("magnetic catch@x", "smooth_force[position of x]@x"),),
+    14: (hidden("warm-up@machine", *_WARM_UP),),
 }
 
 

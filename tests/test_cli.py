@@ -25,7 +25,7 @@ from hframe_gym import agents
 from hframe_gym.cli import control_commands
 from hframe_gym.cli import tables as cli_tables
 from hframe_gym.cli.app import CONTROL_PERIOD
-from hframe_gym.cli.support import log_time_estimate, training_proposal
+from hframe_gym.cli.support import training_proposal
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
@@ -33,7 +33,7 @@ from hframe_gym.envs import TASKS, EnvConfig
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from hframe_gym.recordings import Recording, load_recording, machine_to_dict
+from hframe_gym.recordings import load_recording, machine_to_dict
 from hframe_gym.registry import load_plugins
 
 pytestmark = pytest.mark.integration
@@ -672,15 +672,6 @@ def test_the_proposed_commands_repeat_randomization_and_period(hframe_command: C
     again = hframe_command("train", "ppo", *options, "--steps", 1, "--out", folder)
     assert_refused(again, "holds the agent ppo of machine 'axis', seed 0", "--resume", "--force")
     assert hframe_command("train", "ppo", *options, "--steps", 1, "--force", "--out", folder)[0] == 0
-
-
-def test_the_estimate_of_the_duration_does_not_refuse_a_machine_that_diverges(hframe: Machine) -> None:
-    """Identification uses observers; a command that an amplifier clips need not move the simulated machine as real."""
-    time_s = np.arange(50) * 1e-3
-    wild = Recording("run_1", time_s, np.full((50, 2), 1e6), np.zeros((50, 4)))
-    lines: list[str] = []
-    log_time_estimate([wild], hframe, lines.append)
-    assert lines == []
 
 
 @pytest.mark.parametrize(

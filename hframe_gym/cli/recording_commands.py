@@ -35,20 +35,24 @@ from .support import (
     INTERNAL_ERROR,
     check_recordings_before_fit,
     describe_failure,
-    log_time_estimate,
+    finishing_on_interrupt,
     progress_bar,
     proposed_formulas,
     require_folder,
     require_several_runs,
     rig_folders,
+    search_progress,
 )
 
 if TYPE_CHECKING:
+    from ..data_validation import Finding
     from ..identification import IdentificationResult
+    from ..identification.budget import Progress
     from ..machine import Machine
     from ..recordings import Recording
 
 _Log = Callable[[str], None]
+_INTERRUPTED = 130  # exit code after Ctrl-C, as of every command; the result of the search so far was written
 _Fit = Callable[..., Any]  # `_fit_rig` with the options of the command
 
 
@@ -178,6 +182,14 @@ def identify(
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,
     max_rows: MaxRowsOption = 1_000_000,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Processor time for a rig, s, after which the search ends with the best machine so far (default: a "
+            "minute per core, more for long sessions; 0: refit only).",
+        ),
+    ] = None,
     ray: RayOption = None,
 ) -> None:
     """Fit a machine to recordings; find effects (friction, ...) that its model lacks, and verify them on held-out runs.
@@ -186,7 +198,8 @@ def identify(
     the command before anything is fitted. A held-out run is not used for fitting; the errors in the report are those on
     held-out runs. One of each four runs with similar voltages is held out unless --hold-out names others. The folder
     --out receives report.json, the declared, refitted and corrected machine, report.html and its plots; with several
-    rigs, it receives a folder with these files for each rig.
+    rigs, it receives a folder with these files for each rig. Ctrl-C during the search ends it with what was found so
+    far.
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
@@ -196,7 +209,7 @@ def identify(
     from .tables import identification_table
 
     declared, rigs = load_machine(machine), rig_folders(runs_dir)
-    fit = partial(_fit_rig, declared, hold_out or (), force)
+    fit = partial(_fit_rig, declared, hold_out or (), force, budget)
     with locked_folder(require_folder(out)):
         if rigs or ray is not None:
             outputs = {rig: out / rig.name for rig in rigs} or {runs_dir: out}
@@ -205,14 +218,32 @@ def identify(
             return
         if jobs:
             os.environ["HFRAME_THREADS"] = str(jobs)
-        result, findings = fit(runs_dir, _load_runs(runs_dir, declared, max_rows), log)
+        recordings = _load_runs(runs_dir, declared, max_rows)
+        with search_progress(log) as progress:
+            result, findings = fit(runs_dir, recordings, log, progress)
         contents, problem = _write_rig(result, findings, out, out, log)
         console.print(identification_table(contents, channels := list(declared.output_channels)))
-        log(verdict_sentence(contents, channels))
+        log(f"Result: {verdict_sentence(contents, channels)}")
+        _log_notes(result, findings)
     if problem is not None and not isinstance(problem, ImportError):
         raise problem
     log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
     log(f"Next: {next_command(result.verdict, result.after.machine, out).replace('RUNS', str(runs_dir))}")
+    if result.unfinished is not None and result.unfinished.interrupted:
+        raise typer.Exit(_INTERRUPTED)
+
+
+def _log_notes(result: IdentificationResult, findings: Sequence[Finding]) -> None:
+    """Print what the user should know beside the result: first about the result, then about the recordings."""
+    from ..data_validation import group_findings
+
+    about = [str(result.unfinished)] if result.unfinished else []
+    about += [*result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
+    notes = [*about, *(str(finding) for finding in group_findings(findings) if finding.severity != "fault")]
+    if notes:
+        log(f"Notes ({len(notes)}):")
+        for note in notes:
+            log(f"  - {note}")
 
 
 def _load_runs(folder: Path, machine: Machine, max_rows: int) -> list[Recording]:
@@ -234,25 +265,34 @@ def _runs_or_error(folder: Path, machine: Machine, max_rows: int) -> list[Record
 
 
 def _fit_rig(
-    machine: Machine, hold_out: Sequence[str], force: bool, folder: Path, recordings: list[Recording], log: _Log
-) -> tuple[IdentificationResult, list[str]]:
+    machine: Machine,
+    hold_out: Sequence[str],
+    force: bool,
+    seconds: float | None,
+    folder: Path,
+    recordings: list[Recording],
+    log: _Log,
+    progress: Progress | None = None,
+) -> tuple[IdentificationResult, list[Finding]]:
     """Check and identify the runs of a rig; return the result and the findings about the data."""
     from ..identification import identify as run_identification
+    from ..identification.budget import Budget, default_budget
 
     findings = check_recordings_before_fit(recordings, machine, None if force else folder, log)
-    log_time_estimate(recordings, machine, log)
-    return run_identification(recordings, machine, held_out=hold_out, log=log), findings
+    budget = Budget(default_budget(recordings, machine) if seconds is None else seconds, progress=progress)
+    with finishing_on_interrupt(budget) if progress else nullcontext():  # of several rigs, Ctrl-C ends all
+        return run_identification(recordings, machine, held_out=hold_out, log=log, budget=budget), findings
 
 
 def _write_rig(
-    result: IdentificationResult, findings: list[str], folder: Path, out: Path, log: _Log
+    result: IdentificationResult, findings: Sequence[Finding], folder: Path, out: Path, log: _Log
 ) -> tuple[dict[str, Any], Exception | None]:
     """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
     from ..identification import write_result
     from ..identification.report import build_report
 
     with output_batch(folder):
-        write_result(result, folder, findings, comparisons := proposed_formulas(result, log))
+        write_result(result, folder, list(map(str, findings)), comparisons := proposed_formulas(result, log))
         contents = result.as_json() | {"proposed_formulas": [c.as_json() for c in comparisons]}
         try:
             build_report(folder, out)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import errno
+import math
+import os
 import re
+import signal
 import sys
-import time
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
@@ -18,12 +22,14 @@ from ..operating_system import quoted
 from .app import plain_text
 
 if TYPE_CHECKING:
+    from ..data_validation import Finding
     from ..identification import IdentificationResult
+    from ..identification.budget import Budget
     from ..identification.formulas import TableComparison
     from ..machine import Machine
     from ..recordings import Recording
 
-SIMULATIONS_PER_IDENTIFICATION = 1500  # of all runs; 250 to 2800 in the examples and synthetic rigs
+_SECONDS_BETWEEN_LINES = 10.0  # of processor time, where progress is no line at the bottom of a terminal
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
@@ -219,12 +225,18 @@ def _example(error: Exception) -> str:
     return f"for example: {found[1].strip()}; " if found and type(error).__name__ == "MissingParameter" else ""
 
 
-def print_warning(message: Warning | str, *_args: Any, **_keywords: Any) -> None:
+def print_warning(message: Warning | str, category: type[Warning], *_args: Any, **_keywords: Any) -> None:
     """Print a warning of the library as one line on standard error (assigned to `warnings.showwarning`).
 
+    Warnings of NumPy about numbers that overflow are left out: a search tries machines that diverge, and tells so where
+    it matters.
+
     Args:
-        message: The warning; the other arguments of `warnings.showwarning` (category, file, line) are ignored.
+        message: The warning.
+        category: Its class; the other arguments of `warnings.showwarning` (file, line) are ignored.
     """
+    if issubclass(category, RuntimeWarning) and not os.environ.get(DEBUG_VARIABLE):
+        return
     print(f"hframe: warning: {plain_text(' '.join(str(message).split()))}", file=sys.stderr)
 
 
@@ -252,8 +264,8 @@ def collect_warnings() -> Iterator[list[str]]:
 
 def check_recordings_before_fit(
     recordings: Sequence[Recording], machine: Machine, refuse: Path | None, log: Callable[[str], None]
-) -> list[str]:
-    """Check recordings before an identification, print the findings, and stop if there is a fault.
+) -> list[Finding]:
+    """Check recordings before an identification, print the faults, and stop if there is one.
 
     A fault is a finding that is certainly an error in the data, for example a stuck sensor or a wrong sign.
 
@@ -261,10 +273,10 @@ def check_recordings_before_fit(
         recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
         refuse: Folder of the recordings, which the error names. None: faults are only printed.
-        log: Called with a line of text for every group of similar findings.
+        log: Called with a line of text for every group of similar faults, and for the number of other findings.
 
     Returns:
-        One line of text per finding.
+        All findings.
 
     Raises:
         InputError: If there is a fault and `refuse` is given.
@@ -272,37 +284,75 @@ def check_recordings_before_fit(
     from ..data_validation import check_before_fit, group_findings, refuse_faults
 
     findings = check_before_fit(recordings, machine)
-    for finding in group_findings(findings):
-        log(str(finding))
+    groups = group_findings(findings)
+    others = [finding for finding in groups if finding.severity != "fault"]
+    for finding in groups:
+        if finding.severity == "fault":
+            log(str(finding))
+    if others:
+        log(f"{len(others)} note{'s' if len(others) > 1 else ''} about the recordings; they follow the result")
     if refuse is not None:
         refuse_faults(findings, refuse)
-    return [str(finding) for finding in findings]
+    return findings
 
 
-def log_time_estimate(recordings: Sequence[Recording], machine: Machine, log: Callable[[str], None]) -> None:
-    """Estimate the duration of an identification and print it if it exceeds one minute.
-
-    All runs are simulated once. The estimate is the duration of this simulation times 1500
-    (`SIMULATIONS_PER_IDENTIFICATION`), a typical number of simulations in an identification.
+@contextmanager
+def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float, float], None]]:
+    """Show what a search does during the `with` block: a line at the bottom of a terminal, plain lines elsewhere.
 
     Args:
-        recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
-        machine: Machine as declared.
-        log: Called with a line of text.
+        log: Called with a line of text, where the output is no terminal, at most once in ten seconds of processor time.
+
+    Yields:
+        Function of what the search does, the processor time spent and the budget, s.
     """
-    from ..dynamics import simulate_batch
+    from .app import console
 
-    def simulate(rows: int | None) -> float:
-        begin = time.perf_counter()
-        for recording in recordings:
-            simulate_batch(machine, recording.time_s[:rows], recording.inputs[:rows])  # raises nothing if it diverges
-        return time.perf_counter() - begin
+    def line(doing: str, spent: float, seconds: float) -> str:
+        return f"{doing} ({spent:.0f} s{f' of at most {seconds:.0f}' if math.isfinite(seconds) else ''})"
 
-    simulate(2)  # compiles
-    minutes = SIMULATIONS_PER_IDENTIFICATION * simulate(None) / 60.0
-    rows = sum(len(recording.time_s) for recording in recordings)
-    if minutes > 1.0:
-        log(f"{len(recordings)} runs, {rows} rows: about {minutes:.0f} min (a third to three times that)")
+    if console.is_terminal:
+        with console.status("preparing the recordings") as status:
+            yield lambda *step: status.update(plain_text(line(*step)).replace("[", "\\["))
+        return
+    printed = 0.0
+
+    def print_line(doing: str, spent: float, seconds: float) -> None:
+        nonlocal printed
+        if spent - printed >= _SECONDS_BETWEEN_LINES:
+            printed = spent
+            log(f"  {line(doing, spent, seconds)}")
+
+    yield print_line
+
+
+@contextmanager
+def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
+    """Let the first Ctrl-C during the `with` block end a search with what it found so far; the second one ends all.
+
+    Args:
+        budget: Budget of the identification. While no search is in progress, Ctrl-C ends the command as everywhere.
+
+    Yields:
+        Nothing.
+    """
+    previous = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+        yield
+        return
+
+    def finish(number: int, frame: FrameType | None) -> None:
+        if not budget.searching or budget.interrupted:
+            previous(number, frame)
+            return
+        budget.stop()
+        os.write(2, b"hframe: interrupted; testing what was found so far (Ctrl-C again: end at once)\n")
+
+    signal.signal(signal.SIGINT, finish)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
 
 
 def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:

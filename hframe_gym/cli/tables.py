@@ -30,13 +30,17 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
 
     Returns:
         Table (rich) with one row per channel and three columns: errors of the machine as declared, with refitted
-        parameters, and with the identified effects as well. An error is the root mean square in the channel's unit and,
-        in parentheses, as a multiple of the sensor noise; or the words "diverges" or "not measured". If the report
-        contains it, a last row has the root mean square error of the drives' force divided by the root mean square of
-        this force, %.
+        parameters, and with the identified effects as well. An error is the root mean square and, in parentheses, as a
+        multiple of the sensor noise and in percent of the motion; or the words "diverges" or "not measured". If the
+        report contains it, a last row has the root mean square error of the drives' force divided by the root mean
+        square of this force, %. Below the table: the force that the machines lack.
     """
-    title = "simulation error on held-out recordings: rmse (x: multiple of the sensor noise)"
+    title = "simulation error on held-out recordings: rms (x: multiple of the sensor noise, % of the motion)"
+    lacking = [report[stage].get("missing_force_percent") for stage in ("declared", "before", "after")]
+    forces = ", ".join("unknown" if force is None else f"{number(force)} %" for force in lacking)
+    caption = None if lacking == [None] * 3 else f"missing force (below 10 Hz), of that of the drives: {forces}"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.caption, table.caption_justify = caption, "left"
     table.add_column("channel", overflow="fold")
     for column in ("declared", "before\n(refitted)", "after\n(with effects)"):
         table.add_column(column, justify="right")  # a narrow terminal shows the multiple on a second line
@@ -44,13 +48,21 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     for channel in channels:
         cells = [e[channel] for e in errors]
         absent = "diverges" if any(cell["rmse"] is not None for cell in cells) else "not measured"
-        texts = [
-            absent if cell["rmse"] is None else f"{cell['rmse']:.3g} ({number(cell['noise_ratio'])}x)" for cell in cells
-        ]
+        texts = [absent if cell["rmse"] is None else _error_cell(channel, cell) for cell in cells]
         table.add_row(escape(channel), *texts)
     if "force_error" in errors[0]:
         table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in errors))
     return table
+
+
+def _error_cell(channel: str, error: Mapping[str, Any]) -> str:
+    """Return an rms error in a readable unit, as a multiple of the noise and in percent of the motion."""
+    from ..identification.plots import readable_unit
+
+    factor, unit = readable_unit(channel, error["rmse"])
+    motion = error.get("percent_of_motion")
+    percent = "" if motion is None else f", {number(motion)} %"
+    return f"{number(factor * error['rmse'])} {unit} ({number(error['noise_ratio'])}x{percent})"
 
 
 def score_table(scores: Mapping[str, Any]) -> Table:

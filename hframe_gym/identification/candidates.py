@@ -19,7 +19,7 @@ from ..effects import EFFECTS, effect_sites
 from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, EffectParameter, Machine
 from .dataset import Dataset
-from .force_sizes import TypicalScales
+from .force_sizes import SESSION, TypicalScales
 from .free_parameters import FreeParameter
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_peaks, slow_rates
 from .sensor_properties import UNLIMITED
@@ -29,6 +29,7 @@ _MAX_SHAPES = 64  # Sets of starting values per effect and site.
 _END_FRACTION = 0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
 
 _LEAST_PERIOD_PRIOR = 0.1  # relative
+_ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels
 
 
 @dataclass(frozen=True)
@@ -196,6 +197,10 @@ def _shapes(
             if slow_friction and effect.coulomb:
                 rates = np.concatenate([rates, slow_rates(motion[:, 0])])
             grids[p.name] = [float(rate) if p.role == "rate" else float(2 * np.pi / rate) for rate in rates]
+    limits = {p.name: coverage(p, scales) for p in effect.parameters}
+    for name, values in grids.items():
+        low, high = limits[name]
+        grids[name] = [v for v in values if (1.0 - _ROUNDING) * low <= v <= (1.0 + _ROUNDING) * high]
     shapes = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
     return list(shapes[:_MAX_SHAPES])
 
@@ -220,6 +225,39 @@ def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
         for a, b in choices
         if not (a is None and b is None)
     ]
+
+
+def covered_by_runs(parameter: EffectParameter) -> bool:
+    """Return whether the motion of the runs limits what a parameter of an effect may be, see `coverage`.
+
+    Args:
+        parameter: Parameter of an effect.
+
+    Returns:
+        True for periods and rates, speed scales, and time constants of changes over the session.
+    """
+    return parameter.role in ("period", "rate") or (parameter.role == "shape" and parameter.unit in ("speed", "s"))
+
+
+def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[float, float]:
+    """Return between which values the runs can show a parameter of an effect.
+
+    A period longer than the travel cannot be told from a slope, a speed scale above the highest speed from viscous
+    friction, a time constant longer than the session from a linear change.
+
+    Args:
+        parameter: Parameter of an effect.
+        scales: Typical sizes at its component, by unit (`TypicalScales`).
+
+    Returns:
+        Smallest and largest value, SI; infinite where the runs set no limit.
+    """
+    if not covered_by_runs(parameter):
+        return -np.inf, np.inf
+    if parameter.role == "rate":
+        return 2 * np.pi * MIN_FORCE_PERIODS / scales.get("position", np.inf), np.inf
+    key = "position" if parameter.role == "period" else SESSION if parameter.unit == "s" else parameter.unit
+    return -np.inf, scales.get(key, np.inf)
 
 
 def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
@@ -274,7 +312,7 @@ def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float
 
     They are those of its definition, without values that the recorded motion cannot distinguish from another effect.
     """
-    lower, upper = parameter.lower, min(parameter.upper, parameter.largest * scales.get(parameter.unit, 1.0))
-    if parameter.role == "rate" and "position" in scales:
-        lower = max(lower, 2 * np.pi * MIN_FORCE_PERIODS / scales["position"])
+    least, most = coverage(parameter, scales)
+    lower = max(parameter.lower, least)
+    upper = min(parameter.upper, most, parameter.largest * scales.get(parameter.unit, 1.0))
     return min(lower, value), max(upper, value)

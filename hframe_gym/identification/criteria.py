@@ -96,6 +96,18 @@ class SelectionCriteria:
             noise to less than this fraction of the refitted machine's. It suffices that one of two errors falls so far:
             chi-squared per sample - `one_step_floor` in one-step prediction, or the root mean square error in
             simulation.
+        max_noise_ratio_explained: Largest simulation error on the held-out runs, in multiples of the sensors' noise at
+            rest, that noise explains: the verdict "no_effect" is not given above it. A correct machine reaches 1; its
+            uncertain initial states and a clock that jitters by some microseconds leave up to 2.
+        max_motion_error: Largest simulation error on the held-out runs, relative to the motion, for the verdict
+            "no_effect". If the noise is larger, the recordings cannot show whether an effect is missing.
+        max_remaining: Largest fraction of the squared prediction error beyond the noise, on the held-out runs and with
+            an observer of 15 rad/s, that effects may leave to be named if they do not explain the fitted runs. Three
+            wrong names for a torque constant that falls with the current left 0.10, two for friction that rises with
+            the time at rest 0.07; Stribeck friction beside a log that misses the voltages between its rows leaves 0.01.
+        max_remaining_explained: The same for effects that explain the fitted runs at the noise and with the observer of
+            the fit, where the simulation error counts if it falls more. Each effect was larger than what remains; this
+            limit holds where the noise of the fit was estimated too large.
         min_saturated_fraction: Smallest fraction of all rows near a sensor's largest (or smallest) measurement at which
             the sensor may have reached the end of its range there.
         second_end_factor: If a sensor saturates at one end, factor that reduces `min_saturated_fraction` and
@@ -144,6 +156,10 @@ class SelectionCriteria:
     max_table_cost_fraction: float = 0.1
     max_table_cost_of_several_effects: float = 0.5
     max_partial_excess: float = 0.25
+    max_noise_ratio_explained: float = 2.0
+    max_motion_error: float = 0.1
+    max_remaining: float = 0.03
+    max_remaining_explained: float = 0.5
     min_saturated_fraction: float = 0.01
     second_end_factor: float = 0.2
     saturation_band: float = 8.0

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine import Machine
+from .budget import spend
 from .dataset import Dataset, PreparedRecording, RunObserver
 from .free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from .linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
@@ -88,6 +89,8 @@ class Fit:
 def describe_gain(before: Fit, after: Fit) -> str:
     """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
 
+    A fit with the effect may end in a worse minimum: "does not reduce chi-squared per sample (500.5, with it 533.5)".
+
     Args:
         before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that is 0.
         after: Fit with the effect, at the same bandwidth.
@@ -95,6 +98,8 @@ def describe_gain(before: Fit, after: Fit) -> str:
     Returns:
         Text that continues a sentence whose subject is the effect.
     """
+    if not after.chi2 < before.chi2:
+        return f"does not reduce chi-squared per sample ({before.chi2:.4g}, with it {after.chi2:.4g}, {before.mode})"
     return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({before.mode})"
 
 
@@ -154,6 +159,7 @@ def _descend(model: ResidualModel, theta: Array, iterations: int, tolerance: flo
     free, prior = model.free, prior_precision(model.free)
     information, cost = np.zeros((len(free), len(free))), math.inf
     for _ in range(iterations):
+        spend()
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
         if not equations.finite:  # this machine diverges, or one with slightly different parameters

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,9 +29,14 @@ Array = NDArray[np.float64]
 # As in the EMPS benchmark (Janot, Gautier and Brunot 2019).
 _FORCE_CUTOFF = 100.0  # Hz
 _FORCE_DECIMATION = 10
+# Inertial force that the noise of the sensors may cause, of the drives' rms force. The ball-screw axis of the EMPS
+# benchmark resolves more than 100 Hz, encoders of some hundred lines a turn 10 to 30 Hz.
+_RESOLVED_FORCE = 0.5
+_LOWEST_CUTOFF = 2.0  # Hz; what is slower is friction and load, and hardly any motion of a machine
 _FILTER_TRANSIENT_S = 0.05
 _RESOLVED_SPEED = 3.0  # standard deviations of the noise of the speed
 _NO_MOTION = 1e-9  # m or rad, m/s or rad/s, V, A; size where nothing moves or acts, which permits a division
+SESSION = "session"  # key of the duration of all runs together, s, in `TypicalScales.general`
 _CREEP = 1e-12  # m/s or rad/s; a velocity that has a direction only
 
 
@@ -119,8 +124,33 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
         (torque / pulley radius).
     """
-    machine = fitted.machine
     bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
+    return _observed_force(fitted.machine, data, bandwidth, lambda run: run.noise)
+
+
+def lacking_force(machine: Machine, data: Dataset) -> float:
+    """Return the root mean square force that a machine lacks during recordings, relative to the force of the drives.
+
+    It is the force of `residue_force` for the widest observer, which tolerates any error of the machine. Only the noise
+    of the sensors at rest is subtracted: jitter of the clock is an estimate from the motion, and an error of the model
+    or a sensor that repeats its measurements may be mistaken for it.
+
+    Args:
+        machine: Machine that predicts.
+        data: Runs, for example held-out ones (times, voltages, measurements, SI).
+
+    Returns:
+        Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges.
+    """
+    force = _observed_force(machine, data, SEARCH_BANDWIDTH, lambda run: np.broadcast_to(data.noise, run.noise.shape))
+    drives = drive_force(machine, data)
+    return force / drives if drives > 0.0 and math.isfinite(force) else math.inf
+
+
+def _observed_force(
+    machine: Machine, data: Dataset, bandwidth: float, noise_of: Callable[[PreparedRecording], Array]
+) -> float:
+    """Return the rms force by which an observer corrects predictions, N, beyond what noise (n, sensors) causes."""
     velocity_gains = observer_gains(machine, data.period, bandwidth)[len(machine.coordinates) :]
     mass = np.array([c.mass for c in machine.coordinates])
     # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's innovation.
@@ -129,10 +159,11 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
     def of_run(run: PreparedRecording) -> tuple[Array, Array]:
         motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
         innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
-        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * run.noise**2) @ force_gains**2)
+        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * noise_of(run) ** 2) @ force_gains**2)
 
     correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
-    return math.sqrt(max(force_size(correction) ** 2 - force_size(noise) ** 2, 0.0))
+    square = force_size(correction) ** 2 - force_size(noise) ** 2
+    return math.sqrt(max(square, 0.0)) if math.isfinite(square) else math.inf
 
 
 def force_error(machine: Machine, data: Dataset) -> float | None:
@@ -140,8 +171,11 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
 
     F_drive follows from the voltages. F_model is the force that the machine needs for the motion that the least noisy
     sensor of each coordinate measured (inverse dynamics). Positions are low-pass filtered at 100 Hz without phase lag
-    and differentiated centrally; forces are decimated by ten. Where the motion is too slow for the sensor to resolve,
-    dry friction may have any value within its limits, and the one that makes the error smallest is used.
+    and differentiated centrally; forces are decimated by ten. If the noise of the sensors would cause an inertial force
+    of more than half of that of the drives, positions and forces are filtered at the highest frequency at which it
+    does not: what a coarse sensor does not resolve says nothing about the machine. Where the motion is too slow for the
+    sensor to resolve, dry friction may have any value within its limits, and the one that makes the error smallest is
+    used.
 
     Args:
         machine: Machine to evaluate.
@@ -152,7 +186,8 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     Returns:
         Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
         or a sensor that measures only this coordinate, if an effect other than a delay changes what this sensor
-        measures, if no row is used, or if F_drive is zero in all of them.
+        measures, if no row is used, if F_drive is zero in all of them, or if the sensors resolve forces below 2 Hz
+        only.
 
     References:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
@@ -164,6 +199,9 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     noise = data.noise[sensors] / np.abs(scales)
     delays = Equations(machine).measurement_delays()
     sensor_delays = {name: delays[j] for name, j in zip(machine.coordinate_names, sensors, strict=True)}
+    resolved = _resolved_frequency(machine, data, noise)
+    if resolved < _LOWEST_CUTOFF:
+        return None
     squared_error, squared_force = 0.0, 0.0  # sums over runs, drives and samples
     for run in data.runs:
         measured = run.outputs[:, sensors] / scales
@@ -173,7 +211,7 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         rows = slice(complete[0], complete[-1] + 1)  # a run that began in motion lacks the measurements before its rest
         run = dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows])
         period = float(np.median(np.diff(run.time_s)))
-        cutoff = min(0.45 / period, _FORCE_CUTOFF)  # Hz
+        cutoff = min(0.45 / period, _FORCE_CUTOFF, resolved)  # Hz
         longest_gap = max(0.505 / cutoff, GAP_PERIODS * period)  # s; 1 % more than 5 ms, because times are rounded
         measured = bridge_blanks(measured[rows], run.time_s, longest_gap)
         known = np.asarray(np.isfinite(measured).all(axis=1))
@@ -185,13 +223,32 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         velocity = np.where(np.abs(velocity) < _RESOLVED_SPEED * velocity_noise, 0.0, velocity)
         trim = int(_FILTER_TRANSIENT_S / period)
         known = ndimage.minimum_filter1d(known, 2 * trim + 1)[trim : len(known) - trim : _FORCE_DECIMATION]
+        forces = _inverse_dynamics(machine, run, position, velocity, sensor_delays)
+        if resolved < _FORCE_CUTOFF:  # the forces of the drives have frequencies that the positions now lack
+            low_pass = signal.butter(4, 2 * cutoff * period, output="sos")
+            forces = tuple(signal.sosfiltfilt(low_pass, force, axis=0) for force in forces)
         drive, model = (
-            signal.decimate(force[trim : len(force) - trim], _FORCE_DECIMATION, ftype="fir", axis=0)
-            for force in _inverse_dynamics(machine, run, position, velocity, sensor_delays)
+            signal.decimate(force[trim : len(force) - trim], _FORCE_DECIMATION, ftype="fir", axis=0) for force in forces
         )
         squared_error += float(np.sum((drive - model)[known] ** 2))
         squared_force += float(np.sum(drive[known] ** 2))
     return float(np.sqrt(squared_error / squared_force)) if squared_force else None
+
+
+def _resolved_frequency(machine: Machine, data: Dataset, noise: Array) -> float:
+    """Return the frequency up to which measured positions with that noise (coordinates,) resolve the drives' force, Hz.
+
+    The acceleration of white noise below a cut-off frequency f has the variance (2 pi)^4 2 noise^2 period f^5 / 5.
+    """
+    mass = np.array([c.mass for c in machine.coordinates])
+    drives = {d.coordinate: d.gain for d in machine.drives}
+    voltages = np.sqrt(np.mean(np.concatenate([run.inputs for run in data.runs]) ** 2, axis=0))
+    force = {d.coordinate: drives[d.coordinate] * v for d, v in zip(machine.drives, voltages, strict=True)}
+    largest = _RESOLVED_FORCE * np.array([force[name] for name in machine.coordinate_names]) / mass
+    unit = (2 * np.pi) ** 4 * 2.0 * noise**2 * data.period / 5.0
+    with np.errstate(divide="ignore"):
+        frequency = np.where(largest > 0.0, (largest**2 / unit) ** 0.2, np.inf)
+    return float(np.min(frequency))
 
 
 def _least_noisy_sensors(machine: Machine, data: Dataset) -> list[int]:
@@ -347,4 +404,7 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
     )
     positions = np.concatenate([motion.positions[0] for motion in motions])
     velocities = np.concatenate([motion.velocities[0] for motion in motions])
-    return scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])
+    scales = scales_of_motion(current.machine, positions, velocities, [run.inputs for run in data.runs])
+    # Of all fitted runs on the clock of the rig, which they share.
+    session = max(float(run.time_s[-1]) for run in data.runs) - min(float(run.time_s[0]) for run in data.runs)
+    return dataclasses.replace(scales, general={**scales.general, SESSION: session})

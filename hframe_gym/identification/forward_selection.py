@@ -22,10 +22,11 @@ from .estimation import Fit, describe_gain
 from .model_error import continue_fit, fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
 from .prediction import SIMULATION, noise_floor
 from .rivals import close_rivals, compare_rivals, rivals_in_combination, selected_first, simplest_first
-from .significance import doubt_about_candidate, doubt_beside_others
+from .significance import doubt_about_candidate, doubt_beside_others, long_run_variance
 from .start_estimation import with_probable_starts
 from .trial_fits import (
     converge,
+    indistinguishable,
     replacement_fit,
     structural_trial_fits,
     trial_fits,
@@ -103,6 +104,7 @@ class EffectSearch:
 
     Attributes:
         considered: Effects that reduced the error but failed a test, by label (name@site).
+        reached: What was selected before the present step; None before the first one.
         data: The recordings; `run` may replace the initial states of their runs by more probable ones.
     """
 
@@ -111,6 +113,7 @@ class EffectSearch:
         self.considered: dict[str, ConsideredEffect] = {}
         # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect passed.
         self._structures_failed = (math.nan, math.inf)
+        self.reached: Selection | None = None
         # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
         self._doubted: tuple[float, Step] | None = None
 
@@ -146,6 +149,7 @@ class EffectSearch:
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
         while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
+            self.reached = current, selected
             found = self._next_effect(current)
             extended = self._next_pair(current, selected) if found is None else self._extended(selected, *found)
             if extended is None:
@@ -290,6 +294,32 @@ class EffectSearch:
             if self._doubted is None or gain > self._doubted[0]:
                 self._doubted = gain, (current, selected_first(fitted, trials))
         return None
+
+    def with_indistinguishable(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> tuple[SelectedEffect, ...]:
+        """Add to the rivals of each selected effect those that these runs may not distinguish from it.
+
+        The trial fits of the search show rivals only among the few best candidates of one step. Here all candidates are
+        compared with the effect, to first order, in the machine with all other effects; `settle_rivals` then fits those
+        that may take its place. An effect may do so if the increase of chi-squared is no more than chance causes. That
+        is doubled, because the comparison is of first order.
+
+        Args:
+            current: Fit of the machine with all selected effects.
+            selected: These effects, with their rivals.
+
+        Returns:
+            The same effects with more rivals.
+        """
+        extended = []
+        for s in selected:
+            known = {s.effect.label, *(e.label for e in (*current.machine.effects, *s.rival_effects))}
+            loss = 2.0 * self._criteria.min_chance_gain * long_run_variance(current, s.effect.label, self.data)
+            found = indistinguishable(current, s.effect, loss, self.data) if math.isfinite(loss) else []
+            further = tuple(effect for effect in found if effect.label not in known)
+            if further:
+                self._log(f"  {s.effect.label} resembles {', '.join(e.label for e in further)} in these runs")
+            extended.append(dataclasses.replace(s, rival_effects=(*s.rival_effects, *further)))
+        return tuple(extended)
 
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Compare each selected effect with its rivals again, in a machine that has all other selected effects.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..effects.smooth_table import KNOTS, TABLE_FAMILY, definition
 from ..machine import AppliedEffect, Machine
+from .budget import spend
 from .candidates import Candidate
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording
@@ -211,7 +212,9 @@ def add_tables(
     for _ in range(max_tables):
         scales = typical_scales(current, data)
         # Of the tables with the largest linearized gain, the first that passes cross-validation.
-        ranked = screen(current, table_candidates(current.machine, data, scales, criteria), data)
+        proposals = table_candidates(current.machine, data, scales, criteria)
+        spend(f"screening {len(proposals)} tables of force and friction")
+        ranked = screen(current, proposals, data)
         excess = current.chi2 - criteria.one_step_floor
         min_gain = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
         proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)

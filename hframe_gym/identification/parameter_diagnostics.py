@@ -232,7 +232,7 @@ def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
 
 
 def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
-    """Describe the masses, belt stiffnesses and torque constants that the fit moved to the limit of their range.
+    """Describe the parameters of the machine that the fit moved to the limit of their range.
 
     The limit is 4 prior standard deviations of the value's logarithm from the declared value. A value so far away means
     that the machine file, or a unit or gear ratio of the recordings, is wrong by a factor, or that the machine lacks an
@@ -244,28 +244,37 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
         declared: Machine as it was declared, whose parameters are the centers of the priors.
 
     Returns:
-        By full parameter name, one sentence; empty if no parameter is at its limit.
+        By full parameter name, one sentence; empty if no parameter is at its limit. Masses, belt stiffnesses and torque
+        constants come first: users know them better than friction and back-EMF.
     """
     described = {}
     for parameter in default_free_parameters(declared):
         value = machine.parameters.get(parameter.name)
-        if value is None or parameter.scale is not None or parameter.name.rpartition(".")[2] not in _KNOWN_PARAMETERS:
-            continue
-        if not parameter.at_limit(parameter.theta(value)):
+        if value is None or not parameter.at_limit(parameter.theta(value)):
             continue
         std = (machine.uncertainty.std(parameter.name) if machine.uncertainty else None) or 0.0
         ratio = f"{value / parameter.center:.2g}"
         if abs(value - parameter.center) < _COMPATIBLE_STDS * std:
             described[parameter.name] = (
                 f"the recordings do not determine {parameter.name}: the fit ends at {ratio} +- "
-                f"{std / parameter.center:.2g} times its declared value, which may be the better one"
+                f"{std / abs(parameter.center):.2g} times its declared value, which may be the better one"
             )
-        else:
+        elif _is_known(parameter.name):
             described[parameter.name] = (
                 f"{parameter.name} ends at the limit of the fit, {ratio} times its declared "
                 "value: check the machine file (mass, Kt, resistance, gear ratio) and the units of the recordings"
             )
-    return described
+        else:
+            described[parameter.name] = (
+                f"{parameter.name} ends at the limit of the fit, {ratio} times its declared value: correct the machine "
+                "file if that is possible, because the other parameters compensate for what is beyond the limit"
+            )
+    return dict(sorted(described.items(), key=lambda item: not _is_known(item[0])))
+
+
+def _is_known(name: str) -> bool:
+    """Return whether users know a parameter to within a factor of two."""
+    return name.rpartition(".")[2] in _KNOWN_PARAMETERS
 
 
 def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]]:

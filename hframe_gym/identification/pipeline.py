@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError, merge_run_warnings
 from ..machine import Machine
 from ..recordings import Recording
 from ..registry import load_plugins
+from .budget import Budget, default_budget
 from .covariance import with_uncertainty
 from .criteria import SelectionCriteria
 from .dataset import (
@@ -26,7 +30,7 @@ from .dataset import (
     with_known_positions,
 )
 from .dependences import rank_dependences
-from .estimation import Fit
+from .estimation import Fit, prediction_cost
 from .experiment_design import design_discriminating_experiment
 from .force_sizes import drive_force, effect_force
 from .forward_selection import ConsideredEffect, Log, SelectedEffect
@@ -41,14 +45,16 @@ from .held_out import (
 )
 from .input_timing import with_input_timing
 from .lost_voltages import with_lost_voltages
-from .recording_simulation import evaluate_held_out
-from .residual import white_sensors
-from .result import IdentificationResult, RejectedEffect
+from .prediction import POLISH_STEP
+from .recording_simulation import ModelEvaluation, PredictionErrors, evaluate_held_out
+from .residual import Dependence, errors_by_channel, white_sensors
+from .result import Hint, IdentificationResult, RejectedEffect, Unfinished
 from .run_differences import describe_run_differences
 from .search import SearchOutcome, search_effects
 from .sensor_properties import Range, blank_saturated, range_effects, saturation_ranges
 from .start_estimation import refine_dataset
 from .trial_fits import without_effect
+from .verdict import Evidence, contradiction_of_names, contradiction_of_no_effect, remaining
 
 _CONTRADICTION = (
     "{} is not used: the other runs agree with one machine to within their noise, and no effect explains why this run "
@@ -69,6 +75,8 @@ _UNEXCITED = (
 )
 _WORSENS = "reduces the error of the held-out runs, but they are simulated worse with {} than without effects"
 _CAUSED_ERROR = -1.0  # gain on a held-out run below which effects cause its error: half of the squared error or more
+_JUDGING_BANDWIDTH = 15.0  # rad/s, of the observer with which held-out runs judge effects; decision 0033
+_MAX_NEAREST = 3  # Effects that a hint lists as the nearest of the library.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
@@ -80,6 +88,7 @@ def identify(
     held_out: Sequence[str] = (),
     criteria: SelectionCriteria | None = None,
     log: Log | None = None,
+    budget: float | Budget | None = None,
 ) -> IdentificationResult:
     """Identify the effects (deviations such as friction curves or backlash) that a machine's model lacks.
 
@@ -92,6 +101,10 @@ def identify(
         held_out: Names of the runs to evaluate on. Default: one of each four similar runs, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text after each part of the work. Default: nothing is reported.
+        budget: Processor time that the identification may take, s (all threads together). When most of it is used up,
+            the search ends, what it found is tested and evaluated as usual, and `unfinished` of the result says what it
+            was doing; the refit is always completed. The result depends on the budget only then. 0: refit only;
+            `math.inf`: no limit. Default: a minute per core, more for long sessions (`budget.default_budget`).
 
     Returns:
         Verdict ("effect_found", "no_effect", or "unexplained" if an error remains that no effect explains), the three
@@ -111,22 +124,39 @@ def identify(
     require_rows(recordings)
     held_names = hold_out(recordings, held_out)
     require_motion([recording for recording in recordings if recording.name not in held_names])
+    if not isinstance(budget, Budget):
+        budget = Budget(default_budget(recordings, machine) if budget is None else budget)
+    if math.isfinite(budget.seconds):
+        rows = sum(len(recording.time_s) for recording in recordings)
+        log(f"{len(recordings)} runs, {rows} rows: at most about {budget.seconds:.0f} s of processor time")
     cleaned = [clean_recording(recording, machine, log) for recording in recordings]
     all_runs, ranges = _prepare(cleaned, machine, criteria, log)
-    search = partial(_search, machine, all_runs, criteria=criteria, log=log)
+    search = partial(_search, machine, all_runs, criteria=criteria, log=log, budget=budget)
     checked = search(held_names)
-    hint = () if checked.outcome.selected or held_out else _effects_of_differing_runs(checked, search, log)
+    complete = not checked.outcome.selected and not held_out and not checked.outcome.unfinished
+    hint = _effects_of_differing_runs(checked, search, log) if complete else ()
     agreeing = checked.held_out.with_runs([r.name for r in checked.held_out.runs if r.name not in checked.differing])
     outcome = with_input_timing(_without_unconfirmed(checked.outcome, agreeing, log), agreeing, criteria, log)
     messages: tuple[str, ...] = (_CONTRADICTION.format(outcome.contradiction),) if outcome.contradiction else ()
     messages += (*map(_HELD_OUT_CONTRADICTION.format, checked.differing), *hint)
+    evaluated = _evaluated(
+        outcome, machine, ranges, with_all_measurements(checked.held_out, cleaned), recordings, criteria
+    )
+    reason = _contradiction(evaluated, checked.differing, criteria)
+    if reason and outcome.selected:
+        for s in outcome.selected:
+            log(f"  {s.effect.label} is not named: {reason}")
+        outcome = _without_names(outcome, reason)
+        evaluated = _evaluated(outcome, machine, ranges, evaluated.validation, recordings, criteria)
+        reason = _contradiction(evaluated, checked.differing, criteria) or reason
+    if reason:
+        outcome = outcome._replace(verdict="unexplained")
     if messages or outcome.verdict == "unexplained":
         messages += describe_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
-    validation = with_all_measurements(checked.held_out, cleaned)
-    result = _result(outcome, machine, ranges, validation, recordings, criteria)
+    result = _result(evaluated._replace(outcome=outcome), criteria)
+    unfinished = Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
+    result = dataclasses.replace(result, reason=reason, hint=_hint(result), unfinished=unfinished)
     messages += _unexcited(result, outcome.after.bandwidth)
-    for warning in (*messages, *result.limit_warnings, *result.divergence_warnings):
-        log(f"warning: {warning}")
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
@@ -151,7 +181,13 @@ class _CheckedOutcome(NamedTuple):
 
 
 def _search(
-    machine: Machine, all_runs: Dataset, held_names: Sequence[str], *, criteria: SelectionCriteria, log: Log
+    machine: Machine,
+    all_runs: Dataset,
+    held_names: Sequence[str],
+    *,
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
 ) -> _CheckedOutcome:
     """Search for effects in the runs that are not held out, and compare the result with those that are."""
     fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
@@ -167,7 +203,7 @@ def _search(
             log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
         return not differing
 
-    outcome = search_effects(machine, data, criteria, log, confirmed=confirmed)
+    outcome = search_effects(machine, data, criteria, log, confirmed=confirmed, budget=budget)
     differing = _contradicting_held_out_runs(outcome, held_out)
     return _CheckedOutcome(outcome, held_out, differing, (*unused, *excluded))
 
@@ -285,33 +321,139 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
     return outcome._replace(verdict=verdict, after=after, selected=selected, considered=considered)
 
 
-def _result(
+class _Evaluated(NamedTuple):
+    """Outcome of a search with the three machines, simulated over the held-out runs.
+
+    Attributes:
+        outcome: Outcome of the search, with its effects, or those that saturated sensors show.
+        selected: These effects, with the values of the corrected machine.
+        declared: Machine as declared.
+        before: Refitted machine.
+        after: Machine with the effects.
+        refined: Fitted runs with the initial states that follow from this machine.
+        validation: Held-out runs.
+    """
+
+    outcome: SearchOutcome
+    selected: tuple[SelectedEffect, ...]
+    declared: ModelEvaluation
+    before: ModelEvaluation
+    after: ModelEvaluation
+    refined: Dataset
+    validation: Dataset
+
+
+def _evaluated(
     outcome: SearchOutcome,
     machine: Machine,
     ranges: dict[str, Range],
     validation: Dataset,
     recordings: Sequence[Recording],
     criteria: SelectionCriteria,
-) -> IdentificationResult:
-    """Evaluate declared, refitted and corrected machine on the held-out runs, and propose an experiment."""
-    before, after, data = outcome.before, outcome.after, outcome.data
-    refined = refine_dataset(data, after.machine)
-    corrected, selected = _corrected(after, outcome.selected, ranges, refined, f"{machine.name}-identified")
-    refitted = before.machine.replace(name=f"{machine.name}-refitted")
-    declared_evaluation, refitted_evaluation, corrected_evaluation = (
-        evaluate_held_out(m, data, validation, recordings) for m in (machine, refitted, corrected)
+) -> _Evaluated:
+    """Simulate the declared, the refitted and the corrected machine over the held-out runs."""
+    refined = refine_dataset(outcome.data, outcome.after.machine)
+    corrected, selected = _corrected(outcome.after, outcome.selected, ranges, refined, f"{machine.name}-identified")
+    refitted = outcome.before.machine.replace(name=f"{machine.name}-refitted")
+    declared, before, after = (
+        evaluate_held_out(m, outcome.data, validation, recordings, criteria) for m in (machine, refitted, corrected)
     )
-    corrected = corrected_evaluation.machine
+    return _Evaluated(outcome, selected, declared, before, after, refined, validation)
+
+
+def _contradiction(evaluated: _Evaluated, differing: Sequence[str], criteria: SelectionCriteria) -> str:
+    """Return why the held-out runs contradict the verdict of the search, a clause; "" if they do not."""
+    outcome = evaluated.outcome
+    if not outcome.selected and outcome.verdict != "no_effect":
+        return ""
+    evidence = _evidence(evaluated, differing, criteria)
+    if outcome.selected:
+        return contradiction_of_names(evidence, outcome.explained, criteria)
+    return contradiction_of_no_effect(evidence, criteria)
+
+
+def _evidence(evaluated: _Evaluated, differing: Sequence[str], criteria: SelectionCriteria) -> Evidence:
+    """Return what the held-out runs that do not contradict the fitted ones say; all of them if all contradict."""
+    runs = evaluated.validation.runs
+    agreeing = [run for run in runs if run.name not in differing] or list(runs)
+
+    def errors(model: ModelEvaluation) -> PredictionErrors:
+        by_run, measured = [model.errors[run.name] for run in agreeing], [run.outputs for run in agreeing]
+        channels = errors_by_channel(by_run, model.machine, evaluated.validation.noise, measured)
+        return PredictionErrors(channels, None, model.held_out.lacking)
+
+    def finite(value: float | None) -> float:
+        return math.inf if value is None or not math.isfinite(value) else value
+
+    before, after = errors(evaluated.before), errors(evaluated.after)
+    motion = after.motion_ratio
+    return Evidence(
+        left=finite(after.noise_ratio),
+        left_before=finite(before.noise_ratio),
+        motion=0.0 if math.isnan(motion) else motion,  # nothing moves
+        lacking=finite(after.lacking),
+        remaining_prediction=_remaining_prediction(evaluated, [run.name for run in agreeing], criteria),
+    )
+
+
+def _remaining_prediction(evaluated: _Evaluated, names: Sequence[str], criteria: SelectionCriteria) -> float:
+    """Return the fraction of the squared prediction error that effects leave on some of the held-out runs.
+
+    Errors are in units of the noise at rest: jitter of the clock is an estimate from the motion, and a sensor that
+    repeats its measurements may be mistaken for it. The observer is slow enough to show what a missing force does over
+    some tenths of a second, and fast enough that its errors do not add up over the run, where parameters fitted beside
+    a wrong effect compensate for it.
+    """
+    validation = refine_dataset(evaluated.validation, evaluated.after.machine, evaluated.outcome.data).with_runs(names)
+    quiet = [dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape)) for r in validation.runs]
+    validation = dataclasses.replace(validation, runs=tuple(quiet))
+    after, before = (
+        prediction_cost(model.machine, validation, _JUDGING_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
+        for model in (evaluated.after, evaluated.before)
+    )
+    return remaining(after, before, 1.0)
+
+
+def _without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
+    """Return an outcome whose effects are listed as considered instead of named."""
+    entries = (
+        ConsideredEffect(s.effect, outcome.after.machine, outcome.before.machine, f"is not named: {reason}")
+        for s in outcome.selected
+    )
+    return outcome._replace(
+        verdict="unexplained", after=outcome.before, selected=(), considered=(*entries, *outcome.considered)
+    )
+
+
+def _hint(result: IdentificationResult) -> Hint | None:
+    """Return where the missing force acts and on what it depends, and the nearest effects, if none is named.
+
+    If single sensors deviate although others would show an error of the motion, the first of them is the component.
+    """
+    if result.verdict != "unexplained" or not result.dependence:
+        return None
+    strongest: Dependence = result.dependence[0]
+    component = strongest.component or next(iter(result.after.deviating_sensors), strongest.coordinate)
+    nearest = sorted(result.considered, key=lambda entry: -entry.held_out_gain)
+    labels = dict.fromkeys(entry.effect.label for entry in nearest if entry.held_out_gain > 0.0)
+    return Hint(component, strongest.variable, strongest.explained, tuple(labels)[:_MAX_NEAREST])
+
+
+def _result(evaluated: _Evaluated, criteria: SelectionCriteria) -> IdentificationResult:
+    """Collect the result of an evaluated outcome, and propose an experiment."""
+    outcome, selected, refined = evaluated.outcome, evaluated.selected, evaluated.refined
+    before, after, data = outcome.before, outcome.after, outcome.data
+    corrected = evaluated.after.machine
     experiments = (
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
     )
-    validation = refine_dataset(validation, corrected, data)
+    validation = refine_dataset(evaluated.validation, corrected, data)
     drives = drive_force(corrected, data)
     return IdentificationResult(
         verdict="effect_found" if selected and outcome.verdict == "no_effect" else outcome.verdict,
-        declared=declared_evaluation,
-        before=refitted_evaluation,
-        after=corrected_evaluation,
+        declared=evaluated.declared,
+        before=evaluated.before,
+        after=evaluated.after,
         effects=selected,
         gains={s.effect.label: held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
         considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in outcome.considered),

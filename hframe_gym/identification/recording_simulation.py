@@ -21,7 +21,7 @@ from ..recordings import Recording, fill_gaps, only_measurements
 from .criteria import SelectionCriteria
 from .dataset import Dataset, PreparedRecording, prepare
 from .encoder_zeros import EncoderZeros
-from .force_sizes import force_error
+from .force_sizes import force_error, lacking_force
 from .initial_rest import count_resting_rows, without_moving_start
 from .initial_state import measured_initial_state, model_initial_states, refine_encoder_zeros
 from .lost_voltages import estimate_lost_voltages
@@ -50,10 +50,12 @@ class PredictionErrors:
     Attributes:
         channels: Simulation error by output channel.
         force: rms error of the drives' force by inverse dynamics / rms force; None for example with belts.
+        lacking: rms force that the machine lacks, by an observer, / rms force of the drives; None if it is not known.
     """
 
     channels: dict[str, ChannelError]
     force: float | None
+    lacking: float | None = None
 
     @property
     def noise_ratio(self) -> float:
@@ -61,15 +63,25 @@ class PredictionErrors:
         ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
 
+    @property
+    def motion_ratio(self) -> float:
+        """Ratio of simulation error to motion, rms over the channels that move; NaN if there is none."""
+        ratios = [error.motion_ratio for error in self.channels.values() if error.motion_ratio is not None]
+        return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
+
     def as_json(self) -> dict[str, Any]:
         """Convert the errors to the format of report.json.
 
         Returns:
-            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit) and "noise_ratio" (rmse
-            / standard deviation of the sensor's noise). In addition "force_error", the relative error of the drives'
-            force, dimensionless, if there is one.
+            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit), "noise_ratio" (rmse
+            / standard deviation of the noise) and, if it moves, "percent_of_motion" (100 rmse / rms motion). In
+            addition "force_error", the relative error of the drives' force, dimensionless, if there is one.
         """
-        content: dict[str, Any] = {c: {"rmse": e.rmse, "noise_ratio": e.noise_ratio} for c, e in self.channels.items()}
+        content: dict[str, Any] = {
+            channel: {"rmse": error.rmse, "noise_ratio": error.noise_ratio}
+            | ({} if error.motion_ratio is None else {"percent_of_motion": 100.0 * error.motion_ratio})
+            for channel, error in self.channels.items()
+        }
         return content if self.force is None else content | {"force_error": self.force}
 
 
@@ -140,7 +152,9 @@ class SimulatedRecording(NamedTuple):
         return self.trajectory.outputs
 
 
-def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecording:
+def simulate_recording(
+    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None
+) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
     The simulation starts from the most probable state, which is estimated from the measurements at rest and the motion,
@@ -154,6 +168,7 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     Args:
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
+        criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
 
     Returns:
         Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
@@ -162,8 +177,9 @@ def simulate_recording(machine: Machine, recording: Recording) -> SimulatedRecor
     Raises:
         NotFiniteError: If the motion diverges.
     """
-    cleaned = _cleaned(recording, machine)
-    initial = _initial_state(machine, cleaned)
+    criteria = criteria or SelectionCriteria()
+    cleaned = _cleaned(recording, machine, criteria)
+    initial = _initial_state(machine, cleaned, criteria)
     motion = simulate(
         machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.zeros, longest_step=POLISH_STEP
     )
@@ -199,10 +215,11 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         as rounding and the stretch of the belts at the start explain it. If the simulation diverges, the zeros follow
         from the measurements at rest. `warnings` lists what could not be determined.
     """
-    return _initial_state(machine, _cleaned(recording, machine))
+    criteria = SelectionCriteria()
+    return _initial_state(machine, _cleaned(recording, machine, criteria), criteria)
 
 
-def _cleaned(recording: Recording, machine: Machine) -> Recording:
+def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria) -> Recording:
     """Return a recording without outliers, gaps, and measurements before the machine came to rest.
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
@@ -212,7 +229,7 @@ def _cleaned(recording: Recording, machine: Machine) -> Recording:
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled
     _, _, noise = _rest_and_noise(filled, machine)
-    data = prepare([_without_saturated(machine, usable, noise)], machine)
+    data = prepare([_without_saturated(machine, usable, noise, criteria)], machine)
     (run,) = estimate_lost_voltages(data, machine).runs
     return dataclasses.replace(filled, inputs=run.inputs)
 
@@ -228,10 +245,10 @@ def _rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array,
     return rows, quanta, noise
 
 
-def _initial_state(machine: Machine, recording: Recording) -> InitialState:
+def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCriteria) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
     rows, quanta, noise = _rest_and_noise(recording, machine)
-    usable = _without_saturated(machine, recording, noise)
+    usable = _without_saturated(machine, recording, noise, criteria)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
@@ -261,13 +278,12 @@ def _initial_state(machine: Machine, recording: Recording) -> InitialState:
     return dataclasses.replace(initial, zeros=zeros)
 
 
-def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> Recording:
+def _without_saturated(machine: Machine, recording: Recording, noise: Array, criteria: SelectionCriteria) -> Recording:
     """Return a recording without saturated measurements.
 
     The machine's effects ``sensor_range`` define where a sensor saturates; other sensors are examined as in
     identification.
     """
-    criteria = SelectionCriteria()
     ends: dict[str, Range] = saturation_ranges([recording], machine, noise, criteria)
     for e in machine.effects:
         if e.name == "sensor_range":
@@ -276,7 +292,11 @@ def _without_saturated(machine: Machine, recording: Recording, noise: Array) -> 
 
 
 def evaluate_held_out(
-    machine: Machine, fitted: Dataset, held_out: Dataset, recordings: Sequence[Recording]
+    machine: Machine,
+    fitted: Dataset,
+    held_out: Dataset,
+    recordings: Sequence[Recording],
+    criteria: SelectionCriteria | None = None,
 ) -> ModelEvaluation:
     """Evaluate a machine on the held-out runs (not fitted): simulate it as ``hframe simulate`` does, and compare.
 
@@ -288,6 +308,7 @@ def evaluate_held_out(
         fitted: Runs that the machine was fitted to (times, voltages, measurements, SI).
         held_out: Runs to evaluate on, as prepared for identification.
         recordings: The recordings of these runs as they were measured; others are ignored.
+        criteria: Thresholds of the identification. Default: `SelectionCriteria()`.
 
     Returns:
         The machine with these zeros, its errors by channel, and its simulation errors (measured minus simulated), m or
@@ -305,7 +326,7 @@ def evaluate_held_out(
         """Return the errors at the rows of a run (n, sensors), warnings about its start, and whether it diverges."""
         recording = measured[run.name]
         try:
-            simulation = simulate_recording(machine, recording)
+            simulation = simulate_recording(machine, recording, criteria)
         except NotFiniteError:
             return np.full(run.outputs.shape, np.nan), run.initial.warnings, True
         error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN
@@ -315,12 +336,16 @@ def evaluate_held_out(
     results = list(map_runs(simulated, refined))
     errors = {run.name: error for run, (error, *_) in zip(refined.runs, results, strict=True)}
     diverged = tuple(run.name for run, (*_, infinite) in zip(refined.runs, results, strict=True) if infinite)
-    channels = errors_by_channel(list(errors.values()), machine, held_out.noise)
+    channels = errors_by_channel(list(errors.values()), machine, held_out.noise, [run.outputs for run in refined.runs])
     if diverged:  # an error over the other runs would be compared with those of other machines over all runs
         channels = dict.fromkeys(channels, ChannelError(None, None))
     warnings = tuple((run.name, w) for run, (_, texts, _) in zip(refined.runs, results, strict=True) for w in texts)
     return ModelEvaluation(
-        machine, PredictionErrors(channels, force_error(machine, refined)), errors, warnings, diverged
+        machine,
+        PredictionErrors(channels, force_error(machine, refined), lacking_force(machine, refined)),
+        errors,
+        warnings,
+        diverged,
     )
 
 

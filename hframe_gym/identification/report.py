@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from ..atomic_files import output_batch
 from ..effects.smooth_table import TABLE_FAMILY
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import BUILTIN_MACHINES, Machine
 from ..web_page import number, write_page
 from .parameter_diagnostics import parameter_doubts, sum_text
 from .plots import readable_unit, report_panels, save_plots, slow_fractions
@@ -115,16 +116,54 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
         single = len(report["effects"]) == 1
         change = "rises" if (errors["after"] or 0.0) > (refitted or np.inf) else "falls"  # None: it diverges
         subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
-        return (
+        found = (
             f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
             f"{change} from {before} to {after} {unit}.{_remainder(report)}"
         )
+        return " ".join([*_left_in_words(report), found, *_unfinished(report)])
     if report["verdict"] == "no_effect":
         remainder = _remainder(report)
         start = f"No effect {'was found' if remainder else 'is missing'}: with refitted parameters, the error of the"
-        return f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
+        found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
+        return " ".join([found, *([] if remainder else _left_in_words(report)), *_unfinished(report)])
     text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
-    return " ".join([text, *_dependence_sentences(report)])
+    why = [f"Why no other verdict is given: {report['reason']}."] if report.get("reason") else []
+    parts = [
+        text,
+        *_left_in_words(report),
+        *why,
+        *_dependence_sentences(report),
+        *_nearest(report),
+        *_unfinished(report),
+    ]
+    return " ".join(parts)
+
+
+def _left_in_words(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about the error that is left in the user's terms, if it is known."""
+    errors = report["after"]["held_out"]
+    motions = [e["percent_of_motion"] for e in errors.values() if isinstance(e, dict) and e.get("percent_of_motion")]
+    force = report["after"].get("missing_force_percent")
+    if report.get("left") is None or not (motions or force):
+        return []
+    parts = [f"{number(report['left'])} times the sensors' noise, {_largest_position_error(errors)}"]
+    if motions:
+        parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
+    if force:
+        parts.append(f"a missing force of {number(force)} % of that of the drives")
+    return [f"Left on the held-out runs: {'; '.join(parts)}."]
+
+
+def _nearest(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about the effects of the library that describe a part of the missing force."""
+    labels = (report.get("hint") or {}).get("nearest")
+    return [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
+
+
+def _unfinished(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about a search that ended early."""
+    unfinished = report.get("unfinished")
+    return [f"The search is not complete: {unfinished['reason']} ({unfinished['stage']})."] if unfinished else []
 
 
 def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float | None:
@@ -195,9 +234,15 @@ def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
         rmse, ratio = error["rmse"], error["noise_ratio"]
         row[stage] = {
             "size": absent if rmse is None else f"{number(factor * rmse)} {unit}",
-            "ratio": "" if ratio is None else f"{number(ratio)} × noise",
+            "ratio": "" if ratio is None else f"{number(ratio)} × noise{_percent_of_motion(error)}",
         }
     return row
+
+
+def _percent_of_motion(error: Mapping[str, Any]) -> str:
+    """Return an error in percent of the motion, or "" if the channel does not move."""
+    percent = error.get("percent_of_motion")
+    return "" if percent is None else f", {number(percent)} % of the motion"
 
 
 def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:
@@ -304,7 +349,7 @@ def _next_steps(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str,
     if report["next_experiment"]:
         why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
         text = f"{why} Apply the voltages of {folder / file}, record the run, and identify again with it."
-        steps.append({"text": text, "command": f"hframe identify RUNS --out {folder}"})
+        steps.append({"text": text, "command": _again(saved, folder)})
     elif causes := [(kind, e) for kind in _NO_EXPERIMENT for e in effects if e[kind]]:
         kind, effect = causes[0]
         text = f"{_NO_EXPERIMENT[kind]} {effect['name']} at {effect['site']} from {effect[kind][0]}."
@@ -317,10 +362,25 @@ def _next_steps(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str,
             "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it, "
             "slow and fast, of one axis at a time and over the full travel, and identify again with them."
         )
-        return [*steps, {"text": text, "command": f"hframe identify RUNS --out {folder}"}]
+        return [*steps, {"text": text, "command": _again(saved, folder)}]
     which = "corrected" if effects else "refitted"
+    command = next_command(report["verdict"], saved.machine, folder)
     text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
-    return [*steps, {"text": text, "command": next_command(report["verdict"], saved.machine, folder)}]
+    if not command.startswith("hframe evaluate"):
+        text = (
+            f"Simulate the {which} machine with other inputs (it has no workspace in which a controller is evaluated)."
+        )
+        command = (
+            f"hframe simulate --machine {shlex.quote(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv"
+        )
+    return [*steps, {"text": text, "command": command}]
+
+
+def _again(saved: SavedResult, folder: Path) -> str:
+    """Return the command that identifies further runs of the same machine."""
+    known = saved.declared == BUILTIN_MACHINES["hframe"]()
+    machine = "" if known else f" --machine {shlex.quote(str(folder / 'declared.json'))}"
+    return f"hframe identify RUNS{machine} --out {shlex.quote(str(folder))}"
 
 
 def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]:

@@ -40,6 +40,7 @@ _WHITENESS_BLOCK_S = 0.02
 _HEAT_S = 2.0  # time constant of a winding's heat; small motors have 1 to 30 s, recordings last a few seconds
 _CONTACT_M = 0.3e-3  # travel after which the contacts of two surfaces are renewed; 0.01 to 1 mm
 _SLOW = 0.03  # of the rms speed; below, the direction of a measured velocity is uncertain
+_MOVES = 3.0  # rms motion over noise beyond which a channel moves
 _WHITE = 0.6  # standard deviation of block means, in units of the noise
 
 
@@ -49,10 +50,13 @@ class ChannelError(NamedTuple):
     Attributes:
         rmse: Root mean square error, in the channel's unit (m or rad).
         noise_ratio: The same divided by the standard deviation of the sensor's noise.
+        motion_ratio: The same divided by the rms motion, the deviation of the measurements from their mean in each run;
+            None also if nothing moves.
     """
 
     rmse: float | None
     noise_ratio: float | None
+    motion_ratio: float | None = None
 
 
 class Dependence(NamedTuple):
@@ -108,19 +112,24 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
     )
 
 
-def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -> dict[str, ChannelError]:
+def errors_by_channel(
+    by_run: Sequence[Array], machine: Machine, noise: Array, measured: Sequence[Array] = ()
+) -> dict[str, ChannelError]:
     """Return the root mean square of given simulation errors over all runs, for every output channel.
 
     Args:
         by_run: Errors by run, m or rad, NaN where not measured, shape (n, sensors) each.
         machine: Machine with the sensors.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+        measured: Measurements of the same runs, m or rad, shape (n, sensors) each, for the ratio of error and motion.
+            Default: without this ratio.
 
     Returns:
-        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
-        same divided by the standard deviation of the sensor's noise. Both are None for a channel without measurements.
+        Errors by name of the output channel, m or rad, and dimensionless relative to noise and motion; None for a
+        channel without measurements.
     """
     error = np.concatenate(by_run)
+    motions = np.concatenate([_motion(*run) for run in zip(measured, by_run, strict=True)]) if measured else None
     errors = {}
     for j, channel in enumerate(machine.output_channels):
         column = error[:, j][np.isfinite(error[:, j])]
@@ -128,8 +137,18 @@ def errors_by_channel(by_run: Sequence[Array], machine: Machine, noise: Array) -
             errors[channel] = ChannelError(None, None)
             continue
         rmse = float(np.sqrt(np.mean(column**2)))
-        errors[channel] = ChannelError(rmse, rmse / float(noise[j]))
+        motion = 0.0 if motions is None else float(np.sqrt(np.nanmean(motions[:, j] ** 2)))
+        # A channel that rests measures its noise alone.
+        ratio = rmse / motion if motion > _MOVES * float(noise[j]) else None
+        errors[channel] = ChannelError(rmse, rmse / float(noise[j]), ratio)
     return errors
+
+
+def _motion(outputs: Array, error: Array) -> Array:
+    """Return the deviations of the measurements (n, sensors) from their mean, NaN where there is no error."""
+    values = np.where(np.isfinite(error), outputs, np.nan)
+    known = np.isfinite(values)
+    return np.asarray(values - np.where(known, values, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
 
 
 def _innovations(

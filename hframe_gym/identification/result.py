@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,59 @@ def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+class Hint(NamedTuple):
+    """What the force that a machine lacks depends on, where no effect of the library is named.
+
+    Attributes:
+        component: Coordinate on which the force acts, or the channel of the sensor that deviates alone.
+        variable: Variable on which it depends most, for example "current of motor1".
+        share: Fraction of its variance that a curve over this variable explains, beyond noise.
+        nearest: Labels (name@site) of effects that describe a part of it: neighbors in kind, no causes.
+    """
+
+    component: str
+    variable: str
+    share: float
+    nearest: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the hint as in report.json.
+
+        Returns:
+            "component", "variable", "share" and "nearest", a list of labels.
+        """
+        return self._asdict() | {"share": round(self.share, 4), "nearest": list(self.nearest)}
+
+
+class Unfinished(NamedTuple):
+    """A search that ended before it was complete.
+
+    Attributes:
+        stage: What it was doing, in words.
+        reason: Why it ended, in words.
+        interrupted: Whether the user ended it.
+    """
+
+    stage: str
+    reason: str
+    interrupted: bool = False
+
+    def as_json(self) -> dict[str, str]:
+        """Return the entry "unfinished" of report.json.
+
+        Returns:
+            "stage" and "reason", in words.
+        """
+        return {"stage": self.stage, "reason": self.reason}
+
+    def __str__(self) -> str:
+        """Return a sentence for the user."""
+        return (
+            f"The search is not complete: {self.reason} ({self.stage}). Effects and tables that would have followed "
+            "were not tried, so the verdict is that of what was found until then. A larger --budget continues."
+        )
+
+
 @dataclass(frozen=True)
 class IdentificationResult:
     """Result of `identify`.
@@ -103,6 +156,10 @@ class IdentificationResult:
         criteria: Decision thresholds that were used.
         excluded: One sentence for each run that was not used, or that was held out and contradicts the fitted ones.
         contradicting: Names of the held-out runs that contradict the fitted ones.
+        reason: Why the held-out runs do not permit another verdict than "unexplained", in words with numbers; "" if the
+            search itself found no explanation, or one was found.
+        hint: What the missing force depends on, if no effect is named and it depends on something.
+        unfinished: What the search was doing when its budget ended; None if it is complete.
     """
 
     verdict: Verdict
@@ -122,6 +179,9 @@ class IdentificationResult:
     criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
     excluded: tuple[str, ...] = ()
     contradicting: tuple[str, ...] = ()
+    reason: str = ""
+    hint: Hint | None = None
+    unfinished: Unfinished | None = None
 
     @property
     def explained(self) -> float:
@@ -181,8 +241,10 @@ class IdentificationResult:
             "schema": SCHEMA,
             "verdict": self.verdict,
             "runs": {"fitted": [r.name for r in self.fitted.runs], "held_out": [r.name for r in self.held_out.runs]},
+            "reason": self.reason,
+            "unfinished": self.unfinished.as_json() if self.unfinished else None,
             "contradicting": list(self.contradicting),
-            **{stage: {"held_out": error} for stage, error in errors.items()},
+            **{stage: {"held_out": error} | self._missing_force(stage) for stage, error in errors.items()},
             "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
                 "depends_on": [
@@ -200,12 +262,18 @@ class IdentificationResult:
             "explained": _finite_or_none(self.explained),
             "left": _finite_or_none(self.left),
             "left_in_others": _finite_or_none(self.left_in_others),
+            "hint": self.hint.as_json() if self.hint else None,
             "considered": [entry.as_json() for entry in self.considered],
             "not_separable": [group.as_json(machine) for group in groups],
             "next_experiment": self.experiment.as_json() if self.experiment else None,
             "seconds": round(self.seconds, 2),
             "criteria": self.criteria.as_json(),
         }
+
+    def _missing_force(self, stage: str) -> dict[str, float | None]:
+        """Return the force that a machine lacks on the held-out runs in percent of that of the drives, by its key."""
+        lacking = self.evaluations[stage].held_out.lacking
+        return {"missing_force_percent": None if lacking is None else _finite_or_none(100.0 * lacking)}
 
     def _effect(self, selected: SelectedEffect) -> dict[str, Any]:
         """Return one effect as in report.json."""
@@ -248,7 +316,8 @@ def write_result(
         OSError: If a file cannot be written.
     """
     arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
-    warnings = [*warnings, *result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
+    unfinished = [str(result.unfinished)] if result.unfinished else []
+    warnings = [*unfinished, *warnings, *result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")

@@ -41,12 +41,14 @@ class _ChannelErrors(_Entry):
 
     rmse: FiniteFloat | None
     noise_ratio: FiniteFloat | None
+    percent_of_motion: FiniteFloat | None = None
 
 
 class _Evaluation(_Entry):
     """Errors by channel, and force_error where the machine has one."""
 
     held_out: dict[str, _ChannelErrors | FiniteFloat]
+    missing_force_percent: FiniteFloat | None = None
 
 
 class _ParameterEntry(_Entry):
@@ -140,6 +142,22 @@ class _NotSeparable(_Entry):
     determined: list[_DeterminedSum]
 
 
+class _Hint(_Entry):
+    """What the force that the machine lacks depends on, where no effect is named."""
+
+    component: str
+    variable: str
+    share: FiniteFloat
+    nearest: list[str]
+
+
+class _Unfinished(_Entry):
+    """A search that ended before it was complete."""
+
+    stage: str
+    reason: str
+
+
 class _Report(_Entry):
     """Content of report.json that the report uses."""
 
@@ -160,6 +178,9 @@ class _Report(_Entry):
     next_experiment: _Experiment | None
     seconds: FiniteFloat
     warnings: list[str] = []
+    reason: str = ""
+    hint: _Hint | None = None
+    unfinished: _Unfinished | None = None
     proposed_formulas: list[_TableEntry] = []
 
 
@@ -329,6 +350,17 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
             raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")
 
 
+def _has_workspace(machine: Machine) -> bool:
+    """Return whether controllers can be evaluated on a machine."""
+    from ..envs.workspace import workspace_of
+
+    try:
+        workspace_of(machine)
+    except InputError:
+        return False
+    return True
+
+
 def next_command(verdict: str, machine: Machine, folder: Path) -> str:
     """Return the command that the user should run after an identification, as a suggestion to print.
 
@@ -338,10 +370,11 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
         folder: Folder of the result.
 
     Returns:
-        Command line that evaluates a controller on the machine; for the verdict "unexplained", a command that opens the
-        report, which shows what the residual depends on and what to record next.
+        Command line that evaluates a controller on the machine. For the verdict "unexplained", or a machine for which
+        there are no controllers (it has no tool that moves within a declared range), a command that opens the report,
+        which shows what the residual depends on and what to record next.
     """
-    if verdict == "unexplained":
+    if verdict == "unexplained" or not _has_workspace(machine):
         return f"hframe report {folder} --open"
     randomize = " --randomize identified" if machine.uncertainty else ""
     return f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"

@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +26,14 @@ from ..dynamics.simulation import Motion, parameter_batch
 from ..effects import EFFECTS, effect_sites
 from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import AppliedEffect, Effect, Machine
+from .budget import spender
+from .candidates import Candidate
 from .dataset import Dataset, PreparedRecording
 from .estimation import Fit
 from .force_sizes import TypicalScales
 from .free_parameters import prior_precision, second_difference_penalty
 from .linearization import DIFFERENCE_STEP, ResidualModel
 from .prediction import mechanical_rows_per_block, predict
-
-if TYPE_CHECKING:
-    from .candidates import Candidate
 
 Array = NDArray[np.float64]
 
@@ -93,9 +92,10 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     """
     if not candidates:
         return []
-    model = _screening_model(fit, data)
+    model, may_go_on = _screening_model(fit, data), spender()
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
+        may_go_on()
         return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, run, motion))
 
     equations = model.linearize(fit.theta, responses).normal_equations
@@ -111,6 +111,61 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
         information = reduced.response_information[np.ix_(columns, columns)]
         scored.append(_score(candidate, information, reduced.response_gradient[columns], before, fit.chi2))
     return sorted(scored, key=lambda s: -s.gain)
+
+
+class Resemblance(NamedTuple):
+    """An effect that moves the machine in the recorded runs nearly as another one does.
+
+    Attributes:
+        effect: The effect, with the parameters with which it resembles the other one most.
+        loss: Increase of chi-squared if it takes the place of the other one, to first order.
+    """
+
+    effect: AppliedEffect
+    loss: float
+
+
+def resemblances(fit: Fit, effect: AppliedEffect, candidates: Sequence[Candidate], data: Dataset) -> list[Resemblance]:
+    """Find the candidates that these runs hardly distinguish from an effect.
+
+    What the effect changes in the predictions is a regressor over the recorded motion, as is every basis function of
+    the candidates; what the machine's free parameters can reproduce of them is removed. The part of the effect's
+    regressor that a candidate's cannot represent is what the runs show of the difference between both. In a single
+    sine, for example, position and speed are one variable, at constant speed position and time are.
+
+    Args:
+        fit: Fit of the machine with all other effects, without this one.
+        effect: The effect with its fitted parameters; it neither adds coordinates nor replaces dry friction.
+        candidates: Other effects with their sites and starting values.
+        data: Runs that were fitted.
+
+    Returns:
+        Each candidate effect and site once, those that resemble the effect most first.
+    """
+    own = Candidate(effect.definition, effect.site, (dict(effect.parameters),), {})
+    model, may_go_on, compared = _screening_model(fit, data), spender(), [own, *candidates]
+
+    def responses(run: PreparedRecording, motion: Motion) -> Array:
+        may_go_on()
+        return _perturbation_responses(model, run, candidate_perturbations(fit.machine, compared, run, motion))
+
+    equations = model.linearize(fit.theta, responses).normal_equations
+    ridge = np.diag(_RIDGE * np.diag(equations.information))
+    products = equations.eliminate_parameters(prior_precision(fit.free) + ridge).response_information
+    size, found, first = float(products[0, 0]), dict[str, Resemblance](), 1
+    for candidate in candidates:
+        columns = np.arange(first, first + len(candidate.columns))
+        first += len(columns)
+        information = products[np.ix_(columns, columns)]
+        before = np.diag(equations.response_information)[columns]
+        if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
+            continue
+        # The gradient of the cost of representing the effect's regressor, as for the residual.
+        scored = _score(candidate, information, -products[columns, 0], before, 1.0)
+        loss = max(size - scored.gain, 0.0)
+        if scored.gain > 0.0 and loss < found.get(candidate.label, Resemblance(effect, np.inf)).loss:
+            found[candidate.label] = Resemblance(candidate.applied(scored.amounts), loss)
+    return sorted(found.values(), key=lambda resemblance: resemblance.loss)
 
 
 def candidate_perturbations(
@@ -313,9 +368,13 @@ def _structure_gains(
     if not simulated:
         return {}
     model, batches = _screening_model(current, data), _batches(simulated, current.machine)
+    may_go_on = spender()
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
-        predicted = [predict(m, run, model.bandwidth, period=data.period, parameters=table) for m, table in batches]
+        predicted = []
+        for machine, parameters in batches:
+            may_go_on()  # new code may have to be compiled for each
+            predicted.append(predict(machine, run, model.bandwidth, period=data.period, parameters=parameters))
         expected = model.residuals(run, motion.readings)
         changes = np.vstack([model.residuals(run, moved.readings) for moved in predicted]) - expected
         return np.where(np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0)  # a variant may diverge

@@ -9,6 +9,7 @@ from functools import cache, cached_property
 from typing import NamedTuple
 
 from ..machine import HOOKS, Machine, argument_names
+from .budget import Budget, BudgetEndedError, spend
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
@@ -48,6 +49,7 @@ class SearchOutcome(NamedTuple):
         considered: Effects that reduced the error of the fitted runs but failed a test.
         data: Runs that the machines were fitted to.
         contradiction: Name of the run that was left out because it contradicts the others; None if all were used.
+        unfinished: What the search did when its budget ended, in words; "" if it is complete.
     """
 
     before: Fit
@@ -59,13 +61,20 @@ class SearchOutcome(NamedTuple):
     considered: tuple[ConsideredEffect, ...]
     data: Dataset
     contradiction: str | None = None
+    unfinished: str = ""
 
 
 Confirmed = Callable[[SearchOutcome], bool]  # whether held-out runs confirm an outcome
 
 
 def search_effects(
-    machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log, *, confirmed: Confirmed | None = None
+    machine: Machine,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    *,
+    confirmed: Confirmed | None = None,
+    budget: Budget | None = None,
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
@@ -85,11 +94,39 @@ def search_effects(
         log: Called with a line at each stage.
         confirmed: Function that returns whether the held-out runs confirm an outcome from which a suspect was left out.
             If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
+        budget: Processor time after which the search ends. The refit of the machine is always completed. Default: the
+            search ends by itself.
 
     Returns:
-        Verdict, fits of the machine without and with the effects, and the selected and the rejected effects.
+        Verdict, fits of the machine without and with the effects, and the selected and the rejected effects. If the
+        budget ended: of what was selected until then, tested like everything else, without tables; without a suspect if
+        that was found to explain the other runs, else in all runs.
     """
-    all_runs = _Search(machine, data, criteria, log)
+    searches = [_Search(machine, data, criteria, log)]
+    budget = budget or Budget()
+    try:
+        with budget.limiting():
+            return _search_with_suspect(searches, machine, data, criteria, log, confirmed)
+    except BudgetEndedError:
+        log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
+    for search in reversed(searches[1:]):
+        outcome = search.finished_early()
+        if outcome.explained:  # a run is only left out if one machine explains the others
+            return outcome._replace(unfinished=budget.doing)
+    return searches[0].finished_early()._replace(unfinished=budget.doing)
+
+
+def _search_with_suspect(
+    searches: list[_Search],
+    machine: Machine,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    confirmed: Confirmed | None,
+) -> SearchOutcome:
+    """Search as `search_effects` describes; a second search, without the suspect, is added to `searches`."""
+    all_runs = searches[0]
+    spend("comparing the runs with each other")
     suspect, in_all_runs = contradicting_run(all_runs.base, data), cache(all_runs.run)
     if suspect is None:
         return in_all_runs()
@@ -101,6 +138,8 @@ def search_effects(
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
     others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
+    others.suspect = suspect
+    searches.append(others)
     if not others.needs_no_effect and all_runs.runs_differ:
         return in_all_runs()
     log(f"searching for effects without {suspect}")
@@ -152,12 +191,16 @@ class _Search:
     Attributes:
         base: Machine refitted at `SEARCH_BANDWIDTH`.
         before: Machine refitted at the bandwidth that its remaining error requires.
+        suspect: Name of the run that was left out; None if there is none.
     """
+
+    suspect: str | None = None
 
     def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
         self._data, self._criteria, self._log = data, criteria, log
         self._data_after = data  # with the initial states and zeros that follow from the machine with effects
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
+        self._searches: list[EffectSearch] = []  # one after the other
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
         log(f"refitted machine: {self.base.summary}")
@@ -168,7 +211,12 @@ class _Search:
     @cached_property
     def _first_search(self) -> EffectSearch:
         """Search that starts from the refitted machine, without effects."""
-        return EffectSearch(self._data, self.before.machine, self._criteria, self._log)
+        return self._new_search(EffectSearch(self._data, self.before.machine, self._criteria, self._log))
+
+    def _new_search(self, search: EffectSearch) -> EffectSearch:
+        """Return a search, and remember it as the present one."""
+        self._searches.append(search)
+        return search
 
     @cached_property
     def selection(self) -> Selection:
@@ -183,15 +231,41 @@ class _Search:
             start: Fit with effects that are known already. Default: the refitted machine, without effects.
         """
         after, effects, considered = self._known_effects(start)
+        if decided := self._decided(after, effects, considered):
+            return decided
+        tabled = None if self.runs_differ else self._with_tables((after, effects))
+        if tabled is not None:
+            return self._outcome("effect_found", *tabled, considered)
+        return self._partial(after, effects, considered)
+
+    def finished_early(self) -> SearchOutcome:
+        """Return the outcome of what was selected when the budget ended, after the same tests beside each other."""
+        search = self._searches[-1] if self._searches else None
+        after, effects = (search and search.reached) or (self.before, ())
+        considered: dict[str, ConsideredEffect] = search.considered if search else {}
+        if search and effects:
+            self._data_after = search.data
+            after, effects = search.prune(polish(after, search.data), effects)
+        rejected = tuple(entry for label, entry in considered.items() if label not in {s.effect.label for s in effects})
+        decided = self._decided(after, effects, rejected) or self._partial(after, effects, rejected)
+        return decided._replace(contradiction=self.suspect)
+
+    def _decided(
+        self, after: Fit, effects: tuple[SelectedEffect, ...], considered: tuple[ConsideredEffect, ...]
+    ) -> SearchOutcome | None:
+        """Return the outcome if a table cannot change it: effects explain the data, or only imitate a drift."""
         if drift := self._imitated_drift(after):
             reason = f"explains the runs less well than another value of {drift} in each run"
             return self._outcome("unexplained", self.before, (), considered + self._removed(after, effects, reason))
         if self._explains(after):
             verdict: Verdict = "effect_found" if effects else "no_effect"
             return self._outcome(verdict, after if effects else self.before, effects, considered)
-        tabled = None if self.runs_differ else self._with_tables((after, effects))
-        if tabled is not None:
-            return self._outcome("effect_found", *tabled, considered)
+        return None
+
+    def _partial(
+        self, after: Fit, effects: tuple[SelectedEffect, ...], considered: tuple[ConsideredEffect, ...]
+    ) -> SearchOutcome:
+        """Return the outcome where an error remains that neither effects nor a table describe."""
         if effects and not self.runs_differ and self._reduces_error(after):
             return self._outcome("effect_found", after, effects, considered)
         considered += self._removed(after, effects, "leaves most of the error, also together with the other effects")
@@ -274,11 +348,14 @@ class _Search:
             search, (current, effects) = self._first_search, self.selection
         else:
             self._log("searching for further effects")
-            search = EffectSearch(data, self.before.machine, criteria, self._log)
+            search = self._new_search(EffectSearch(data, self.before.machine, criteria, self._log))
+            search.reached = start
             current, effects = search.run(*start)
         refined = refine_dataset(search.data, current.machine)
         if refined is not search.data:
-            found_at, search = current, search.with_data(refined)  # More accurate zeros may reveal further effects.
+            # More accurate zeros may reveal further effects.
+            found_at, search = current, self._new_search(search.with_data(refined))
+            search.reached = current, effects
             current = fit_with_model_error(polish(current, refined), refined)
             lower = current.chi2 < found_at.chi2 - minimum_gain(found_at, criteria)
             if lower or current.bandwidth != found_at.bandwidth:
@@ -289,7 +366,12 @@ class _Search:
             self.before, self._data = current, search.data
         if effects:
             data = search.data
+            search.reached = current, effects
+            spend("comparing rivals")
+            effects = search.with_indistinguishable(current, effects)
             current, effects = search.settle_rivals(current, effects)
+            search.reached = current, effects
+            spend("testing each effect beside the others")
             current, effects = search.prune(polish(current, data), effects)
             simulated = self._refined(current)
             # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.

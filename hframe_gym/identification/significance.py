@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 
 from ..machine import HOOKS, AppliedEffect, Machine, argument_names
+from .candidates import covered_by_runs
 from .covariance import BLOCK_S
 from .criteria import SelectionCriteria
 from .dataset import Dataset
@@ -178,14 +179,23 @@ def doubt_beside_others(
     """
     if reduced.cost - complete.cost < minimum_gain(complete, criteria) * data.count:
         return "has no effect on the error"
-    at_limit = _at_limit(next(e for e in complete.machine.effects if e.label == effect.label))
+    at_limit = _at_limit(next(e for e in complete.machine.effects if e.label == effect.label), complete)
     return at_limit or _doubt(reduced, complete, effect, data, criteria, nearly_explained=True)
 
 
-def _at_limit(effect: AppliedEffect) -> str:
+def _at_limit(effect: AppliedEffect, complete: Fit) -> str:
     """Return that a parameter of an effect ends at a limit of its range, which is no meaningful value, else ""."""
+    free = {f.name: f for f in complete.free}
     for p in effect.definition.parameters:
         value = effect.parameters[p.name]
+        fitted = free.get(f"{effect.label}.{p.name}")
+        if fitted is not None and covered_by_runs(p):
+            low, high = (1.0 + _AT_LIMIT) * fitted.lower, (1.0 - _AT_LIMIT) * fitted.upper
+            if value >= high or (p.role == "rate" and value <= low):
+                return (
+                    f"fits only with {p.name} at the limit of what the runs cover ({value:.3g} {p.unit}): they cannot "
+                    "tell it from a simpler cause"
+                )
         for limit in {p.lower, p.upper} - {0.0, *p.grid}:
             if math.isclose(value, limit, rel_tol=_AT_LIMIT):
                 return f"fits only with {p.name} at the limit of its range ({limit:g}): another effect may imitate it"

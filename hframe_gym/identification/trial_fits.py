@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ..dynamics import share_kernel
 from ..machine import AppliedEffect, Machine
-from .candidates import candidates, effect_parameters, is_required
+from .budget import spend
+from .candidates import Candidate, candidates, effect_parameters, is_required
 from .criteria import SelectionCriteria
 from .dataset import Dataset
 from .estimation import Fit, fit, prediction_cost
@@ -24,9 +25,10 @@ from .free_parameters import FreeParameter, default_free_parameters, values_at
 from .model_error import continue_fit, polish, search_step
 from .prediction import POLISH_STEP, SEARCH_BANDWIDTH, noise_floor
 from .residual import missing_force
-from .screening import ScoredCandidate, screen, screen_structures
+from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
 Array = NDArray[np.float64]
+_RESEMBLING = 3  # effects that are fitted in place of a selected one because these runs may not distinguish them
 _SHAPES = 2  # starting values of an effect at a site that are fitted
 _THRESHOLD_CHANGES = (-0.7, -0.35, 0.35, 0.7)  # of its logarithm; a trial is also fitted from these thresholds
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
@@ -79,12 +81,13 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
     best_promise, explaining = 0.0, ""  # largest linearized gain of a candidate that explains the data, and its effect
     promising = _promising(start, ranked, data, enough, criteria)
     share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
-    for scored in promising:
+    for i, scored in enumerate(promising):
         # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
         # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
         fitted = [t.machine.effects[-1].label for t in trials]
         elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
         if elsewhere or scored.gain > criteria.rival_promise * best_promise:
+            spend(f"trial fit {i + 1} of {len(promising)}: {scored.candidate.label}")
             trials = _with_better_shape(trials, fit_with_candidate(start, scored, scales, data))
             if not explaining and unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
                 best_promise, explaining = scored.gain, scored.candidate.effect.name
@@ -125,7 +128,10 @@ def structural_trial_fits(
     # Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
     least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
     fits: list[Fit] = []
-    for machine in screen_structures(current, data, scales, least):
+    spend("screening the effects that replace a part of the model")
+    promising = screen_structures(current, data, scales, least)
+    for i, machine in enumerate(promising):
+        spend(f"trial fit {i + 1} of {len(promising)}: {machine.effects[-1].label}")
         fits = _with_better_shape(fits, _replace(current, machine, scales, data))
     return fits
 
@@ -151,15 +157,43 @@ def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCri
 
 def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
     """Return typical sizes on the machine and its screened candidates, largest predicted reduction of cost first."""
-    scales = typical_scales(current, data)
-    proposed = candidates(
-        current.machine,
-        data,
-        scales,
-        missing_force(current.machine, data),
-        slow_friction=current.bandwidth < SEARCH_BANDWIDTH,
-    )
+    scales, proposed = _proposed_candidates(current, data)
+    spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
     return scales, screen(current, proposed, data)
+
+
+def _proposed_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[Candidate]]:
+    """Return typical sizes on the machine and its candidates."""
+    scales = typical_scales(current, data)
+    slow = current.bandwidth < SEARCH_BANDWIDTH
+    motion = missing_force(current.machine, data)
+    return scales, candidates(current.machine, data, scales, motion, slow_friction=slow)
+
+
+def indistinguishable(current: Fit, effect: AppliedEffect, largest_loss: float, data: Dataset) -> list[AppliedEffect]:
+    """Return the effects that may take the place of an effect of the machine, as far as these runs show.
+
+    Args:
+        current: Fit of the machine with all effects.
+        effect: One of them. There is no answer for an effect that adds coordinates or replaces dry friction, or that
+            another effect requires.
+        largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not distinguish
+            effects.
+        data: Prepared recordings (times, voltages, measurements, SI).
+
+    Returns:
+        Other effects with the parameters that resemble it most, at most three, the most similar one first.
+    """
+    if effect.definition.replaces_model_part or is_required(current.machine, effect.label):
+        return []
+    machine = current.machine.replace(effects=tuple(e for e in current.machine.effects if e.label != effect.label))
+    kept = [f.name in machine.parameters for f in current.free]
+    free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
+    without = dataclasses.replace(current, machine=machine, free=free, theta=theta)
+    others = [c for c in _proposed_candidates(without, data)[1] if c.label != effect.label]
+    spend(f"comparing {effect.label} with {len({c.label for c in others})} other effects")
+    found = resemblances(without, effect, others, data)
+    return [each.effect for each in found if each.loss <= largest_loss][:_RESEMBLING]
 
 
 def replacement_fit(

@@ -159,7 +159,7 @@ def test_parameter_at_a_bound_is_reported(axis: Machine) -> None:
 
 
 def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
-    heavy = axis.replace({"x.mass": axis.parameters["x.mass"] * np.exp(4 * 0.3), "x.viscous": 1e-9})
+    heavy = axis.replace({"x.mass": axis.parameters["x.mass"] * np.exp(4 * 0.3)})
     (text,) = parameters_at_limit(heavy, axis).values()
     assert text.startswith("x.mass ends at the limit of the fit, 3.3 times its declared value: check the machine file")
     doubts = parameter_doubts(with_standard_deviations(heavy, {"x.mass": 0.01, "x.coulomb": 0.01}), axis)
@@ -168,6 +168,18 @@ def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
     (text,) = parameters_at_limit(uncertain, axis).values()
     assert text.startswith("the recordings do not determine x.mass: the fit ends at 3.3 +- 1.7 times its declared")
     assert parameters_at_limit(axis.replace({"x.mass": 3.2 * axis.parameters["x.mass"]}), axis) == {}
+
+
+@pytest.mark.parametrize(("name", "factor"), [("motor.Ke", np.exp(4 * 0.2)), ("x.viscous", np.exp(-4 * 0.7))])
+def test_every_parameter_at_the_limit_of_the_fit_is_reported(axis: Machine, name: str, factor: float) -> None:
+    """Only masses, belt stiffnesses and torque constants were named, not a back-EMF that is wrong by a factor."""
+    assert axis.parameters[name] > 0.0
+    far = axis.replace({name: axis.parameters[name] * factor})
+    (text,) = parameters_at_limit(far, axis).values()
+    assert text.startswith(f"{name} ends at the limit of the fit, {factor:.2g} times its declared value")
+    assert parameters_at_limit(axis.replace({name: axis.parameters[name] * factor**0.9}), axis) == {}
+    both = far.replace({"x.mass": axis.parameters["x.mass"] * np.exp(4 * 0.3)})
+    assert list(parameters_at_limit(both, axis)) == ["x.mass", name]
 
 
 def test_machine_without_uncertainty_has_no_doubts(axis: Machine) -> None:

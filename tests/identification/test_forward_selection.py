@@ -12,6 +12,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Fit, SelectedEffect, forward_selection, significance
+from hframe_gym.identification.estimation import describe_gain
 from hframe_gym.identification.forward_selection import EffectSearch, Selection
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
@@ -294,3 +295,9 @@ def test_each_test_is_repeated_beside_all_effects(scripted: Scripted, change: Ma
         setattr(scripted, name, value)
     text = significance.doubt_beside_others(fit_with(chi2=6.0), fit_with(PUSH, chi2=2.0), PUSH, DATA, CRITERIA)
     assert (reason in text) if reason else text == ""
+
+
+def test_an_effect_that_raises_the_error_is_not_said_to_reduce_it() -> None:
+    before, better, worse = fit_with(chi2=500.5), fit_with(PUSH, chi2=99.0), fit_with(PUSH, chi2=533.5)
+    assert describe_gain(before, better) == "reduces chi-squared per sample from 500.5 to 99 (simulation)"
+    assert describe_gain(before, worse) == "does not reduce chi-squared per sample (500.5, with it 533.5, simulation)"

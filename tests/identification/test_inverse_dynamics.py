@@ -42,6 +42,20 @@ def test_force_error_of_a_known_motion() -> None:
     assert wrong == pytest.approx(np.linalg.norm(missing_force) / np.linalg.norm(force), rel=0.02)
 
 
+@pytest.mark.parametrize(("step", "largest"), [(1e-6, 0.01), (2e-3, 0.5), (2e-2, 0.5)])
+def test_a_coarse_sensor_does_not_make_a_right_machine_wrong(step: float, largest: float) -> None:
+    """Differentiated twice up to 100 Hz, the rounding of an encoder was many times the force of the drives."""
+    time = np.arange(8000) * 1e-3
+    mass, viscous, rate = 3.0, 5.0, 2.0
+    middle = time + 0.5e-3
+    force = -mass * rate**2 * np.sin(rate * middle) + viscous * rate * np.cos(rate * middle)
+    position = np.round(np.sin(rate * time) / step) * step
+    machine = axis(mass, viscous)
+    error = force_error(machine, prepare([Recording("r", time, force[:, None] / 2.0, position[:, None])], machine))
+    assert error is not None
+    assert error < largest
+
+
 def test_machine_with_belts_has_no_force_error(hframe: Machine) -> None:
     time = np.arange(50) * 1e-3
     data = prepare([Recording("r", time, np.zeros((50, 2)), np.zeros((50, 4)))], hframe)

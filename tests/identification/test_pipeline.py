@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def log() -> list[str]:
 def result(log: list[str]) -> IdentificationResult:
     """Return the result for rig_a, which has Stribeck friction at x. It is immutable."""
     machine = BUILTIN_MACHINES["hframe"]()
-    return identify(load_recordings(EXAMPLES / "rig_a", machine), machine, log=log.append)
+    return identify(load_recordings(EXAMPLES / "rig_a", machine), machine, log=log.append, budget=math.inf)
 
 
 @pytest.mark.oracle
@@ -68,7 +69,7 @@ def test_each_decision_is_reported_in_words(result: IdentificationResult, log: l
 @pytest.mark.oracle
 def test_the_twin_has_no_effect() -> None:
     machine = BUILTIN_MACHINES["hframe"]()
-    result = identify(load_recordings(EXAMPLES / "rig_b", machine), machine)
+    result = identify(load_recordings(EXAMPLES / "rig_b", machine), machine, budget=math.inf)
     assert result.verdict == "no_effect"
     assert result.effects == ()
     ratios = [e.noise_ratio for e in result.before.held_out.channels.values()]
@@ -84,7 +85,7 @@ def test_a_run_that_contradicts_the_others_is_left_out_and_named(wrong: str, war
         dataclasses.replace(run, inputs=1.25 * run.inputs) if run.name == wrong else run
         for run in load_recordings(EXAMPLES / "rig_b", machine)
     ]
-    result = identify(recordings, machine, held_out=["run_04", "run_08"])
+    result = identify(recordings, machine, held_out=["run_04", "run_08"], budget=math.inf)
     assert result.verdict == "no_effect"
     assert [line for line in result.excluded if line.startswith(f"{wrong} {warning}")]
     assert wrong not in {run.name for run in result.fitted.runs}
@@ -112,7 +113,7 @@ def test_a_channel_that_was_never_measured_is_null_in_the_report(tmp_path: Path)
 @pytest.mark.oracle
 def test_the_order_of_the_recordings_does_not_matter(result: IdentificationResult) -> None:
     machine = BUILTIN_MACHINES["hframe"]()
-    reversed_result = identify(load_recordings(EXAMPLES / "rig_a", machine)[::-1], machine)
+    reversed_result = identify(load_recordings(EXAMPLES / "rig_a", machine)[::-1], machine, budget=math.inf)
     assert reversed_result.as_json() | {"seconds": 0} == result.as_json() | {"seconds": 0}
 
 
@@ -158,7 +159,9 @@ def test_one_of_four_runs_is_held_out_and_a_path_is_refused() -> None:
 @pytest.mark.oracle
 def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
     machine = BUILTIN_MACHINES["hframe"]()
-    criteria = SelectionCriteria(max_effects=0, explained_chi2=1e9, max_residue_bandwidth=60.0)
+    # The last one: held-out runs must not contradict the verdict, whatever the others permit.
+    limits = {"explained_chi2": 1e9, "max_residue_bandwidth": 60.0, "max_noise_ratio_explained": 1e9}
+    criteria = SelectionCriteria(max_effects=0, **limits)
     result = identify(load_recordings(EXAMPLES / "rig_a", machine)[:4], machine, criteria=criteria)
     assert result.verdict == "no_effect"
     assert result.as_json()["criteria"]["max_effects"] == 0

@@ -12,6 +12,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import (
     Dataset,
+    SelectionCriteria,
     estimate_initial_state,
     initial_state_of_recording,
     prepare,
@@ -238,6 +239,19 @@ def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
     assert np.isnan(evaluation.errors["run_4"]).all()
     assert np.isfinite(evaluation.errors["run_3"]).all()
     assert {(e.rmse, e.noise_ratio) for e in evaluation.held_out.channels.values()} == {(None, None)}
+
+
+def test_the_criteria_of_an_identification_hold_for_its_errors_as_well(
+    hframe: Machine, session: list[Recording]
+) -> None:
+    """The thresholds by which a laser at the end of its range is recognized were always the default ones."""
+    criteria = SelectionCriteria(min_saturated_fraction=0.5)
+    data, used = prepare(session, hframe), []
+    original = recording_simulation.saturation_ranges
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording_simulation, "saturation_ranges", lambda *args: used.append(args[3]) or original(*args))
+        evaluate_held_out(hframe, data, data.with_runs(["run_4"]), session, criteria)
+    assert set(used) == {criteria}
 
 
 def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine) -> None:

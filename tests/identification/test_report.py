@@ -20,7 +20,7 @@ from hframe_gym.identification.plots import report_panels
 from hframe_gym.identification.recording_simulation import PredictionErrors
 from hframe_gym.identification.report import build_report, verdict_sentence
 from hframe_gym.identification.residual import ChannelError, Dependence
-from hframe_gym.identification.result import Verdict, plot_data
+from hframe_gym.identification.result import Hint, Unfinished, Verdict, plot_data
 from hframe_gym.identification.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
@@ -328,3 +328,50 @@ def test_errors_of_force_are_given_for_all_machines_or_for_none() -> None:
     assert all("force_error" not in report[stage]["held_out"] for stage in ("declared", "before", "after"))
     assert "the error on the held-out runs rises from" in verdict_sentence(report, AXIS.output_channels)
     assert identification_table(report, AXIS.output_channels).row_count == 1
+
+
+def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dataset, tmp_path: Path) -> None:
+    """The missing force depends on the current of the motor; effects that describe a part of it are no names."""
+    result = result_of(data, "unexplained", AXIS)
+    held_out = PredictionErrors({"x_m": ChannelError(5e-3, 250.0, 0.021)}, None, 0.0037)
+    worse = dataclasses.replace(result.before, held_out=held_out)
+    result = dataclasses.replace(
+        result,
+        before=worse,
+        after=worse,
+        dependence=(Dependence("current of motor", "x", 0.62),),
+        hint=Hint("x", "current of motor", 0.62, ("current_limit@motor", "load_friction@motor")),
+        reason="10 % of the squared error remain with the effects",
+        unfinished=Unfinished("trial fit 2 of 5: cogging@motor", "the budget of 60 s of processor time ended"),
+    )
+    page = page_of(result, tmp_path)
+    for text in (
+        "Left on the held-out runs: 250 times the sensors&#39; noise, 5 mm rms at x_m; 2.1 % of the motion",
+        "a missing force of 0.37 % of that of the drives.",
+        "Why no other verdict is given: 10 % of the squared error remain with the effects.",
+        "lacks on x depends most on current of motor, which explains 62 % of its variance.",
+        "The nearest effects of the library, which are no causes: current_limit@motor, load_friction@motor.",
+        "The search is not complete: the budget of 60 s of processor time ended (trial fit 2 of 5: cogging@motor).",
+        "2.1 % of the motion",
+    ):
+        assert text in page, text
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["hint"] == {
+        "component": "x",
+        "variable": "current of motor",
+        "share": 0.62,
+        "nearest": ["current_limit@motor", "load_friction@motor"],
+    }
+    assert report["before"]["missing_force_percent"] == pytest.approx(0.37)
+    assert report["before"]["held_out"]["x_m"]["percent_of_motion"] == pytest.approx(2.1)
+    table = identification_table(report, AXIS.output_channels)
+    assert list(table.columns[2].cells) == ["5 mm (250x, 2.1 %)"]
+    assert "0.37 %" in str(table.caption)
+
+
+def test_the_next_command_is_one_that_the_machine_permits() -> None:
+    """Controllers move a tool within a range; a machine without either can be simulated, but not evaluated."""
+    (x,) = AXIS.coordinates
+    boundless = AXIS.replace(coordinates=(dataclasses.replace(x, range=None),))
+    assert next_command("effect_found", boundless, Path("out/rig")) == "hframe report out/rig --open"
+    assert next_command("effect_found", AXIS, Path("out/rig")).startswith("hframe evaluate pid --machine out/rig/")

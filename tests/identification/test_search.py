@@ -54,6 +54,9 @@ class ScriptedSearch:
                 bandwidth = script.bandwidth if script.simulated is None else 30.0
                 return fit_with(*(s.effect for s in found), chi2=script.after, bandwidth=bandwidth), found
 
+            def with_indistinguishable(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
+                return chosen
+
             def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
                 return current, chosen
 

@@ -1,0 +1,135 @@
+"""Do verdicts hold on rigs whose voltages come from a position controller? Names, errors on unseen runs, and time.
+
+    python -m benchmarks.closed_loop_rigs                       # all eight
+    python -m benchmarks.closed_loop_rigs --only 1 3 --log      # some of them; nothing is written
+
+The recordings are those of $HFRAME_DATA/closed_loop_rigs, else of ../shared/data/closed_loop_rigs; without them, the
+benchmark says so and ends. They come from a simulator that shares no code with this package: a controller follows
+machine programs, and its voltages saturate and pass a 12-bit converter. Each folder has ``runs`` to identify,
+``unseen`` runs in open loop to judge by, the declared ``machine.json``, and ``truth.json`` in words.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.other_simulator_rigs import hidden
+from benchmarks.results_file import ROOT, write_results
+from benchmarks.rig_score import root_mean_square, survives_rated_voltage
+from benchmarks.scoring import score_names
+from hframe_gym.identification import identify
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording, load_machine, load_recordings
+from tests.reference_simulator import Array
+from tests.rigs.random_effects import DrawnEffect
+
+# What the rigs hide, in the names of the library. What it lacks has no right name: `unexplained`, or a table.
+TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
+    1: (),
+    2: (),
+    3: (hidden("torque constant that falls with current@drives", "smooth_force[*]@phi1", "smooth_force[*]@phi2"),),
+    4: (),
+    5: (hidden("input_delay@motor1"), hidden("input_delay@motor2")),
+    6: (hidden("gear backlash@phi1", "*play*"),),
+    7: (hidden("friction that rises with dwell@x", "smooth_friction[*]@x"),),
+    8: (hidden("stribeck_friction@x"),),
+}
+
+
+def run_rig(folder: Path, truth: tuple[DrawnEffect, ...], *, log: bool = False) -> dict[str, Any]:
+    """Identify a rig and compare the result with the truth.
+
+    Args:
+        folder: Folder of the rig.
+        truth: What it hides.
+        log: Whether to print the progress of the identification, with the processor time.
+
+    Returns:
+        The row of the results, as plain data.
+    """
+    declared = load_machine(str(folder / "machine.json"))
+    recordings, unseen = (load_recordings(folder / name, declared) for name in ("runs", "unseen"))
+    began = time.process_time()
+
+    def print_line(line: str) -> None:
+        print(f"{time.process_time() - began:7.1f} {line}", flush=True)
+
+    result = identify(recordings, declared, log=print_line if log else None)
+    seconds = time.process_time() - began
+    report = result.as_json()
+    named = {f"{e['name']}@{e['site']}": list(e.get("rivals", ())) for e in report["effects"]}
+    names = score_names(truth, result.verdict, named)
+    noise = np.array(
+        [s.noise or estimated for s, estimated in zip(declared.sensors, result.held_out.noise, strict=True)]
+    )
+    machines = {"declared": declared, "before": result.before.machine, "after": result.after.machine}
+    return {
+        "rig": folder.name,
+        "hidden": json.loads((folder / "truth.json").read_text())["hidden"],
+        "verdict": result.verdict,
+        "named": named,
+        "hint": report.get("hint"),
+        "complete": all(names.identified),
+        "extra": list(names.extra),
+        "unseen": {name: _mean_ratio(machine, unseen, noise) for name, machine in machines.items()},
+        "left": report.get("left"),
+        "unfinished": report.get("unfinished"),
+        "stable": survives_rated_voltage(result.after.machine),
+        "cpu_seconds": round(seconds, 1),
+    }
+
+
+def _mean_ratio(machine: Machine, recordings: Sequence[Recording], noise: Array) -> float:
+    """Return the simulation error over the sensors' noise, as declared if it is; mean over the channels."""
+    return float(min(np.mean(root_mean_square(machine, recordings) / noise), 1e9))
+
+
+def show(console: Console, rows: list[dict[str, Any]]) -> None:
+    """Print the table of all rigs."""
+    table = Table("rig", "hidden", "verdict", "named", "", "left", "unseen / noise", "cpu s")
+    for r in rows:
+        marks = ("" if r["complete"] else "missed ") + ("false name" if r["extra"] else "")
+        table.add_row(
+            r["rig"],
+            r["hidden"],
+            r["verdict"],
+            " + ".join(r["named"]),
+            marks or "right",
+            "diverges" if r["left"] is None else f"{r['left']:.3g}",
+            " -> ".join(f"{r['unseen'][stage]:.3g}" for stage in ("before", "after")),
+            f"{r['cpu_seconds']:.0f}",
+        )
+    console.print(table)
+
+
+def main() -> None:
+    """Identify the rigs that the command line names, print the table and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
+    parser.add_argument("--log", action="store_true", help="print the progress of each identification")
+    arguments = parser.parse_args()
+    data = Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data") / "closed_loop_rigs"
+    if not data.is_dir():
+        sys.exit("skipped: no folder closed_loop_rigs in $HFRAME_DATA")
+    console, rows = Console(width=170), []
+    for number in arguments.only or TRUTH:
+        rows.append(run_rig(data / f"rig_{number:02d}", TRUTH[number], log=arguments.log))
+        console.print(json.dumps(rows[-1]), highlight=False, markup=False, soft_wrap=True)
+    show(console, rows)
+    if not arguments.only:
+        write_results("closed_loop_rigs", {"rigs": rows}, seed=None)
+
+
+if __name__ == "__main__":
+    main()

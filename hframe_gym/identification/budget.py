@@ -1,0 +1,174 @@
+"""The budget of a search: processor time after which it ends with the best machine so far.
+
+A search asks the active budget between trial fits and between the iterations of a fit (`spend`). When the time is used
+up, or the user interrupts, `BudgetEndedError` unwinds the search. `search_effects` catches it and returns the best
+machine so far, which then goes through the same validation and verdict as that of a complete search. Without an active
+budget, as in a fit outside a search, `spend` does nothing.
+
+The measure is the processor time of this process, all threads together, so that other work on the same computer does
+not change a result. It differs between processors, and between runs on the same one by some percent. A result therefore
+depends on the budget only if the budget ends; report.json then has the key "unfinished".
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from ..dynamics.simulation import threads
+from ..errors import InputError
+from ..machine import Machine
+from ..recordings import Recording
+
+SECONDS_PER_CORE = 60.0
+# Cores for which there is time at least: simulation code that a computer runs for the first time has to be compiled,
+# which takes up to a minute.
+_LEAST_CORES = 2
+# Rows times coordinates of a normal session. The time of a search grows in proportion to them; 160,000 are eight runs
+# of 5 s at 1 kHz of a machine with four coordinates, whose complete search takes one to three minutes.
+NORMAL_SESSION = 160_000
+# The part of the budget after which the search ends. The rest is for the tests of what was found, the final fits and
+# the simulations of the held-out runs; they took 5 to 20 % of the time of complete identifications.
+_SEARCH_PART = 0.8
+
+# What the search does, processor time since the identification began, and the whole budget, s.
+Progress = Callable[[str, float, float], None]
+
+
+class BudgetEndedError(Exception):
+    """The budget of a search ended, or the user interrupted it."""
+
+
+class Budget:
+    """Processor time that an identification may take.
+
+    Attributes:
+        seconds: Processor time, s; infinite: the search ends by itself.
+        doing: What the search does or did last, in words.
+        interrupted: Whether the user asked the search to end.
+        searching: Whether a search is in progress that can end early.
+    """
+
+    def __init__(
+        self,
+        seconds: float = math.inf,
+        *,
+        clock: Callable[[], float] = time.process_time,
+        progress: Progress | None = None,
+    ) -> None:
+        """Start the clock.
+
+        Args:
+            seconds: Processor time, s.
+            clock: Function that returns the time that was spent, s, with any zero.
+            progress: Called with what the search does, the time spent and the budget, s, at each step of the search.
+
+        Raises:
+            InputError: If the budget is negative or not a number.
+        """
+        if not seconds >= 0.0:
+            raise InputError(f"budget {seconds}: must be a number of seconds of processor time, 0 or more")
+        self.seconds, self.doing, self.interrupted, self.searching = seconds, "", False, False
+        self._clock, self._progress = clock, progress
+        self._ended: float | None = None  # time spent when the search ended
+        self._began = clock()
+
+    @property
+    def spent(self) -> float:
+        """Processor time since the budget was made, s."""
+        return self._clock() - self._began
+
+    @property
+    def reason(self) -> str:
+        """Why the search ended before it was complete, in words."""
+        if self.interrupted:
+            return f"interrupted after {self.spent if self._ended is None else self._ended:.0f} s of processor time"
+        return f"the budget of {self.seconds:.0f} s of processor time ended"
+
+    def stop(self) -> None:
+        """Let the search end at its next step, with the best machine so far."""
+        self.interrupted = True
+
+    def check(self, doing: str = "") -> None:
+        """Let the search go on, or end it.
+
+        Args:
+            doing: What the search does next, if it is another thing than at the last call.
+
+        Raises:
+            BudgetEndedError: If the time for the search is used up, or the user interrupted.
+        """
+        self.doing = doing or self.doing
+        self.check_quietly()
+        if self._progress is not None:
+            self._progress(self.doing, self.spent, self.seconds)
+
+    def check_quietly(self) -> None:
+        """Let the search go on, or end it, as `check` does, but without a report of progress.
+
+        Raises:
+            BudgetEndedError: If the time for the search is used up, or the user interrupted.
+        """
+        spent = self.spent
+        if self.interrupted or spent >= _SEARCH_PART * self.seconds:
+            self._ended = spent
+            raise BudgetEndedError
+
+    @contextmanager
+    def limiting(self) -> Iterator[None]:
+        """Let `spend` ask this budget within a `with` block.
+
+        Yields:
+            Nothing.
+        """
+        token = _ACTIVE.set(self)
+        self.searching = True
+        try:
+            yield
+        finally:
+            self.searching = False
+            _ACTIVE.reset(token)
+
+
+_ACTIVE: ContextVar[Budget | None] = ContextVar("budget", default=None)
+
+
+def spend(doing: str = "") -> None:
+    """Ask the active budget, if there is one, whether the search may go on.
+
+    Args:
+        doing: What the search does next, in words. Default: the same as at the last call.
+
+    Raises:
+        BudgetEndedError: If the budget ended, or the user interrupted.
+    """
+    if (budget := _ACTIVE.get()) is not None:
+        budget.check(doing)
+
+
+def spender() -> Callable[[], None]:
+    """Return a function that asks the budget which is active in this thread.
+
+    Returns:
+        Function without arguments for other threads; it raises `BudgetEndedError` as `spend` does.
+    """
+    budget = _ACTIVE.get()
+    return (lambda: None) if budget is None else budget.check_quietly
+
+
+def default_budget(recordings: Sequence[Recording], machine: Machine) -> float:
+    """Return the processor time that an identification may take by default.
+
+    Args:
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad).
+        machine: Machine as declared.
+
+    Returns:
+        A minute for each core that is used, at least two minutes, s; more in proportion to rows times coordinates
+        beyond a normal session (160,000).
+    """
+    size = sum(len(recording.time_s) for recording in recordings) * len(machine.coordinates)
+    return SECONDS_PER_CORE * max(threads(), _LEAST_CORES) * max(1.0, size / NORMAL_SESSION)

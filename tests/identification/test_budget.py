@@ -1,0 +1,135 @@
+"""Tests of a search that ends early: the budget with a clock of its own, and what is left of the search."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hframe_gym.errors import InputError
+from hframe_gym.identification import budget as module
+from hframe_gym.identification import estimation, identify
+from hframe_gym.identification.budget import (
+    NORMAL_SESSION,
+    Budget,
+    BudgetEndedError,
+    default_budget,
+    spend,
+    spender,
+)
+from hframe_gym.recordings import Recording
+from tests.identification.axis_results import AXIS
+from tests.identification.test_pipeline import limited_runs
+
+pytestmark = pytest.mark.unit
+
+
+class Clock:
+    """A clock that advances by one second at each look."""
+
+    def __init__(self) -> None:
+        self.seconds = -1.0
+
+    def __call__(self) -> float:
+        self.seconds += 1.0
+        return self.seconds
+
+
+def test_the_search_may_use_four_fifths_of_the_budget() -> None:
+    steps: list[tuple[str, float, float]] = []
+    budget = Budget(10.0, clock=Clock(), progress=lambda *step: steps.append(step))
+    with budget.limiting():
+        for doing in ("trial fit 1", "", "trial fit 2", ""):
+            spend(doing)  # the clock advances at the check and at the report
+        with pytest.raises(BudgetEndedError):
+            spend()
+    assert steps == [
+        ("trial fit 1", 2.0, 10.0),
+        ("trial fit 1", 4.0, 10.0),
+        ("trial fit 2", 6.0, 10.0),
+        ("trial fit 2", 8.0, 10.0),
+    ]
+    assert budget.spent >= 8.0
+    assert "the budget of 10 s of processor time ended" in budget.reason
+
+
+def test_outside_a_search_nothing_is_limited() -> None:
+    budget = Budget(0.0, clock=Clock())
+    spend("a fit")
+    with budget.limiting():
+        assert budget.searching
+        with pytest.raises(BudgetEndedError):
+            spender()()
+    assert not budget.searching
+    spend("a fit")
+    spender()()
+
+
+def test_an_interrupted_search_ends_at_its_next_step() -> None:
+    budget = Budget(clock=Clock())
+    with budget.limiting():
+        spend("screening")
+        budget.stop()
+        with pytest.raises(BudgetEndedError):
+            spend()
+    assert budget.doing == "screening"
+    assert budget.reason.startswith("interrupted after")
+
+
+@pytest.mark.parametrize("seconds", [-1.0, math.nan])
+def test_a_budget_is_a_number_of_seconds(seconds: float) -> None:
+    with pytest.raises(InputError, match="must be a number of seconds of processor time, 0 or more"):
+        Budget(seconds)
+
+
+@pytest.mark.parametrize(
+    ("rows", "cores", "seconds"),
+    [(1000, 4, 240.0), (NORMAL_SESSION, 4, 240.0), (2 * NORMAL_SESSION, 4, 480.0), (1000, 1, 120.0)],
+)
+def test_the_default_is_a_minute_per_core_and_more_for_long_sessions(
+    monkeypatch: pytest.MonkeyPatch, rows: int, cores: int, seconds: float
+) -> None:
+    monkeypatch.setattr(module, "threads", lambda: cores)
+    half = np.zeros(rows // 2)
+    runs = [Recording(f"run_{k}", half, half[:, None], half[:, None]) for k in range(2)]
+    assert len(AXIS.coordinates) == 1
+    assert default_budget(runs, AXIS) == seconds
+
+
+def test_without_time_to_search_the_refit_is_the_result() -> None:
+    """The drives' current is limited to 5 A, which a refit cannot explain."""
+    lines: list[str] = []
+    result = identify(limited_runs([3.0, 3.0, 9.0, 9.0, 3.0]), AXIS, log=lines.append, budget=0.0)
+    assert (result.verdict, result.effects) == ("unexplained", ())
+    assert result.unfinished is not None
+    assert result.as_json()["unfinished"] == {
+        "stage": result.unfinished.stage,
+        "reason": "the budget of 0 s of processor time ended",
+    }
+    assert result.after.machine.parameters == result.before.machine.parameters
+    assert not any("reduces chi-squared" in line for line in lines)
+
+
+def test_a_budget_that_does_not_end_changes_nothing_and_one_that_ends_keeps_what_was_found() -> None:
+    """The clock counts the steps of the search, so that the test does not depend on the processor."""
+    runs = limited_runs([3.0, 3.0, 9.0, 9.0, 3.0])
+    clock, steps = Clock(), []
+    complete = identify(runs, AXIS, budget=Budget(1e9, clock=clock, progress=lambda *step: steps.append(step)))
+    unlimited = identify(runs, AXIS, budget=math.inf)
+    assert complete.unfinished is None
+    assert complete.as_json() | {"seconds": 0} == unlimited.as_json() | {"seconds": 0}
+    assert [s.effect.label for s in complete.effects] == ["current_limit@motor"]
+    last = next(step for step in steps if step[0] in ("comparing rivals", "testing each effect beside the others"))
+    early = identify(runs, AXIS, budget=Budget((last[1] + 0.5) / 0.8, clock=Clock(), progress=lambda *step: None))
+    assert early.unfinished is not None
+    assert [s.effect.label for s in early.effects] == ["current_limit@motor"]
+    assert early.verdict == "effect_found"
+
+
+def test_each_iteration_of_a_fit_asks_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(estimation, "spend", lambda: asked.append(None))
+    identify(limited_runs([3.0, 3.0]), AXIS, budget=0.0)
+    assert len(asked) > 3

@@ -1,0 +1,56 @@
+"""Tests of what held-out runs say about a verdict: each threshold from both sides."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification.verdict import Evidence, contradiction_of_names, contradiction_of_no_effect, remaining
+
+pytestmark = pytest.mark.unit
+CRITERIA = SelectionCriteria()
+EXACT = Evidence(left=1.0, left_before=1.0, motion=1e-4, lacking=1e-6, remaining_prediction=1.0)
+
+
+@pytest.mark.parametrize("left", [142.0, 588.0, 23_839.0, 2.01, math.inf])
+def test_no_effect_is_not_said_above_twice_the_noise(left: float) -> None:
+    """A sensor that repeated its measurements was taken for jitter of the clock, and this for the whole error."""
+    reason = contradiction_of_no_effect(dataclasses.replace(EXACT, left=left), CRITERIA)
+    expected = f"{left:.3g} times the noise of the sensors" if math.isfinite(left) else "diverges"
+    assert expected in reason
+    assert contradiction_of_no_effect(dataclasses.replace(EXACT, left=1.99), CRITERIA) == ""
+
+
+def test_no_effect_is_not_said_if_the_noise_is_as_large_as_the_motion() -> None:
+    reason = contradiction_of_no_effect(dataclasses.replace(EXACT, motion=0.11), CRITERIA)
+    assert "11 % of the motion" in reason
+    assert contradiction_of_no_effect(dataclasses.replace(EXACT, motion=0.09), CRITERIA) == ""
+
+
+@pytest.mark.parametrize(
+    ("explained", "prediction", "left", "named"),
+    [
+        (False, 0.10, 687.0, False),  # a torque constant that falls with the current: three wrong names
+        (False, 0.067, 408.0, False),  # friction that rises with the time at rest: two
+        (False, 0.0097, 66.8, True),  # Stribeck friction, rightly
+        (True, 0.49, 50.0, True),
+        (True, 0.51, 900.0, False),  # the noise of the fit was too large
+        (True, 0.9, 2.5, True),  # an observer hides what the simulation shows
+        (False, 0.9, 1.9, True),  # only noise is left
+    ],
+)
+def test_effects_are_named_if_little_is_left(explained: bool, prediction: float, left: float, named: bool) -> None:
+    evidence = Evidence(left, 1000.0, 0.01, 0.02, prediction)
+    reason = contradiction_of_names(evidence, explained, CRITERIA)
+    assert (reason == "") == named
+    assert named or f"{left:.3g} times the noise of the sensors and 2 % of the drives' force are left" in reason
+
+
+def test_the_fraction_that_remains_counts_beyond_an_exact_machine() -> None:
+    assert remaining(2.0, 11.0, 1.0) == pytest.approx(0.1)
+    assert remaining(0.9, 0.9, 1.0) == 0.0
+    assert remaining(2.0, 1.0, 1.0) == math.inf
+    assert remaining(math.inf, math.inf, 1.0) == math.inf
