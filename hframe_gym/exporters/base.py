@@ -1,4 +1,4 @@
-"""Interface and registry of exporters, and what all exported files have in common: provenance, whole or not at all."""
+"""Interface and registry of exporters, provenance of exported files, and writing them together or not at all."""
 
 from __future__ import annotations
 
@@ -21,21 +21,24 @@ from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry
 
 Files = Mapping[str, str | bytes]
-HELP, ARGUMENT, CLI_TYPE = "help", "argument", "cli_type"  # keys of the metadata of a field
+HELP, ARGUMENT, CLI_TYPE, RANGE = "help", "argument", "cli_type", "range"  # keys of the metadata of a field
 
 
-def option(default: Any, text: str, *, cli_type: Any = None) -> Any:
+def option(default: Any, text: str, *, cli_type: Any = None, least: int | None = None, most: int | None = None) -> Any:
     """Declare a field of an exporter that `hframe export` offers as an option of the same name.
 
     Args:
         default: Default value.
         text: Help text; placeholders such as {sensors} stand for the registered names.
         cli_type: Type of the option on the command line, if it differs from the type of the field.
+        least: Smallest value that the command line accepts; None for no limit.
+        most: Largest value that the command line accepts.
 
     Returns:
         The field of a dataclass.
     """
-    return dataclasses.field(default=default, metadata={HELP: text, ARGUMENT: False, CLI_TYPE: cli_type})
+    limits = None if least is None else (least, most)
+    return dataclasses.field(default=default, metadata={HELP: text, ARGUMENT: False, CLI_TYPE: cli_type, RANGE: limits})
 
 
 def argument(text: str) -> Any:
@@ -47,7 +50,7 @@ def argument(text: str) -> Any:
     Returns:
         The field of a dataclass.
     """
-    return dataclasses.field(metadata={HELP: text, ARGUMENT: True, CLI_TYPE: None})
+    return dataclasses.field(metadata={HELP: text, ARGUMENT: True, CLI_TYPE: None, RANGE: None})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,7 @@ class FormulaTrace(Trace):
     def update_if_any(
         self, condition: Any, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Any]:
-        """Return the updated values; by its contract the update changes nothing where the condition is false."""
+        """Return the updated values; the update changes nothing where the condition is false."""
         return list(update(values))
 
 
@@ -121,8 +121,7 @@ def trace_formula(
         elements = [trace.argument(text) for text in signal.elements()]
         arguments.append(elements if signal.size else elements[0])
     results = [trace.expression(value) for value in function(values, *arguments)]
-    formula = Formula(name, comment, tuple(inputs), tuple(outputs), results)
-    return formula
+    return Formula(name, comment, tuple(inputs), tuple(outputs), results)
 
 
 def parameters_of(machine: Machine) -> dict[str, Parameter]:
@@ -179,7 +178,9 @@ class C99(Language):
 
     _FUNCTIONS: Mapping[str, str] = {
         **{name: name for name in ("exp", "sin", "cos", "tanh", "sqrt", "copysign", "floor", "rint")},
-        **{"absolute": "fabs", "minimum": "fmin", "maximum": "fmax"},
+        "absolute": "fabs",
+        "minimum": "fmin",
+        "maximum": "fmax",
     }
 
     def number(self, text: str) -> str:
@@ -213,7 +214,9 @@ class StructuredText(Language):
 
     _FUNCTIONS: Mapping[str, str] = {
         **{name: name.upper() for name in ("exp", "sin", "cos", "sqrt")},
-        **{"absolute": "ABS", "minimum": "MIN", "maximum": "MAX"},
+        "absolute": "ABS",
+        "minimum": "MIN",
+        "maximum": "MAX",
     }
 
     def number(self, text: str) -> str:

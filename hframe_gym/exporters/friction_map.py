@@ -29,8 +29,8 @@ class FrictionMapExporter(MachineExporter):
     """Write the friction of each coordinate as a table over speed, and over position where effects depend on it.
 
     friction_map.csv has the force (N) or torque (Nm) that a drive needs at constant speed against dry friction, viscous
-    friction and forces of effects, with its standard deviation where the machine was identified. Dry friction is that of
-    steady sliding. Back-EMF is not in it.
+    friction and forces of effects, with its standard deviation where the machine was identified. Dry friction is that
+    of steady sliding. Back-EMF is not in it.
 
     Example:  hframe export friction-map --machine axis --out friction.csv
     """
@@ -41,9 +41,12 @@ class FrictionMapExporter(MachineExporter):
         """Return the table."""
         header = self.header(
             machine,
-            "Force or torque against the motion at constant speed, in the unit of the column unit (N or Nm); speeds m/s or",
-            "rad/s, positions m or rad. total = dry + viscous + effects. Empty: not identified, or no dependence on position.",
-            f"Steady sliding, no drive torque (friction that grows with it comes on top), {self.time:g} s after power-on.",
+            "Force or torque against the motion at constant speed, in the unit of the column "
+            "unit (N or Nm); speeds m/s or",
+            "rad/s, positions m or rad. total = dry + viscous + effects. Empty: not identified, "
+            "or no dependence on position.",
+            "Steady sliding, no drive torque (friction that grows with it comes on top), "
+            f"{self.time:g} s after power-on.",
             "Back-EMF of the motors is not part of the friction.",
         )
         lines = ["coordinate,unit,position_of,position,speed,dry,viscous,effects,total,total_std"]
@@ -55,7 +58,7 @@ class FrictionMapExporter(MachineExporter):
         return {"friction_map.csv": commented(header, "#") + "\n".join(lines) + "\n"}
 
     def _rows(self, machine: Machine, i: int, leader: int | None) -> list[str]:
-        """Return the lines of coordinate i over the position of the coordinate `leader`, None if over speed only."""
+        """Return the lines of coordinate i over the position of the coordinate `leader`; None: over speed only."""
         c = machine.coordinates[i]
         highest = _highest_speed(machine, i)
         positions = np.array([np.nan]) if leader is None else _positions(machine, leader)
@@ -103,7 +106,7 @@ def friction_parts(
 def _against(
     machine: Machine, i: int, speed: Array, leader: int | None, position: Array, time_s: float
 ) -> tuple[Array, Array, Array]:
-    """Return Coulomb friction, viscous friction and all other forces against the motion of coordinate i, N or Nm."""
+    """Return Coulomb friction, viscous friction and other forces against the motion of coordinate i, N or Nm."""
     equations = Equations(machine)
     count, radius = len(machine.coordinates), equations.radius(i)
     rest = rest_state(machine)[:count] * machine.travel_per_unit
@@ -148,7 +151,7 @@ def _leaders(machine: Machine, i: int) -> list[int]:
 
 
 def _positions(machine: Machine, leader: int) -> Array:
-    """Return positions over the range of a carriage or one turn of a pulley, dense enough for periodic effects."""
+    """Return positions over the range of a carriage or a turn of a pulley, dense enough for periodic effects."""
     c = machine.coordinates[leader]
     low, high = c.range or ((0.0, 2.0 * np.pi) if c.kind == "rotary" else _DEFAULT_RANGE)
     points = _POINTS

@@ -41,8 +41,8 @@ class GainsExporter(MachineExporter):
     """Write the gains of the controllers textbook-pid and pid for a control period, with their units.
 
     The textbook PID acts along each axis of the tool. Its gains are given as forces (parallel form), as gain, integral
-    and derivative time (standard form), and in volts for each drive. For `pid` they are the constant state feedback that
-    acts near the goal; far from it, `pid` plans with the saturation of the drives, which no table of gains contains.
+    and derivative time (standard form), and in volts for each drive. For `pid` they are the constant state feedback
+    that acts near the goal; far from it, `pid` plans with the saturation of the drives, which no table of gains contains.
     The files are gains.csv and gains.json.
 
     Example:  hframe export gains --machine hframe --period 0.002 --out out/gains
@@ -59,10 +59,13 @@ class GainsExporter(MachineExporter):
             warnings.warn(concern, stacklevel=2)
         rows = [*_textbook_rows(textbook), *self._feedback_rows(feedback)]
         laws = {
-            "textbook-pid": "force along an axis = P e + I integral(e) - D v; e: goal minus position, v: measured velocity "
-            "(for a moving goal: minus the goal's velocity); voltages = (V/N of each drive and axis) times the forces; "
+            "textbook-pid": "force along an axis = P e + I integral(e) - D v; e: goal minus "
+            "position, v: measured velocity "
+            "(for a moving goal: minus the goal's velocity); voltages = (V/N of each drive and "
+            "axis) times the forces; "
             "the integrators hold while a voltage exceeds its limit",
-            "pid": "voltage = sum of gain times (goal - state) over positions and velocities of all coordinates, plus the "
+            "pid": "voltage = sum of gain times (goal - state) over positions and velocities of "
+            "all coordinates, plus the "
             "feedforward of friction (hframe export c); goal: the position at rest with unstretched belts",
         }
         header = self.header(

@@ -102,8 +102,10 @@ class InputShaperExporter(MachineExporter):
     def notes(self) -> list[str]:
         """Return what the settings are for, in lines for a comment."""
         return [
-            "For the first mode of the carriage along each axis, with the motors held at their commanded positions as the",
-            f"firmware holds them; tool at {', '.join(self.at or []) or 'the center'}. Higher modes and dry friction are not covered.",
+            "For the first mode of the carriage along each axis, with the motors held at their "
+            "commanded positions as the",
+            f"firmware holds them; tool at {', '.join(self.at or []) or 'the center'}. Higher "
+            "modes and dry friction are not covered.",
             "Belts change their stiffness with the position: compare the corners of the workspace (--at).",
         ]
 
@@ -129,7 +131,8 @@ class InputShaperExporter(MachineExporter):
         if not axes or np.isnan(values).any():
             rigid = [a for a, row in zip(axes, values, strict=True) if np.isnan(row).any()]
             raise InputError(
-                f"machine {machine.name!r}: along {' and '.join(rigid) or 'no axis'} the carriage has no vibration against "
+                f"machine {machine.name!r}: along {' and '.join(rigid) or 'no axis'} the carriage "
+                "has no vibration against "
                 "held motors (no belt or other spring between them), so there is nothing to shape"
             )
         stds = standard_deviations(machine, quantities)

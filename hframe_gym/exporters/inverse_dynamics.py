@@ -1,12 +1,12 @@
 """Inverse dynamics: the voltages that a motion of the tool needs, from the equations of motion of the machine.
 
-On a rigid motion p(t) of the tool the belts keep their length, and every coordinate has the travel rigid * p. The forces
-along the axes are then
+On a rigid motion p(t) of the tool the belts keep their length, and every coordinate has the travel rigid * p. The
+forces along the axes are then
 
     F = rigid' (m a - f_effects + b v + Fc sign(v)),          V = (force per volt)^-1 F,
 
 with the mass m, the viscous coefficient b (back-EMF included) and the Coulomb friction Fc of every coordinate. The
-command inverts the characteristic of the amplifier (gain, offset, dead band). Belts must stretch to transmit the forces;
+command inverts the characteristic of the amplifier (gain, offset, dead band). Belts stretch to transmit the forces;
 `motor_reference` gives the motor positions at which they do.
 
 All functions work on floats, arrays and traced expressions.
@@ -232,7 +232,7 @@ def _tidy(matrix: Array) -> Array:
 
 
 def _described(effect: AppliedEffect) -> bool:
-    """Return whether the formulas contain an effect: the motion alone determines its force, or it acts on a voltage."""
+    """Return whether the formulas contain an effect: the motion determines its force, or it acts on a voltage."""
     definition = effect.definition
     if definition.structure or definition.voltage:
         return True

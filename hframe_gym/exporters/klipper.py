@@ -12,7 +12,7 @@ from .input_shapers import InputShaperExporter, Shaper, impulse_table
 @EXPORTERS.register("klipper")
 @dataclass(frozen=True, kw_only=True)
 class KlipperExporter(InputShaperExporter):
-    """Write the section [input_shaper] of Klipper's printer.cfg, and the impulses of the shapers as a table.
+    """Write the section input_shaper of Klipper's printer.cfg, and the impulses of the shapers as a table.
 
     Frequency and damping ratio are those of the first mode of the carriage along each axis, with the motors held.
 

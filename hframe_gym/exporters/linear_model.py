@@ -206,7 +206,7 @@ def _without_dry_friction(machine: Machine, effects: tuple[AppliedEffect, ...]) 
 
 
 def _linear(effect: AppliedEffect) -> bool:
-    """Return whether an effect acts on the linear model: it has no memory, no threshold and no part in dry friction."""
+    """Return whether an effect acts on the linear model: without memory, threshold and part in dry friction."""
     definition = effect.definition
     if definition.impacts or any(p.role == "switch" for p in definition.parameters):
         return False

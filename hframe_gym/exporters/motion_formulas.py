@@ -70,7 +70,8 @@ class MotionFormulas:
         lines = [
             f"Axes, in the order of arrays: {axes}. Drives: {drives}.",
             "Units: m, m/s, m/s^2, V, rad (rotary motors), s; parameters in SI, see their comments.",
-            "Belts are rigid in feedforward; no dry friction is compensated at zero speed, where its direction is unknown.",
+            "Belts are rigid in feedforward; no dry friction is compensated at zero speed, where "
+            "its direction is unknown.",
             f"Effects that are not contained: {', '.join(self.dynamics.left_out) or 'none'}.",
         ]
         if self.without_pid:

@@ -1,4 +1,4 @@
-"""Linear state-space model and modes of a machine at an operating point, for MATLAB, python-control and spreadsheets."""
+"""Linear state-space model and modes of a machine at an operating point, for MATLAB and python-control."""
 
 from __future__ import annotations
 
@@ -32,9 +32,11 @@ class StateSpaceExporter(MachineExporter):
         position = operating_point(machine, self.at)
         model = linear_model(machine, position)
         found = modes(model.A, machine.travel_per_unit, rest_positions_per_axis(machine))
+        point = ", ".join(f"{n} = {q!r}" for n, q in zip(machine.coordinate_names, position.tolist(), strict=True))
         units = (
-            "Units: SI; positions m or rad, velocities m/s or rad/s, inputs V; deviations from rest at the operating "
-            f"point {', '.join(f'{n} = {q!r}' for n, q in zip(machine.coordinate_names, position.tolist(), strict=True))}",
+            "Units: SI; positions m or rad, velocities m/s or rad/s, inputs V; deviations from "
+            "rest at the operating "
+            f"point {point}",
             "Coulomb friction is not part of the model. Back-EMF is.",
             f"Effects left out because they have no linear model at rest: {', '.join(model.left_out) or 'none'}",
             f"Delays that come on top, s: inputs {model.input_delays.tolist()}, outputs {model.output_delays.tolist()}",

@@ -1,0 +1,80 @@
+"""URDF of a stage for visualization and motion planning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.dom import minidom
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from ..errors import InputError
+from ..machine import Coordinate, Machine, motion_limits, stage_geometry
+from .base import EXPORTERS, Files, MachineExporter, xml_comment
+from .mujoco_model import tool_coordinates
+
+_LARGEST_FRACTION = 0.5  # of the heavier axis: what a carriage on it may weigh
+_UNLIMITED_SPEED = 10.0  # m/s, for machines without friction and back-EMF, whose speed has no limit
+
+
+@EXPORTERS.register("urdf")
+@dataclass(frozen=True, kw_only=True)
+class UrdfExporter(MachineExporter):
+    """Write a URDF with one prismatic joint per axis of the tool, its masses and its limits.
+
+    The limits are those of the workspace, the steady speed at rated voltage, and the force of all drives at standstill.
+    URDF has no belts: motors and pulleys are not in it, and their inertia is not in the masses.
+
+    Example:  hframe export urdf --machine corexy --out stage.urdf
+    """
+
+    def files(self, machine: Machine) -> Files:
+        """Return the URDF."""
+        axes = tool_coordinates(machine)
+        unlimited = [c.name for c in axes if c.range is None]
+        if unlimited:
+            raise InputError(
+                f"machine {machine.name!r}: a prismatic joint of URDF has limits, but {', '.join(unlimited)} has no "
+                "range; add it to machine.json"
+            )
+        directions = {c.name: d for c, d in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
+        carrier, *riders = sorted(axes, key=lambda c: -c.mass)
+        carried = min(riders[0].mass, _LARGEST_FRACTION * carrier.mass) if riders else 0.0
+        half = 0.5 * float(np.ptp(stage_geometry(machine).workspace[-1])) + 0.05
+        beam = (0.04, 2 * half, 0.03) if carrier is axes[0] else (2 * half, 0.04, 0.03)
+        tool = (0.06, 0.06, 0.05)
+        links = ['<link name="base"/>', _link(carrier, carrier.mass - carried, beam if riders else tool)]
+        joints = [_joint(machine, carrier, "base", directions[carrier.name])]
+        for rider in riders:
+            links.append(_link(rider, carried, tool))
+            joints.append(_joint(machine, rider, f"{carrier.name}_link", directions[rider.name]))
+        text = f"<robot name={quoteattr(machine.name)}>{''.join(links)}{''.join(joints)}</robot>"
+        pretty = minidom.parseString(text).documentElement.toprettyxml(indent="  ")
+        header = self.header(machine, "Units: SI. Motors, pulleys and belts are not in this model.")
+        return {"stage.urdf": xml_comment(header) + pretty}
+
+
+def _link(c: Coordinate, mass: float, size: tuple[float, float, float]) -> str:
+    """Return a link that is a homogeneous box."""
+    a, b, h = size
+    moments = (mass / 12.0 * (b * b + h * h), mass / 12.0 * (a * a + h * h), mass / 12.0 * (a * a + b * b))
+    tensor = " ".join(f'i{k}="{m!r}"' for k, m in zip(("xx", "yy", "zz"), moments, strict=True))
+    box = f'<geometry><box size="{a!r} {b!r} {h!r}"/></geometry>'
+    return (
+        f'<link name={quoteattr(c.name + "_link")}><inertial><mass value="{mass!r}"/>'
+        f'<inertia {tensor} ixy="0" ixz="0" iyz="0"/></inertial><visual>{box}</visual></link>'
+    )
+
+
+def _joint(machine: Machine, c: Coordinate, parent: str, direction: str) -> str:
+    """Return the prismatic joint of an axis."""
+    limits = motion_limits(machine).get(c.name)
+    low, high = c.range or (0.0, 0.0)
+    force = limits.force + c.coulomb if limits else 0.0
+    speed = limits.speed if limits and np.isfinite(limits.speed) else _UNLIMITED_SPEED
+    return (
+        f'<joint name={quoteattr(c.name)} type="prismatic"><parent link={quoteattr(parent)}/>'
+        f'<child link={quoteattr(c.name + "_link")}/><axis xyz="{direction}"/>'
+        f'<limit lower="{low!r}" upper="{high!r}" effort="{force!r}" velocity="{speed!r}"/>'
+        f'<dynamics damping="{c.viscous!r}" friction="{c.coulomb!r}"/></joint>'
+    )
