@@ -10,13 +10,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
-from ..machine import Machine, rest_state
+from ..machine import Coordinate, Machine, rest_state
 from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry
 
@@ -214,6 +215,20 @@ def xml_comment(lines: Sequence[str]) -> str:
     return "<!--\n" + "".join(f"  {line}\n".replace("--", "- -") for line in lines) + "-->\n"
 
 
+def indented(xml: str) -> str:
+    """Indent XML by its structure.
+
+    Args:
+        xml: XML without an XML declaration.
+
+    Returns:
+        The same elements, one per line, with a line break at the end.
+    """
+    element = ElementTree.fromstring(xml)
+    ElementTree.indent(element)
+    return ElementTree.tostring(element, encoding="unicode") + "\n"
+
+
 def commented(lines: Sequence[str], sign: str) -> str:
     """Write lines as comments.
 
@@ -242,6 +257,18 @@ def json_text(content: Mapping[str, Any]) -> str:
 def _plain_value(value: Any) -> Any:
     """Return what JSON stores for a value that it does not know."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+
+def axis_range(coordinate: Coordinate) -> tuple[float, float]:
+    """Return the range of a coordinate; a carriage without a range has 0.25 m to either side, a pulley one turn.
+
+    Args:
+        coordinate: Coordinate of a machine.
+
+    Returns:
+        Lowest and highest position, m or rad.
+    """
+    return coordinate.range or ((0.0, 2.0 * np.pi) if coordinate.kind == "rotary" else (-0.25, 0.25))
 
 
 def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.float64]:

@@ -32,7 +32,7 @@ class CExporter(MachineExporter):
     PREFIX.h and PREFIX.c have the voltages that a motion of the tool needs (inertia, viscous friction and back-EMF, dry
     friction with its identified effects, forces of effects; gain, offset and dead band of the amplifier are inverted),
     the part against friction alone, the motor positions with stretched belts, and one step of the textbook PID. They
-    are written from the equations of the simulator. PREFIX_test.c compares them with values that the simulator computed:
+    are written from the equations of the simulator. PREFIX_test.c compares them with values that the equations give:
     cc -std=c99 PREFIX.c PREFIX_test.c -lm && ./a.out
 
     Example:  hframe export c --machine hframe --period 0.001 --out out/c

@@ -16,6 +16,7 @@ from typing import Any
 
 from ..dynamics.expressions import Expression
 from ..dynamics.tracing import Trace
+from ..errors import InputError
 from ..machine import Machine
 from .base import plain
 
@@ -238,6 +239,8 @@ class StructuredText(Language):
             return f"{operands[0]} {sign} {operands[1]}"
         if name in self._FUNCTIONS:
             return f"{self._FUNCTIONS[name]}({', '.join(inside)})"
+        if name == "rint":
+            raise InputError("Structured Text has no rounding to even, which a formula of this machine's effects uses")
         self.helpers.add(name)
         return f"{self.prefix}_{name}({', '.join(inside)})"
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import Equations, MotionPoint
 from ..machine import AppliedEffect, Machine, argument_names, motion_limits, rest_state, rigid_motions
-from .base import EXPORTERS, Files, MachineExporter, commented, option, plain
+from .base import EXPORTERS, Files, MachineExporter, axis_range, commented, option, plain
 from .uncertainty import standard_deviations
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ _SPEEDS = np.geomspace(1e-4, 1.0, 41)
 _POINTS = 49  # positions over the range of a smooth dependence
 _POINTS_PER_PERIOD, _MOST_POINTS = 16, 1001
 _SLIDE_M = 10.0  # m, belt travel after which effects with a memory (bristles) slide steadily
-_DEFAULT_SPEED, _DEFAULT_RANGE = 1.0, (-0.25, 0.25)  # m/s and m of belt travel, where the machine states none
+_DEFAULT_SPEED = 1.0  # m/s of belt travel, where the machine states no highest speed
 _DRY_HOOKS = ("coulomb", "friction", "viscous")
 
 
@@ -153,7 +153,7 @@ def _leaders(machine: Machine, i: int) -> list[int]:
 def _positions(machine: Machine, leader: int) -> Array:
     """Return positions over the range of a carriage or a turn of a pulley, dense enough for periodic effects."""
     c = machine.coordinates[leader]
-    low, high = c.range or ((0.0, 2.0 * np.pi) if c.kind == "rotary" else _DEFAULT_RANGE)
+    low, high = axis_range(c)
     points = _POINTS
     for instance in Equations(machine).instances:
         for p in instance.effect.definition.parameters if instance.coordinate == leader else ():

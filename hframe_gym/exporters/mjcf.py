@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
-from xml.dom import minidom
 
 from ..errors import InputError
 from ..machine import Machine
-from .base import EXPORTERS, Files, MachineExporter, operating_point, option, xml_comment
+from .base import EXPORTERS, Files, MachineExporter, indented, operating_point, option, xml_comment
 from .mujoco_model import MujocoSettings, model_xml
 
 _STEP_LIMITS = (1e-6, 0.1)  # s
@@ -38,7 +37,7 @@ class MjcfExporter(MachineExporter):
             raise InputError(f"--step {self.step:g}: must be from {_STEP_LIMITS[0]:g} s to {_STEP_LIMITS[1]:g} s")
         settings = MujocoSettings(self.integrator, "PGS", self.friction)
         text = model_xml(machine, self.step, settings, operating_point(machine, self.at), drawn=True)
-        pretty = minidom.parseString(text).documentElement.toprettyxml(indent="  ")
+        pretty = indented(text)
         header = self.header(
             machine,
             "Units: SI; controls are drive voltages, V. Sensors read joint positions without noise and rounding.",

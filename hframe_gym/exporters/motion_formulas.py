@@ -22,12 +22,12 @@ from ..dynamics.elementwise import absolute, maximum, minimum, where
 from ..dynamics.expressions import Expression
 from ..errors import InputError
 from ..machine import Machine, motion_limits
-from .base import plain
+from .base import axis_range, plain
 from .formula_source import Formula, Parameter, Signal, parameters_of, trace_formula
 from .inverse_dynamics import InverseDynamics
 
 Array = NDArray[np.float64]
-_DEFAULT_RANGE, _DEFAULT_SPEED = (-0.25, 0.25), 1.0  # m, m/s, where the machine states none
+_DEFAULT_SPEED = 1.0  # m/s, where the machine states no highest speed
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}", re.ASCII)
 
 
@@ -103,7 +103,7 @@ class MotionFormulas:
         """Return times and states of the tool within the limits of the machine; every fourth speed is zero."""
         machine, axes = self.dynamics.machine, self.dynamics.axes
         limits = motion_limits(machine)
-        ranges = np.array([machine.coordinate(a).range or _DEFAULT_RANGE for a in axes])
+        ranges = np.array([axis_range(machine.coordinate(a)) for a in axes])
         speeds = [limits[a].speed if a in limits else np.inf for a in axes]
         highest = np.array([s if 1e-6 < s < np.inf else _DEFAULT_SPEED for s in speeds])
         hardest = np.array([max(limits[a].force / limits[a].inertia, 1.0) if a in limits else 1.0 for a in axes])

@@ -1,8 +1,9 @@
 """A stage as a model of MuJoCo: joints with diagonal inertia, tendons as belts, motors with the gear's force per volt.
 
-The lighter axis rides on the heavier one. Each pulley is a body of its coordinate's inertia, and each belt a fixed tendon
-(a linear combination of joints) of constant stiffness, that at the operating point. Coulomb friction is `frictionloss`, a
-soft constraint in MuJoCo; joint damping includes the back-EMF of the motors, so that controls are voltages.
+The lighter axis rides on the heavier one. Each pulley is a body of its coordinate's inertia, and each belt a fixed
+tendon (a linear combination of joints) of constant stiffness, that at the operating point. Coulomb friction is
+`frictionloss`, a soft constraint in MuJoCo; joint damping includes the back-EMF of the motors, so that controls are
+voltages.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from ..dynamics import belt_states
 from ..errors import InputError
-from ..machine import Coordinate, Machine, stage_geometry
+from ..machine import Coordinate, Machine
+from .base import axis_range
 
 Array = NDArray[np.float64]
 # MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
@@ -177,9 +179,8 @@ def _place(i: int, drawn: bool) -> str:
 
 def _shapes(machine: Machine, axes: list[Coordinate]) -> dict[str, str]:
     """Return the geometries of bodies without mass: a beam for a carrier, a box for the tool, disks for pulleys."""
-    workspace = stage_geometry(machine).workspace
-    half = 0.5 * float(np.ptp(workspace[-1])) + 0.05 if len(axes) > 1 else 0.05
-    heavier = max(axes, key=lambda c: c.mass)
+    heavier, lighter = max(axes, key=lambda c: c.mass), min(axes, key=lambda c: c.mass)
+    half = 0.5 * float(np.ptp(axis_range(lighter))) + 0.05
     across = f"0.02 {half:g} 0.015" if heavier is axes[0] else f"{half:g} 0.02 0.015"
     plain = 'contype="0" conaffinity="0" mass="0"'
     shapes = {c.name: f'<geom type="box" size="0.03 0.03 0.025" rgba="0.8 0.3 0.2 1" {plain}/>' for c in axes}

@@ -16,6 +16,7 @@ _HELPERS = {
     "sign": "SEL(x > 0.0, SEL(x < 0.0, 0.0, -1.0), 1.0)",
     "tanh": "1.0 - 2.0 / (EXP(2.0 * x) + 1.0)",
     "floor": "SEL(TRUNC(x) > x, TRUNC(x), TRUNC(x) - 1)",
+    "copysign": "SEL(y < 0.0, ABS(x), -ABS(x))",
 }
 
 
@@ -60,8 +61,8 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
     helpers = [
         _function(
             f"{prefix}_{name}",
-            f"{name} of x.",
-            _declared("VAR_INPUT", [("x", "LREAL", "")]),
+            f"{name} of x." if name != "copysign" else "Magnitude of x with the sign of y.",
+            _declared("VAR_INPUT", [(v, "LREAL", "") for v in ("xy" if name == "copysign" else "x")]),
             [f"{prefix}_{name} := {formula};"],
         )
         for name, formula in _HELPERS.items()

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from xml.dom import minidom
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from ..errors import InputError
-from ..machine import Coordinate, Machine, motion_limits, stage_geometry
-from .base import EXPORTERS, Files, MachineExporter, xml_comment
+from ..machine import Coordinate, Machine, motion_limits, rigid_motions
+from .base import EXPORTERS, Files, MachineExporter, axis_range, indented, xml_comment
 from .mujoco_model import tool_coordinates
 
 _LARGEST_FRACTION = 0.5  # of the heavier axis: what a carriage on it may weigh
@@ -40,7 +39,7 @@ class UrdfExporter(MachineExporter):
         directions = {c.name: d for c, d in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
         carrier, *riders = sorted(axes, key=lambda c: -c.mass)
         carried = min(riders[0].mass, _LARGEST_FRACTION * carrier.mass) if riders else 0.0
-        half = 0.5 * float(np.ptp(stage_geometry(machine).workspace[-1])) + 0.05
+        half = 0.5 * float(np.ptp(axis_range(riders[0] if riders else carrier))) + 0.05
         beam = (0.04, 2 * half, 0.03) if carrier is axes[0] else (2 * half, 0.04, 0.03)
         tool = (0.06, 0.06, 0.05)
         links = ['<link name="base"/>', _link(carrier, carrier.mass - carried, beam if riders else tool)]
@@ -49,7 +48,7 @@ class UrdfExporter(MachineExporter):
             links.append(_link(rider, carried, tool))
             joints.append(_joint(machine, rider, f"{carrier.name}_link", directions[rider.name]))
         text = f"<robot name={quoteattr(machine.name)}>{''.join(links)}{''.join(joints)}</robot>"
-        pretty = minidom.parseString(text).documentElement.toprettyxml(indent="  ")
+        pretty = indented(text)
         header = self.header(machine, "Units: SI. Motors, pulleys and belts are not in this model.")
         return {"stage.urdf": xml_comment(header) + pretty}
 
@@ -70,7 +69,8 @@ def _joint(machine: Machine, c: Coordinate, parent: str, direction: str) -> str:
     """Return the prismatic joint of an axis."""
     limits = motion_limits(machine).get(c.name)
     low, high = c.range or (0.0, 0.0)
-    force = limits.force + c.coulomb if limits else 0.0
+    motion = dict(zip(machine.coordinate_names, rigid_motions(machine)[c.name], strict=True)) if limits else {}
+    force = float(sum(d.gain * d.rated_voltage * abs(motion.get(d.coordinate, 0.0)) for d in machine.drives))
     speed = limits.speed if limits and np.isfinite(limits.speed) else _UNLIMITED_SPEED
     return (
         f'<joint name={quoteattr(c.name)} type="prismatic"><parent link={quoteattr(parent)}/>'
