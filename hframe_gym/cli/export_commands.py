@@ -122,16 +122,15 @@ def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     """Return the parameter of a command for a field of an exporter."""
     from ..exporters.base import ARGUMENT, CLI_TYPE, HELP, RANGE
 
-    about, names = field.metadata, {}
-    text = about[HELP]
-    if about[RANGE] is not None:
-        names = dict(zip(("min", "max"), about[RANGE], strict=True))
+    about = field.metadata
+    text, default = about[HELP], field.default
+    least, most = about[RANGE] or (None, None)
     if about[ARGUMENT]:
         declared, default = typer.Argument(help=text), inspect.Parameter.empty
     elif hint is bool:
-        declared, default = typer.Option(f"--{field.name}", help=text), field.default
+        declared = typer.Option(f"--{field.name}", help=text)  # without --no-NAME
     else:
-        declared, default = typer.Option(help=text, **names), field.default
+        declared = typer.Option(help=text, min=least, max=most)
     kind = about[CLI_TYPE] or hint
     return inspect.Parameter(
         field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, declared]

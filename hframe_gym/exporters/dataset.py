@@ -50,7 +50,7 @@ class DatasetExporter(Exporter):
             for name in names:  # so that a wrong name is reported before anything is written
                 make_controller(name, scenario)
             for name in names:
-                form = {"normalize": self.normalize, "flat": self.flat, "author": self.author}
+                form: dict[str, Any] = {"normalize": self.normalize, "flat": self.flat, "author": self.author}
                 written = export_dataset(name, scenario, out, **form)
                 log(
                     f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} "

@@ -65,7 +65,11 @@ class Signal:
     comment: str
 
     def elements(self) -> list[str]:
-        """Return the source text of each entry; arrays count from 0 in both languages."""
+        """Write each entry in source text; arrays count from 0 in both languages.
+
+        Returns:
+            Texts, for example "velocity[0]".
+        """
         return [f"{self.name}[{i}]" for i in range(self.size)] if self.size else [self.name]
 
 
@@ -163,15 +167,39 @@ class Language(ABC):
 
     @abstractmethod
     def number(self, text: str) -> str:
-        """Return a number, given as Python writes it."""
+        """Write a number.
+
+        Args:
+            text: The number as Python writes it.
+
+        Returns:
+            Its source text.
+        """
 
     @abstractmethod
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Return an operation or a call of a function on operands, which are atoms or in brackets."""
+        """Write an operation or a call of a function.
+
+        Args:
+            name: Operator such as "+" or name of a function in `dynamics.elementwise`.
+            operands: Source text of the operands, which are atoms or in brackets.
+
+        Returns:
+            Source text without brackets around it.
+        """
 
     @abstractmethod
     def assignment(self, target: str, value: str, *, kind: str) -> str:
-        """Return a line that assigns a value; kind: "number" or "condition" for new names, "output"."""
+        """Write a line that assigns a value.
+
+        Args:
+            target: Name that gets the value.
+            value: Source text of the value.
+            kind: "number" or "condition" for a new name, "output" for an existing one.
+
+        Returns:
+            The line.
+        """
 
 
 class C99(Language):
@@ -298,9 +326,8 @@ class _Writer:
         self._lines += [
             language.assignment(target, value, kind="output") for target, value in zip(targets, values, strict=True)
         ]
-        self.body = Body(
-            tuple(self._lines), *(tuple(self._names[k]) for k in ("number", "condition")), frozenset(self._used)
-        )
+        numbers, conditions = (tuple(self._names[kind]) for kind in ("number", "condition"))
+        self.body = Body(tuple(self._lines), numbers, conditions, frozenset(self._used))
 
     def _count(self, value: Expression, visited: set[Expression]) -> None:
         self._uses[value] += 1

@@ -53,7 +53,8 @@ class FrictionMapExporter(MachineExporter):
         for i, coordinate in enumerate(machine.coordinates):
             if coordinate.name in machine.spring_loaded:
                 continue
-            for leader in _leaders(machine, i) or [None]:
+            leaders: list[int | None] = [*_leaders(machine, i)]
+            for leader in leaders or [None]:
                 lines += self._rows(machine, i, leader)
         return {"friction_map.csv": commented(header, "#") + "\n".join(lines) + "\n"}
 

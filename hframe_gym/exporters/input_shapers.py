@@ -100,7 +100,11 @@ class InputShaperExporter(MachineExporter):
     at: list[str] | None = option(None, "Tool position of the modes, as AXIS=METERS; repeat for more axes.")
 
     def notes(self) -> list[str]:
-        """Return what the settings are for, in lines for a comment."""
+        """Describe what the settings are for.
+
+        Returns:
+            Lines for a comment.
+        """
         return [
             "For the first mode of the carriage along each axis, with the motors held at their "
             "commanded positions as the",

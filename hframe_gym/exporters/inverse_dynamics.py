@@ -225,7 +225,7 @@ def _solved(matrix: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
     return [(d * right[0] - b * right[1]) / determinant, (a * right[1] - c * right[0]) / determinant]
 
 
-def _tidy(matrix: Array) -> Array:
+def _tidy(matrix: NDArray[np.floating[Any]]) -> Array:
     """Return a matrix whose entries are integers where they differ from one by rounding only."""
     nearest = np.rint(matrix)
     return np.where(np.abs(matrix - nearest) <= _ROUNDING * np.maximum(np.abs(nearest), 1.0), nearest, matrix)

@@ -86,7 +86,7 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
         position: Position of every coordinate with unstretched belts, m or rad, shape (coordinates,).
 
     Returns:
-        The model, in SI, with names and units.
+        The model, in SI, with names and units; A has the shape (states, states).
     """
     n, drives, sensors = len(machine.coordinates), len(machine.drives), len(machine.sensors)
     nominal = linearize(machine, position)

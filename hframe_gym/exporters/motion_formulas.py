@@ -64,7 +64,11 @@ class MotionFormulas:
     without_pid: str
 
     def statements(self) -> list[str]:
-        """Return what the formulas contain, in lines for a comment."""
+        """Describe what the formulas contain.
+
+        Returns:
+            Lines for a comment.
+        """
         axes = ", ".join(self.dynamics.axes)
         drives = ", ".join(f"{d.name} ({d.channel})" for d in self.dynamics.machine.drives)
         lines = [
@@ -87,7 +91,7 @@ class MotionFormulas:
             seed: Seed of the random motion.
 
         Returns:
-            Inputs and outputs; for `pid`, successive steps from an integral of zero.
+            Inputs and outputs, shape (count, entries) each; for `pid`, successive steps from an integral of zero.
         """
         rng = np.random.default_rng(seed)
         time, position, velocity, acceleration = self._random_motion(rng, count)
@@ -108,7 +112,7 @@ class MotionFormulas:
         highest = np.array([s if 1e-6 < s < np.inf else _DEFAULT_SPEED for s in speeds])
         hardest = np.array([max(limits[a].force / limits[a].inertia, 1.0) if a in limits else 1.0 for a in axes])
         shape = (count, len(axes))
-        position = rng.uniform(*ranges.T, shape)
+        position = rng.uniform(ranges[:, 0], ranges[:, 1], shape)
         velocity = 0.8 * highest * rng.uniform(-1.0, 1.0, shape) ** 3  # many slow ones, where friction changes
         velocity[rng.random(shape) < 0.25] = 0.0
         return rng.uniform(0.0, 100.0, count), position, velocity, hardest * rng.uniform(-1.0, 1.0, shape)

@@ -164,7 +164,7 @@ def test_a_machine_without_one_drive_per_axis_is_refused(hframe: Machine) -> Non
 
 
 def interpreter(text: str) -> dict[str, Callable[..., Any]]:
-    """Translate Structured Text, as the exporter writes it, to Python functions; blocks take and return dictionaries."""
+    """Translate Structured Text, as the exporter writes it, to Python functions; blocks return dictionaries."""
     text = re.sub(r"\(\*.*?\*\)", "", text, flags=re.DOTALL)
     library: dict[str, Any] = {
         "SEL": lambda g, no, yes: yes if g else no,
