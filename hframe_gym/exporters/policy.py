@@ -99,8 +99,8 @@ def _network(agent: Any) -> tuple[Any, list[str], tuple[Any, ...]]:
         ]
     if needs:
         raise InputError(
-            f"agent {agent.card['name']}: its actions need {' and '.join(needs)}, which are no network; export an agent "
-            "without them, for example ppo"
+            f"agent {agent.card['name']}: its actions need {' and '.join(needs)}, which are no network; export an "
+            "agent without them, for example ppo"
         )
     keys = [key for key in policy.features_extractor.keys]  # noqa: C416  (a torch module, not a dict)
     if mapping is not None and "last_action" not in keys:
