@@ -141,10 +141,11 @@ def _torch_script(network: Any, example: tuple[Any, ...]) -> bytes:
     import torch
 
     buffer = io.BytesIO()
+    trace: Any = torch.jit.trace
     with torch.no_grad(), warnings.catch_warnings():
         # PyTorch announces a successor, torch.export, whose files depend on the version of PyTorch.
         warnings.simplefilter("ignore")
-        torch.jit.save(torch.jit.trace(network, example), buffer)
+        torch.jit.save(trace(network, example), buffer)
     return buffer.getvalue()
 
 
@@ -155,10 +156,11 @@ def _onnx(network: Any, keys: list[str], example: tuple[Any, ...]) -> bytes:
     import torch
 
     importlib.import_module("onnx")
+    export: Any = torch.onnx.export  # which also writes to buffers, unlike its annotation
     buffer = io.BytesIO()
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        torch.onnx.export(
+        export(
             network,
             example,
             buffer,
