@@ -91,19 +91,45 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
         blocks.append(_block(f"static double {prefix}_amplifier_{j}(double command)", lines))
         blocks.append(_inverse(prefix, j, float(motion.dynamics.limits[j])))
     for formula in motion.formulas:
-        body = write_body(formula, language)
-        used |= body.used
-        unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
-        lines = [*(f"(void){name};" for name in unused), *body.lines]
-        blocks.append(f"/* {formula.comment} */\n" + _block(_signature(formula, prefix), lines))
+        used |= write_body(formula, language).used
+        signature, block = function_block(formula, language)
+        blocks.append(f"/* {formula.comment} */\n{signature}\n{block}")
     constants = [
         f"static const double {p.identifier} = {p.value!r}; /* {p.comment} */"
         for p in motion.parameters
         if p.identifier in used
     ]
-    helpers = [_HELPERS[name].format(p=prefix) for name in sorted(language.helpers & set(_HELPERS))]
-    parts = [f'#include "{prefix}.h"\n\n#include <math.h>\n', "\n".join(constants) + "\n", *helpers, *blocks]
-    return "\n".join(parts)
+    parts = [f'#include "{prefix}.h"\n\n#include <math.h>\n', "\n".join(constants) + "\n"]
+    return "\n".join([*parts, *helper_functions(language), *blocks])
+
+
+def helper_functions(language: C99) -> list[str]:
+    """Write the functions beyond math.h that formulas use.
+
+    Args:
+        language: Language in which the formulas have been written.
+
+    Returns:
+        Source text of each function.
+    """
+    return [_HELPERS[name].format(p=language.prefix) for name in sorted(language.helpers & set(_HELPERS))]
+
+
+def function_block(formula: Formula, language: C99) -> tuple[str, str]:
+    """Write a formula as a function.
+
+    Args:
+        formula: Formula.
+        language: Language with the prefix of the names.
+
+    Returns:
+        signature: First line without the brace.
+        block: The function's body in braces.
+    """
+    body = write_body(formula, language)
+    unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
+    lines = [*(f"(void){name};" for name in unused), *body.lines]
+    return _signature(formula, language.prefix), "{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
 
 def _block(signature: str, lines: Sequence[str]) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import re
 import sys
+import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -38,6 +40,9 @@ def test_every_file_names_machine_version_and_units_and_has_no_date(kind: str) -
     files = exporter.files(exporter.loaded())
     assert files == exporter.files(exporter.loaded())
     for name, content in files.items():
+        if name.endswith(".fmu"):
+            with zipfile.ZipFile(io.BytesIO(bytes(content))) as archive:
+                content = archive.read("modelDescription.xml").decode()
         text = content if isinstance(content, str) else content.decode("latin-1")
         if name.endswith(".mat"):
             text = text.encode("latin-1").decode("utf-16-le", "ignore") + text
