@@ -43,7 +43,7 @@ class FmuExporter(MachineExporter):
         if unsupported:
             raise InputError(
                 f"machine {machine.name!r}: an FMU has no place for {', '.join(unsupported)} (delays, eccentric "
-                "pulleys); remove the effect from a copy of the machine and add the delay in the tool that imports the FMU"
+                "pulleys); remove it from a copy of the machine and add a delay in the tool that imports the FMU"
             )
         if not machine.tool_axes or not machine.sensors:
             raise InputError(f"machine {machine.name!r}: an FMU needs tool axes, whose start it sets, and sensors")
