@@ -5,6 +5,9 @@ linear_model        linear model of a machine with its linear effects, modes, an
 uncertainty         standard deviations of quantities that follow from identified parameters
 formula_source      source text in C and Structured Text of traced formulas
 inverse_dynamics    drive voltages that a motion of the tool needs
+motion_formulas     formulas and test vectors of the source for controllers
+input_shapers       input shapers of the firmware of printers
+mujoco_model        a stage as a model of MuJoCo
 
 All other modules are exporters: each registers one kind of `hframe export KIND`.
 """

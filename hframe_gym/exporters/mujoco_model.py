@@ -80,8 +80,7 @@ def model_xml(
         return f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="{moment!r} {moment!r} {moment!r}"/>'
 
     directions = {c.name: direction for c, direction in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
-    carrier, *riders = sorted(axes, key=lambda c: -c.mass)
-    carried = min(riders[0].mass, _LARGEST_FRACTION * carrier.mass) if riders else 0.0
+    carrier, riders, carried = carrier_and_riders(axes)
     shapes = _shapes(machine, axes) if drawn else {}
     inner = ""
     if riders:  # the carriage moves with the bridge, so that mass(bridge) is that of both
@@ -149,6 +148,22 @@ def tool_coordinates(machine: Machine) -> list[Coordinate]:
             f"machine {machine.name!r}: only a tool with one or two axes and pulleys has a model of bodies; {reason}"
         )
     return axes
+
+
+def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordinate], float]:
+    """Decide which axis carries the other: the heavier one, whose mass includes that of the carriage on it.
+
+    Args:
+        axes: Coordinates of one or two tool axes.
+
+    Returns:
+        carrier: The heavier axis.
+        riders: The other axis, or none.
+        carried: Mass of the body on the carrier, kg: the lighter mass, but at most half of the heavier one, so that a
+            carrier of the same mass is left with a mass.
+    """
+    carrier, *riders = sorted(axes, key=lambda c: -c.mass)
+    return carrier, riders, min(riders[0].mass, _LARGEST_FRACTION * carrier.mass) if riders else 0.0
 
 
 def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:

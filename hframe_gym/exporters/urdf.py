@@ -10,9 +10,8 @@ import numpy as np
 from ..errors import InputError
 from ..machine import Coordinate, Machine, motion_limits, rigid_motions
 from .base import EXPORTERS, Files, MachineExporter, axis_range, indented, xml_comment
-from .mujoco_model import tool_coordinates
+from .mujoco_model import carrier_and_riders, tool_coordinates
 
-_LARGEST_FRACTION = 0.5  # of the heavier axis: what a carriage on it may weigh
 _UNLIMITED_SPEED = 10.0  # m/s, for machines without friction and back-EMF, whose speed has no limit
 
 
@@ -37,8 +36,7 @@ class UrdfExporter(MachineExporter):
                 "range; add it to machine.json"
             )
         directions = {c.name: d for c, d in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
-        carrier, *riders = sorted(axes, key=lambda c: -c.mass)
-        carried = min(riders[0].mass, _LARGEST_FRACTION * carrier.mass) if riders else 0.0
+        carrier, riders, carried = carrier_and_riders(axes)
         half = 0.5 * float(np.ptp(axis_range(riders[0] if riders else carrier))) + 0.05
         beam = (0.04, 2 * half, 0.03) if carrier is axes[0] else (2 * half, 0.04, 0.03)
         tool = (0.06, 0.06, 0.05)
