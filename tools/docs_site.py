@@ -133,8 +133,11 @@ def _add_commands(sections: list[str], command: Any, name: str) -> None:
     """Append the section of a command, or those of all commands of a group."""
     if name != "hframe":
         sections.append(_command_section(command, name))
-    for subcommand, definition in sorted(getattr(command, "commands", {}).items()):
-        _add_commands(sections, definition, f"{name} {subcommand}")
+    if not hasattr(command, "commands"):
+        return
+    context = typer.Context(command)
+    for subcommand in sorted(command.list_commands(context)):  # `hframe export` makes its commands when listed
+        _add_commands(sections, command.get_command(context, subcommand), f"{name} {subcommand}")
 
 
 def _command_section(command: Any, name: str) -> str:

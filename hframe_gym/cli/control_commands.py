@@ -1,4 +1,4 @@
-"""Commands on controllers: train, evaluate, play, export."""
+"""Commands on controllers: train, evaluate, play."""
 
 from __future__ import annotations
 
@@ -256,47 +256,6 @@ def _protocol_result(protocol_name: str, controller: str) -> dict[str, Any]:
     register_agents()
     protocol = get_protocol(protocol_name)
     return result_content(protocol, *run_protocol(controller, protocol))
-
-
-@app.command(cls=CommandWithChoices)
-def export(
-    controllers: ControllersArgument,
-    out: Annotated[Path, typer.Option(help="Folder of Minari data sets; created if it does not exist.")],
-    machine: MachineOption = "hframe",
-    task: TaskOption = "reach",
-    randomize: RandomizeOption = "none",
-    sensors: SensorsOption = "state",
-    period: PeriodOption = CONTROL_PERIOD,
-    episodes: EpisodesOption = 100,
-    seed: Annotated[
-        int, typer.Option(min=0, max=MAX_SEED, help="Seed of the first episode; episode i has the seed + i.")
-    ] = 0,
-    normalize: Annotated[
-        bool, typer.Option("--normalize", help="Store observations and goals divided by their scales.")
-    ] = False,
-    flat: Annotated[bool, typer.Option("--flat", help="Store an observation as one array instead of a dict.")] = False,
-    author: Annotated[str | None, typer.Option(help="Author in the metadata of the data sets.")] = None,
-) -> None:
-    """Write episodes of controllers as data sets for offline reinforcement learning (Minari), one per controller.
-
-    Example:  hframe export pid ppo --episodes 100 --out out/minari
-    """
-    from ..evaluation import Scenario, export_dataset, make_controller
-
-    register_agents()
-    with value_errors_as_input_errors():
-        options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
-        scenario = Scenario(machine, task, period=period, **options)
-        names = list(dict.fromkeys(controllers))
-        for name in names:  # so that a wrong name is reported before anything is written
-            make_controller(name, scenario)
-        for name in names:
-            written = export_dataset(name, scenario, require_folder(out), normalize=normalize, flat=flat, author=author)
-            log(
-                f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} steps, mean return "
-                f"{written.mean_return:.2f}, {written.success_rate:.1%} of the episodes end within the task's band"
-            )
-    log(f"load them in Python with MINARI_DATASETS_PATH={out} and minari.load_dataset({written.dataset_id!r})")
 
 
 @app.command(cls=CommandWithChoices)

@@ -1,0 +1,298 @@
+"""Interface and registry of exporters, provenance of exported files, and writing them together or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..atomic_files import atomic_file, output_batch
+from ..errors import InputError
+from ..machine import Coordinate, Machine, rest_state
+from ..recordings import load_machine, machine_to_dict
+from ..registry import Registry
+
+Files = Mapping[str, str | bytes]
+HELP, ARGUMENT, CLI_TYPE, RANGE = "help", "argument", "cli_type", "range"  # keys of the metadata of a field
+
+
+def option(default: Any, text: str, *, cli_type: Any = None, least: int | None = None, most: int | None = None) -> Any:
+    """Declare a field of an exporter that `hframe export` offers as an option of the same name.
+
+    Args:
+        default: Default value.
+        text: Help text; placeholders such as {sensors} stand for the registered names.
+        cli_type: Type of the option on the command line, if it differs from the type of the field.
+        least: Smallest value that the command line accepts; None for no limit.
+        most: Largest value that the command line accepts.
+
+    Returns:
+        The field of a dataclass.
+    """
+    limits = None if least is None else (least, most)
+    return dataclasses.field(default=default, metadata={HELP: text, ARGUMENT: False, CLI_TYPE: cli_type, RANGE: limits})
+
+
+def argument(text: str) -> Any:
+    """Declare a field of an exporter that `hframe export` takes as an argument without an option name.
+
+    Args:
+        text: Help text; placeholders such as {controllers} stand for the registered names.
+
+    Returns:
+        The field of a dataclass.
+    """
+    return dataclasses.field(metadata={HELP: text, ARGUMENT: True, CLI_TYPE: None, RANGE: None})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exporter(ABC):
+    """One kind of export, with its options as fields.
+
+    A subclass is a frozen dataclass in a file of this folder. It registers itself with `@EXPORTERS.register("kind")`;
+    `hframe export kind` then exists, with one option per field (`option`, `argument`). The docstring is its help page.
+    """
+
+    @property
+    def kind(self) -> str:
+        """Name under which the exporter is registered."""
+        return next(name for name in EXPORTERS if EXPORTERS.get(name) is type(self))
+
+    @abstractmethod
+    def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
+        """Write the export; its files appear together when they are complete, or none does.
+
+        Args:
+            out: Folder of the export, created if it does not exist.
+            log: Called with lines that tell what was written.
+
+        Raises:
+            InputError: If the exporter cannot describe the machine or controller.
+        """
+
+
+EXPORTERS: Registry[type[Exporter]] = Registry("kind of export")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MachineExporter(Exporter):
+    """Export of a machine: a pure function from the machine and the options to the contents of files."""
+
+    # Whether each file is of use without the others; --out may then name one of them.
+    separable: ClassVar[bool] = True
+
+    machine: str | Path | Machine = option(
+        "hframe", "A machine.json or a built-in name (see `hframe machines`).", cli_type=str
+    )
+
+    @abstractmethod
+    def files(self, machine: Machine) -> Files:
+        """Compute the contents of the files.
+
+        Args:
+            machine: Machine to describe.
+
+        Returns:
+            Text or bytes by file name.
+
+        Raises:
+            InputError: If the exporter cannot describe the machine.
+        """
+
+    def loaded(self) -> Machine:
+        """Return the machine of the field `machine`.
+
+        Returns:
+            The machine.
+
+        Raises:
+            InputError: If there is no such machine, or its file is faulty.
+        """
+        return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
+
+    def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
+        """Write the files to a folder, or the one with the suffix of `out` to the file `out`."""
+        out = Path(out)
+        files = self.files(self.loaded())
+        chosen = [name for name in files if out.suffix and name.endswith(out.suffix)]
+        if out.is_dir() or not out.suffix:
+            if out.exists() and not out.is_dir():
+                raise InputError(f"--out {out}: is a file, but must be a folder")
+            targets = {out / name: content for name, content in files.items()}
+        elif self.separable and len(chosen) == 1:
+            targets = {out: files[chosen[0]]}
+        else:
+            raise InputError(
+                f"--out {out}: the export {self.kind} has the files {', '.join(files)}; name a folder for them"
+                + (" or a file with the suffix of one of them" if self.separable else "")
+            )
+        with output_batch(out.parent if out in targets else out):
+            for path, content in targets.items():
+                with atomic_file(path) as file:
+                    file.write(content.encode() if isinstance(content, str) else content)
+        for path in targets:
+            log(f"wrote {path}")
+
+    def provenance(self, machine: Machine) -> dict[str, Any]:
+        """Describe where an export comes from; equal exports have equal files, so there is no date in it.
+
+        Args:
+            machine: Machine of the export.
+
+        Returns:
+            Name, description, hash and effects of the machine, kind and options of the export, and the version of this
+            package.
+        """
+        from .. import __version__
+
+        content = json.dumps(machine_to_dict(machine), sort_keys=True)
+        options = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "machine"}
+        return {
+            "software": f"hframe_gym {__version__}",
+            "export": self.kind,
+            "options": {name: value for name, value in options.items() if value is not None},
+            "machine": machine.name,
+            "description": machine.description,
+            "machine_sha256": hashlib.sha256(content.encode()).hexdigest(),
+            "effects": [e.label for e in machine.effects],
+        }
+
+    def header(self, machine: Machine, *more: str) -> list[str]:
+        """Write the first lines of a text file: provenance, then further statements; printable characters only.
+
+        Args:
+            machine: Machine of the export.
+            *more: Further lines, for example on units.
+
+        Returns:
+            Lines without comment signs.
+        """
+        about = self.provenance(machine)
+        options = ", ".join(f"{name} = {value}" for name, value in about["options"].items())
+        lines = [
+            f"Machine: {machine.name}" + (f" ({machine.description})" if machine.description else ""),
+            f"Machine file (content) SHA-256: {about['machine_sha256']}",
+            f"Effects of the machine: {', '.join(about['effects']) or 'none'}",
+            f"Written by {about['software']}: hframe export {self.kind}" + (f" with {options}" if options else ""),
+            *more,
+        ]
+        return [plain(line) for line in lines]
+
+
+def plain(text: str) -> str:
+    """Make a text safe inside a comment of any of the exported languages.
+
+    Args:
+        text: Text, which may contain names from a machine file.
+
+    Returns:
+        Printable ASCII characters on one line, without signs that begin or end comments.
+    """
+    ascii_text = "".join(c if c.isascii() and c.isprintable() else "?" for c in " ".join(text.split()))
+    for sign, substitute in (("*/", "* /"), ("/*", "/ *"), ("*)", "* )"), ("(*", "( *"), ("\\", "/")):
+        ascii_text = ascii_text.replace(sign, substitute)
+    return ascii_text
+
+
+def xml_comment(lines: Sequence[str]) -> str:
+    """Write lines as a comment of XML, which must not contain two hyphens in a row.
+
+    Args:
+        lines: Lines of text.
+
+    Returns:
+        The comment with a line break at its end.
+    """
+    return "<!--\n" + "".join(f"  {line}\n".replace("--", "- -") for line in lines) + "-->\n"
+
+
+def indented(xml: str) -> str:
+    """Indent XML by its structure.
+
+    Args:
+        xml: XML without an XML declaration.
+
+    Returns:
+        The same elements, one per line, with a line break at the end.
+    """
+    element = ElementTree.fromstring(xml)
+    ElementTree.indent(element)
+    return ElementTree.tostring(element, encoding="unicode") + "\n"
+
+
+def commented(lines: Sequence[str], sign: str) -> str:
+    """Write lines as comments.
+
+    Args:
+        lines: Lines of text.
+        sign: Sign that begins a comment, for example "#".
+
+    Returns:
+        One comment per line, each with a line break at its end.
+    """
+    return "".join(f"{sign} {line}".rstrip() + "\n" for line in lines)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Write a JSON file.
+
+    Args:
+        content: Content; arrays become lists.
+
+    Returns:
+        Text of the file.
+    """
+    return json.dumps(content, indent=1, default=_plain_value) + "\n"
+
+
+def _plain_value(value: Any) -> Any:
+    """Return what JSON stores for a value that it does not know."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+
+def axis_range(coordinate: Coordinate) -> tuple[float, float]:
+    """Return the range of a coordinate; a carriage without a range has 0.25 m to either side, a pulley one turn.
+
+    Args:
+        coordinate: Coordinate of a machine.
+
+    Returns:
+        Lowest and highest position, m or rad.
+    """
+    return coordinate.range or ((0.0, 2.0 * np.pi) if coordinate.kind == "rotary" else (-0.25, 0.25))
+
+
+def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.float64]:
+    """Convert the option --at to the positions of all coordinates, with unstretched belts.
+
+    Args:
+        machine: Machine.
+        at: Items "AXIS=METERS" of linear coordinates; the others are at 0. None: none.
+
+    Returns:
+        Position of every coordinate, m or rad, shape (coordinates,).
+
+    Raises:
+        InputError: If an item names no linear coordinate, or its value is not a number.
+    """
+    linear = {c.name: 0.0 for c in machine.coordinates if c.kind == "linear"}
+    for item in at or ():
+        name, _, value = item.partition("=")
+        if name not in linear:
+            raise InputError(f"--at {item}: write AXIS=METERS with one of the axes {', '.join(linear) or '(none)'}")
+        try:
+            linear[name] = float(value)
+        except ValueError:
+            raise InputError(f"--at {item}: {value!r} is not a number in meters") from None
+        if not np.isfinite(linear[name]):
+            raise InputError(f"--at {item}: the position must be finite")
+    return rest_state(machine, list(linear.values()) if linear else None)[: len(machine.coordinates)]

@@ -1,0 +1,63 @@
+"""Episodes of controllers as data sets for offline reinforcement learning (Minari)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..machine import Machine
+from .base import EXPORTERS, Exporter, argument, option
+
+
+@EXPORTERS.register("dataset")
+@dataclass(frozen=True, kw_only=True)
+class DatasetExporter(Exporter):
+    """Write episodes of controllers as data sets for offline reinforcement learning (Minari), one per controller.
+
+    Example:  hframe export dataset pid ppo --episodes 100 --out out/minari
+    """
+
+    controllers: list[str] = argument(
+        "Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, or module:name."
+    )
+    machine: str | Path | Machine = option(
+        "hframe", "A machine.json or a built-in name (see `hframe machines`).", cli_type=str
+    )
+    task: str = option("reach", "Task: {tasks}, or module:name, also of my_module.py in this folder.")
+    randomize: str = option("none", "Randomization of each episode's machine: {randomizations}.")
+    sensors: str = option("state", "What controllers observe: {sensors}; state is exact, the others are measurements.")
+    period: float = option(0.01, "Control period in seconds, 1e-5 to 10.")
+    episodes: int = option(100, "Number of episodes of each controller.", least=1, most=10**6)
+    seed: int = option(0, "Seed of the first episode; episode i has the seed + i.", least=0, most=2**31 - 1)
+    normalize: bool = option(False, "Store observations and goals divided by their scales.")
+    flat: bool = option(False, "Store an observation as one array instead of a dict.")
+    author: str | None = option(None, "Author in the metadata of the data sets.")
+
+    def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
+        """Write the data sets; each appears when it is complete."""
+        from ..evaluation import Scenario, export_dataset, make_controller
+
+        out = Path(out)
+        if out.exists() and not out.is_dir():
+            raise InputError(f"--out {out}: is a file, but must be a folder")
+        options: dict[str, Any] = {key: getattr(self, key) for key in ("randomize", "sensors", "episodes", "seed")}
+        names = list(dict.fromkeys(self.controllers))
+        try:
+            scenario = Scenario(self.machine, self.task, period=self.period, **options)
+            for name in names:  # so that a wrong name is reported before anything is written
+                make_controller(name, scenario)
+            for name in names:
+                form: dict[str, Any] = {"normalize": self.normalize, "flat": self.flat, "author": self.author}
+                written = export_dataset(name, scenario, out, **form)
+                log(
+                    f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} "
+                    "steps, mean return "
+                    f"{written.mean_return:.2f}, {written.success_rate:.1%} of the episodes end "
+                    "within the task's band"
+                )
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        log(f"load them in Python with MINARI_DATASETS_PATH={out} and minari.load_dataset({written.dataset_id!r})")

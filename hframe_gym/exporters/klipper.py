@@ -1,0 +1,37 @@
+"""Input shaper settings for Klipper (printer.cfg) from the first mode of each axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..machine import Machine
+from .base import EXPORTERS, Files, commented, option
+from .input_shapers import InputShaperExporter, Shaper, impulse_table
+
+
+@EXPORTERS.register("klipper")
+@dataclass(frozen=True, kw_only=True)
+class KlipperExporter(InputShaperExporter):
+    """Write the section input_shaper of Klipper's printer.cfg, and the impulses of the shapers as a table.
+
+    Frequency and damping ratio are those of the first mode of the carriage along each axis, with the motors held.
+
+    Example:  hframe export klipper --machine corexy --out out/klipper
+    """
+
+    shaper: Shaper = option("mzv", "Shaper: zv (shortest), mzv, or ei (tolerates the largest error of the frequency).")
+
+    def files(self, machine: Machine) -> Files:
+        """Return the section for printer.cfg and the table of impulses."""
+        found = self.axis_modes(machine)
+        header = self.header(machine, *self.notes(), *(mode.described for mode in found))
+        lines = ["[input_shaper]"]
+        for mode in found:
+            axis = mode.letter.lower()
+            lines += [f"shaper_type_{axis}: {self.shaper}", f"shaper_freq_{axis}: {mode.frequency:.2f}"]
+            lines += [f"damping_ratio_{axis}: {mode.damping:.4f}"]
+        comment = commented(header, "#")
+        return {
+            "input_shaper.cfg": comment + "\n".join(lines) + "\n",
+            "input_shaper.csv": comment + impulse_table(found),
+        }

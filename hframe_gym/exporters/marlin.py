@@ -1,0 +1,37 @@
+"""Input shaping settings for Marlin (M593 and Configuration_adv.h) from the first mode of each axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..machine import Machine
+from .base import EXPORTERS, Files, commented
+from .input_shapers import InputShaperExporter
+
+
+@EXPORTERS.register("marlin")
+@dataclass(frozen=True, kw_only=True)
+class MarlinExporter(InputShaperExporter):
+    """Write Marlin's input shaping settings (its shaper is zv) as G-code and as lines of Configuration_adv.h.
+
+    Frequency and damping ratio are those of the first mode of the carriage along each axis, with the motors held.
+
+    Example:  hframe export marlin --machine corexy --out out/marlin
+    """
+
+    def files(self, machine: Machine) -> Files:
+        """Return the G-code and the lines of the configuration."""
+        found = self.axis_modes(machine)
+        header = self.header(machine, *self.notes(), *(mode.described for mode in found))
+        gcode = [f"M593 {mode.letter} F{mode.frequency:.2f} D{mode.damping:.4f}" for mode in found]
+        configuration = []
+        for mode in found:
+            configuration += [
+                f"#define INPUT_SHAPING_{mode.letter}",
+                f"#define SHAPING_FREQ_{mode.letter} {mode.frequency:.2f}f",
+                f"#define SHAPING_ZETA_{mode.letter} {mode.damping:.4f}f",
+            ]
+        return {
+            "input_shaping.gcode": commented(header, ";") + "\n".join([*gcode, "M500 ; store the settings"]) + "\n",
+            "input_shaping.h": commented(header, "//") + "\n".join(configuration) + "\n",
+        }

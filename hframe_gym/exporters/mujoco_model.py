@@ -1,0 +1,207 @@
+"""A stage as a model of MuJoCo: joints with diagonal inertia, tendons as belts, motors with the gear's force per volt.
+
+The lighter axis rides on the heavier one. Each pulley is a body of its coordinate's inertia, and each belt a fixed
+tendon (a linear combination of joints) of constant stiffness, that at the operating point. Coulomb friction is
+`frictionloss`, a soft constraint in MuJoCo; joint damping includes the back-EMF of the motors, so that controls are
+voltages.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dynamics import belt_states
+from ..errors import InputError
+from ..machine import Coordinate, Machine
+from .base import axis_range
+
+Array = NDArray[np.float64]
+# MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
+# ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as
+# close to dry friction as MuJoCo allows: the smallest permitted time constant, two steps, and an impedance near one.
+FRICTION = {
+    "default": "",
+    "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"',
+}
+_PULLEY_MASS = 0.1  # kg; only the inertia of a pulley acts, because it does not travel
+_LARGEST_FRACTION = 0.5  # of the heavier axis: what a carriage on it may weigh; the rest of its mass is armature
+
+
+class MujocoSettings(NamedTuple):
+    """Settings of MuJoCo: integrator, constraint solver and softness of friction (a key of `FRICTION`)."""
+
+    integrator: str = "Euler"
+    solver: str = "PGS"
+    friction: str = "stiff"
+
+    def __str__(self) -> str:
+        return f"{self.integrator}, {self.solver}, {self.friction} friction"
+
+
+def model_xml(
+    machine: Machine, step: float, settings: MujocoSettings, position: Array | None = None, *, drawn: bool = False
+) -> str:
+    """Write a stage as a model of MuJoCo.
+
+    Contacts, gravity and limits, which have no part in the equations of motion of a stage, are switched off.
+
+    Args:
+        machine: Machine with one or two tool axes and any pulleys; its effects are ignored.
+        step: Integration step, s.
+        settings: Settings of MuJoCo.
+        position: Position of every coordinate at which the belts have their stiffness, m or rad, shape (coordinates,).
+            None: all zero.
+        drawn: Whether the model has names, geometries, ranges of the joints and sensors; without them it is as fast as
+            possible.
+
+    Returns:
+        Model as XML.
+
+    Raises:
+        InputError: If the machine has other coordinates than tool axes and pulleys.
+    """
+    axes = tool_coordinates(machine)
+    pulleys = [c for c in machine.coordinates if c.kind == "rotary"]
+    names = {c.name: quoteattr(c.name) for c in machine.coordinates}
+
+    def joint(c: Coordinate, kind: str, axis: str, armature: float = 0.0) -> str:
+        damping = c.viscous + sum(d.back_emf for d in machine.drives if d.coordinate == c.name)
+        soft = FRICTION[settings.friction].format(twice=2 * step) if c.coulomb else ""
+        losses = f'damping="{damping!r}" frictionloss="{c.coulomb!r}" {soft}'
+        added = f' armature="{armature!r}"' if armature else ""
+        limits = f' range="{c.range[0]!r} {c.range[1]!r}"' if drawn and c.range and kind == "slide" else ""
+        return f'<joint name={names[c.name]} type="{kind}" axis="{axis}" {losses}{added}{limits}/>'
+
+    def inertia(mass: float, moment: float) -> str:
+        return f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="{moment!r} {moment!r} {moment!r}"/>'
+
+    directions = {c.name: direction for c, direction in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
+    carrier, riders, carried = carrier_and_riders(axes)
+    shapes = _shapes(machine, axes) if drawn else {}
+    inner = ""
+    if riders:  # the carriage moves with the bridge, so that mass(bridge) is that of both
+        rider = riders[0]
+        slide = joint(rider, "slide", directions[rider.name], rider.mass - carried)
+        inner = f"<body{_named(rider, drawn)}>{inertia(carried, 1.0)}{slide}{shapes.get(rider.name, '')}</body>"
+    slides = (
+        f"<body{_named(carrier, drawn)}>{inertia(carrier.mass - carried, 1.0)}"
+        f"{joint(carrier, 'slide', directions[carrier.name])}{shapes.get(carrier.name, '')}{inner}</body>"
+    )
+    turning = "".join(
+        f"<body{_named(c, drawn)}{_place(i, drawn)}>{inertia(_PULLEY_MASS, c.mass)}{joint(c, 'hinge', '0 0 1')}"
+        f"{shapes.get(c.name, '')}</body>"
+        for i, c in enumerate(pulleys)
+    )
+    # MuJoCo orders joints by bodies; the tool axes come in the order of the nested bodies.
+    tendons = ""
+    stiffness = belt_stiffness(machine, position)
+    for b, k in zip(machine.belts, stiffness, strict=True):
+        row = machine.coefficients(b.extension) * machine.travel_per_unit
+        ends = "".join(
+            f'<joint joint={names[n]} coef="{c!r}"/>'
+            for n, c in zip(machine.coordinate_names, row.tolist(), strict=True)
+            if c
+        )
+        tendons += f'<fixed name={quoteattr(b.name)} stiffness="{k!r}" springlength="0">{ends}</fixed>'
+    drives = ""
+    for d in machine.drives:
+        limits = f' name={quoteattr(d.channel)} ctrlrange="{-d.rated_voltage!r} {d.rated_voltage!r}"' if drawn else ""
+        drives += f'<motor{limits} joint={names[d.coordinate]} gear="{d.gain!r}"/>'
+    sensors = "".join(
+        f"<jointpos name={quoteattr(s.channel)} joint={names[s.coordinate]}/>"
+        for s in machine.sensors
+        if drawn and dict(s.row) == {s.coordinate: 1.0}
+    )
+    off = 'contact="disable" gravity="disable" limit="disable"' + ("" if drawn else ' sensor="disable"')
+    option = f'timestep="{step!r}" integrator="{settings.integrator}" solver="{settings.solver}" gravity="0 0 0"'
+    return f"""<mujoco{f" model={quoteattr(machine.name)}" if drawn else ""}>
+  <option {option}/>
+  <option><flag {off}/></option>
+  <worldbody>{slides}{turning}</worldbody>
+  <tendon>{tendons}</tendon>
+  <actuator>{drives}</actuator>{f"{chr(10)}  <sensor>{sensors}</sensor>" if sensors else ""}
+</mujoco>"""
+
+
+def tool_coordinates(machine: Machine) -> list[Coordinate]:
+    """Return the coordinates of the tool axes of a machine that consists of a tool and pulleys.
+
+    Args:
+        machine: Machine.
+
+    Returns:
+        One or two coordinates, in the order of the tool's axes.
+
+    Raises:
+        InputError: If there are other linear coordinates, coordinates that a spring holds, or no tool.
+    """
+    axes = [machine.coordinate(name) for name in machine.tool_axes]
+    others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name not in machine.tool_axes]
+    others += machine.spring_loaded
+    if not axes or others:
+        reason = f"it also has {', '.join(others)}" if axes else "it has no tool axes"
+        raise InputError(
+            f"machine {machine.name!r}: only a tool with one or two axes and pulleys has a model of bodies; {reason}"
+        )
+    return axes
+
+
+def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordinate], float]:
+    """Decide which axis carries the other: the heavier one, whose mass includes that of the carriage on it.
+
+    Args:
+        axes: Coordinates of one or two tool axes.
+
+    Returns:
+        carrier: The heavier axis.
+        riders: The other axis, or none.
+        carried: Mass of the body on the carrier, kg: the lighter mass, but at most half of the heavier one, so that a
+            carrier of the same mass is left with a mass.
+    """
+    carrier, *riders = sorted(axes, key=lambda c: -c.mass)
+    return carrier, riders, min(riders[0].mass, _LARGEST_FRACTION * carrier.mass) if riders else 0.0
+
+
+def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:
+    """Compute the stiffness of the belts at an operating point, without effects.
+
+    Args:
+        machine: Machine.
+        position: Position of every coordinate, m or rad, shape (coordinates,); None: all zero.
+
+    Returns:
+        Stiffness of each belt, N/m.
+    """
+    if position is None:
+        return [b.EA / b.rest_length for b in machine.belts]
+    nominal = machine.replace(effects=(), ties={})
+    return [float(belt.stiffness) for belt in belt_states(nominal, position)] if machine.belts else []
+
+
+def _named(c: Coordinate, drawn: bool) -> str:
+    """Return the attribute with the name of a body."""
+    return f" name={quoteattr(c.name + '_body')}" if drawn else ""
+
+
+def _place(i: int, drawn: bool) -> str:
+    """Return the attribute with the place of pulley i: in a row beside the stage."""
+    return f' pos="{-0.45:g} {0.08 * i:g} 0"' if drawn else ""
+
+
+def _shapes(machine: Machine, axes: list[Coordinate]) -> dict[str, str]:
+    """Return the geometries of bodies without mass: a beam for a carrier, a box for the tool, disks for pulleys."""
+    heavier, lighter = max(axes, key=lambda c: c.mass), min(axes, key=lambda c: c.mass)
+    half = 0.5 * float(np.ptp(axis_range(lighter))) + 0.05
+    across = f"0.02 {half:g} 0.015" if heavier is axes[0] else f"{half:g} 0.02 0.015"
+    plain = 'contype="0" conaffinity="0" mass="0"'
+    shapes = {c.name: f'<geom type="box" size="0.03 0.03 0.025" rgba="0.8 0.3 0.2 1" {plain}/>' for c in axes}
+    if len(axes) > 1:
+        shapes[heavier.name] = f'<geom type="box" size="{across}" rgba="0.5 0.5 0.6 1" {plain}/>'
+    for c in machine.coordinates:
+        if c.kind == "rotary":
+            shapes[c.name] = f'<geom type="cylinder" size="{c.radius:g} 0.01" rgba="0.3 0.3 0.3 1" {plain}/>'
+    return shapes
