@@ -7,8 +7,10 @@ import math
 
 import pytest
 
-from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification import SelectionCriteria, identify
 from hframe_gym.identification.verdict import Evidence, contradiction_of_names, contradiction_of_no_effect, remaining
+from tests.identification.axis_results import AXIS
+from tests.identification.test_pipeline import limited_runs
 
 pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
@@ -54,3 +56,13 @@ def test_the_fraction_that_remains_counts_beyond_an_exact_machine() -> None:
     assert remaining(0.9, 0.9, 1.0) == 0.0
     assert remaining(2.0, 1.0, 1.0) == math.inf
     assert remaining(math.inf, math.inf, 1.0) == math.inf
+
+
+def test_a_fit_that_explains_everything_does_not_lead_to_no_effect() -> None:
+    """As with a noise that was estimated far too large, the search takes any error for explained."""
+    blind = SelectionCriteria(explained_chi2=1e9, max_residue_bandwidth=60.0)
+    result = identify(limited_runs([9.0] * 4), AXIS, budget=0.0, criteria=blind)
+    assert result.left > 2.0
+    assert result.verdict == "unexplained"
+    assert f"{result.left:.3g} times the noise of the sensors" in result.reason
+    assert result.as_json()["reason"] == result.reason
