@@ -451,7 +451,8 @@ def test_errors_of_an_identification_are_not_cut(width: int) -> None:
     report = {stage: {"held_out": errors} for stage in ("declared", "before", "after")}
     text = printed(cli_tables.identification_table(report, channels), width)
     assert set(channels) <= set(text.split())
-    assert text.count("1.23e-05") == text.count("(1234x)") == 3 * len(channels)
+    assert text.count("0.0123 mrad") == text.count("12.3 µm") == 3 * 2
+    assert text.count("(1234x)") == 3 * len(channels)
 
 
 @pytest.mark.parametrize("width", [80, 60])
