@@ -6,10 +6,12 @@ declares in the entry-point group `hframe_gym.plugins`.
 
 from __future__ import annotations
 
+import json
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
@@ -91,9 +93,38 @@ class AgentSource(ControllerSource):
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None
-        environment = read_agent_json(folder)["settings"].get("env", {})
+        agent = read_agent_json(folder)
+        environment, start = agent["settings"].get("env", {}), agent["settings"].get("start", "")
         files = tuple(folder / file for file in AGENT_FILES)
-        return ControllerFiles(folder.resolve().name, files, str(environment.get("sensors", "state")))
+        steps, cpu_s = _training_cost(folder)
+        return ControllerFiles(
+            folder.resolve().name,
+            files,
+            str(environment.get("sensors", "state")),
+            f"{agent['kind']}, continues {start}" if start else agent["kind"],
+            _knowledge(agent["settings"]),
+            steps,
+            cpu_s,
+        )
+
+
+def _training_cost(folder: Path) -> tuple[int | None, float | None]:
+    """Return the environment steps and the processor time, s, of an agent's training as its card states them."""
+    try:
+        last = json.loads((folder / "card.json").read_text("utf-8"))["curve"][-1]
+        return int(last["steps"]), round(float(last["cpu_s"]), 1)
+    except (OSError, ValueError, TypeError, LookupError):  # the card is not needed to run an agent
+        return None, None
+
+
+def _knowledge(settings: Mapping[str, Any]) -> str:
+    """Return for what an agent with these settings of a recipe uses the declared machine."""
+    actuation = settings.get("actuation", {})
+    if "base" in actuation:
+        return f"corrects {actuation['base']}"
+    uses = [name for name, key in (("feedback laws", "transfers"), ("plans", "plans")) if actuation.get(key)]
+    estimates = ["estimates parameters"] if actuation.get("estimates") else []
+    return ", ".join([*uses, *estimates]) or "belt geometry"
 
 
 def shipped_agent_folder(name: str, task: str) -> Path:

@@ -14,7 +14,8 @@ as `my_package.my_module:my-controller`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -68,6 +69,9 @@ class Controller(ABC):
         feedback: What the controller needs to measure (class attribute). "state": the true full state; such a
             controller cannot run from sensors. "estimated_state": the full state, which `StateEstimator` supplies where
             the environment observes sensors only. "observation": whatever the environment observes.
+        knowledge: For what it uses the machine from which it is designed, a few words for the leaderboard (class
+            attribute). A planner with the true parameters of a draw says so.
+        files: Files besides its source that determine what it does, such as weights. They count as learned.
         machine: As given.
         period: As given, s.
 
@@ -76,6 +80,8 @@ class Controller(ABC):
     """
 
     feedback: ClassVar[Feedback] = "state"
+    knowledge: ClassVar[str] = "not stated"
+    files: Sequence[str | Path] = ()
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         self.machine = machine

@@ -210,11 +210,19 @@ class ControllerFiles(NamedTuple):
         name: Name of the controller in results, for example "ppo-seed0".
         files: Files that determine the controller.
         sensors: What the controller was made to observe: "state", or another sensor preset.
+        algorithm: How it was trained, for example "ppo".
+        model: For what it uses the declared machine, a few words.
+        training_steps: Environment steps of its training; None if unknown.
+        training_cpu_s: Processor time of its training, s; None if unknown.
     """
 
     name: str
     files: tuple[Path, ...]
     sensors: str
+    algorithm: str = ""
+    model: str = "not stated"
+    training_steps: int | None = None
+    training_cpu_s: float | None = None
 
 
 class ControllerSource(ABC):
