@@ -228,7 +228,16 @@ class Agent(Controller):
             return None
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
-    def save(self, folder: str | Path) -> None:
+    def weights(self) -> dict[str, Any]:
+        """Copy the weights that an agent needs to run.
+
+        Returns:
+            Tensors by name, without those of the critics, which estimate returns and are needed for training only.
+        """
+        state = self.policy.state_dict()
+        return {name: v.detach().clone() for name, v in state.items() if not name.startswith(CRITIC_PREFIXES)}
+
+    def save(self, folder: str | Path, weights: Mapping[str, Any] | None = None) -> None:
         """Write the agent to a folder, from which `load` reads it.
 
         The files are policy.safetensors (weights), agent.json (how to build the policy) and machine.json (machine of
@@ -236,18 +245,17 @@ class Agent(Controller):
 
         Args:
             folder: Folder for the files; created if it does not exist.
+            weights: Weights as `weights()` returned them. Default: the present ones.
 
         Raises:
             ImportError: If the extra `agents` is not installed.
         """
         safetensors = import_optional("safetensors.torch")
-        state = self.policy.state_dict()
-        # The critics estimate returns and are needed for training only.
-        weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITIC_PREFIXES)}
+        tensors = {name: value.contiguous() for name, value in (weights or self.weights()).items()}
         contents = {key: self.card[key] for key in AGENT_KEYS}
         with output_batch(folder):
             with atomic_file(Path(folder) / "policy.safetensors") as file:
-                file.write(safetensors.save(weights))
+                file.write(safetensors.save(tensors))
             save_machine(self.machine, Path(folder) / "machine.json")
             write_text(Path(folder) / "agent.json", json.dumps(contents, indent=1) + "\n")
 
@@ -274,10 +282,12 @@ class Agent(Controller):
         expected = feature_parameters(machine)
         if any(_shape(card["features"][key]) != _shape(expected[key]) for key in expected):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
+        exploration = {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}
         policy = policy_class(card["kind"])(
             mapping.observation_space(space) if mapping else space,
             mapping.action_space() if mapping else action_space(machine),
             lambda _: 0.0,  # learning rate, which only training uses
+            **exploration,
             **policy_keywords(card["settings"]["policy"], card["features"]),
             optimizer_class=_no_optimizer,
         )

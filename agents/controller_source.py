@@ -1,7 +1,7 @@
 """Trained agents as controllers: agents in a folder, and the agents that come with the package.
 
-Importing this module registers both with `hframe_gym.evaluation.make_controller`; it is the plugin that the package
-declares in the entry-point group `hframe_gym.plugins`.
+Importing this module registers both, and the models of `sb3_zip`, with `hframe_gym.evaluation.make_controller`; it is
+the plugin that the package declares in the entry-point group `hframe_gym.plugins`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
 from ..machine import Machine
+from . import sb3_zip  # noqa: F401  (registers itself)
 from .agent import Agent
 from .agent_files import AGENT_FILES, read_agent_json
 from .recipe import Recipe, recipe_task

@@ -3,9 +3,10 @@
     python -m tools.leaderboard --check FILE...               # are the files valid?
     python -m tools.leaderboard --rerun FILE [--as ENTRY]     # do the numbers of a submission come out again?
 
-`python -m tools.tables` writes the pages. Every file is validated; one that is not valid stops the generation. In each part of a protocol the entries are sorted
-by their mean, and compared draw by draw with the best controller that is not learned. Agents whose names differ only in
-the seed of their training (`NAME-seed0`, `NAME-seed1`) get a further row with intervals over draws and seeds.
+`python -m tools.tables` writes the pages. Every file is validated; one that is not valid stops the generation. In each
+part of a protocol the entries are sorted by their mean, and compared draw by draw with the best controller that is not
+learned. Agents whose names differ only in the seed of their training (`NAME-seed0`, `NAME-seed1`) get a further row
+with intervals over draws and seeds.
 """
 
 from __future__ import annotations

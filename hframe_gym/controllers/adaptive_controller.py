@@ -26,7 +26,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
-
 from typing import ClassVar
 
 import numpy as np

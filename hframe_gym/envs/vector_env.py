@@ -299,6 +299,64 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         frames = (self._renderer.draw(Scene.of(self.batch, b, trail)) for b, trail in enumerate(self._trails))
         return tuple(frame for frame in frames if frame is not None)
 
+    # -- Gymnasium's access to single environments; all are rows of this one ---------------------------------------
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method, or read an attribute, that all environments share.
+
+        Args:
+            name: Name of a method or attribute of this vector environment, for example "compute_reward" or "machine".
+            *args: Positional arguments of the method.
+            **kwargs: Keyword arguments of the method.
+
+        Returns:
+            The result or the attribute, once per environment, as Gymnasium's vector environments return it.
+
+        Raises:
+            AttributeError: If there is no such method or attribute.
+        """
+        value = self._shared(name)
+        return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Read an attribute that all environments share.
+
+        Args:
+            name: Name of an attribute of this vector environment.
+
+        Returns:
+            The attribute, once per environment.
+
+        Raises:
+            AttributeError: If there is no such attribute.
+        """
+        return (self._shared(name),) * self.num_envs
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute, which all environments share.
+
+        Args:
+            name: Name of an attribute of this vector environment.
+            values: Value, or a list or tuple with one value per environment, which must be equal.
+
+        Raises:
+            ValueError: If a list or tuple has another length.
+            InputError: If its values differ: the environments are rows of one, and the attribute exists once.
+        """
+        if isinstance(values, list | tuple):
+            if len(values) != self.num_envs:
+                raise ValueError(f"set_attr: {len(values)} values for {self.num_envs} environments")
+            if any(value is not values[0] and value != values[0] for value in values):
+                raise InputError(f"set_attr: {name} exists once for all environments, so that its values must be equal")
+            values = values[0]
+        setattr(self, name, values)
+
+    def _shared(self, name: str) -> Any:
+        """Return an attribute; raise AttributeError that says of what."""
+        if not hasattr(self, name):
+            raise AttributeError(f"{type(self).__name__} and its environments have no attribute {name!r}")
+        return getattr(self, name)
+
     def close_extras(self, **kwargs: Any) -> None:
         """Release the renderer; Gymnasium's `close` calls this method.
 

@@ -54,7 +54,7 @@ _Cost = Annotated[float, Field(ge=0.0)] | None
 
 
 class EntryTable(_Strict):
-    """What was scored: name, kind, hash, what it observes and knows, and what it costs; `Entry` documents the fields."""
+    """What was scored: name, kind, hash, what it observes and knows, what it costs; `Entry` documents the fields."""
 
     name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^|<>`\n]+$")]
     kind: Literal["controller", "agent"]
@@ -104,7 +104,8 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
 
     Returns:
         By key: "protocol" and "digest" (its name and hash), "entry" (controller or agent), "versions" of packages,
-        "checksum", "scores" by part and metric, "draws" unchanged, and "schema" (version of the format) and "about" (empty text).
+        "checksum", "scores" by part and metric, "draws" unchanged, and "schema" (version of the format) and "about"
+        (empty text).
     """
     content = {
         "schema": SCHEMA,
@@ -277,8 +278,8 @@ def read_result(path: str | Path) -> ResultFile:
         )
     if result.checksum != checksum(result.model_dump(by_alias=True)):
         raise InputError(
-            f"{path}: checksum does not fit: protocol, entry, versions or draws were edited after the run; run it again "
-            f"with hframe evaluate --protocol {protocol.name}"
+            f"{path}: checksum does not fit: protocol, entry, versions or draws were edited after the run; run it "
+            f"again with hframe evaluate --protocol {protocol.name}"
         )
     _check_draws(Path(path), result, protocol)
     return result

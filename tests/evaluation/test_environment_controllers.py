@@ -68,7 +68,7 @@ def test_the_adapter_of_stable_baselines3_is_an_environment_too() -> None:
 
 @pytest.mark.parametrize("name", ["pid", "textbook-pid", "adaptive-pid", "predictive", "ppo", "sac", "residual"])
 def test_a_controller_that_does_not_know_the_environment_refuses_normalized_observations(name: str) -> None:
-    """Every single start, not only an unlikely one, is recognized; a start near the center is recognized when it moves."""
+    """Each start away from the center is recognized; one near it is recognized when the tool moves."""
     controller = make_controller(name)
     for seed in range(20):
         env = gym.make("HFrame-v0", normalize=True)

@@ -283,7 +283,7 @@ def test_edited_draws_are_refused(content: dict[str, Any], tmp_path: Path) -> No
     for band in ("1mm", "0.2mm", "0.05mm"):
         content["draws"]["reach"][f"settling_s.{band}"][3] = 0.11
     content["scores"]["reach"] = part_scores(content["draws"]["reach"], 0.3)
-    with pytest.raises(InputError, match="checksum does not fit: .* draws were edited after the run"):
+    with pytest.raises(InputError, match=r"checksum does not fit: .* draws were edited after the run"):
         read_result(write_result(tmp_path, content))
 
 
@@ -393,7 +393,8 @@ def test_entries_state_what_they_know_and_cost() -> None:
     assert (ppo.algorithm, ppo.observes, ppo.model, ppo.training_steps) == ("ppo", "state", "belt geometry", 1503232)
     plan = protocols.make_entry("apg_plan", reach, "reach")[0]
     assert (plan.model, plan.training_cpu_s) == ("plans, estimates parameters", 192.6)
-    assert protocols.make_entry("residual", hard, "reach")[0].observes == "Kalman estimates"
+    with pytest.warns(UserWarning, match="with other parameters"):  # the declared machine has current limits
+        assert protocols.make_entry("residual", hard, "reach")[0].observes == "Kalman estimates"
     assert protocols.make_entry("pid", reach, "reach")[0].model == "feedback laws"
 
 
@@ -424,7 +425,7 @@ def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(content: d
 def test_agents_of_several_seeds_get_a_row_with_intervals_over_draws_and_seeds(
     content: dict[str, Any], tmp_path: Path
 ) -> None:
-    times: list[float | None] = [0.1, 0.2, 0.1, 0.2]
+    times: list[float | None] = [0.1, 0.15, 0.1, 0.05]
     entries = []
     for name, factor in (("mine-seed0", 1.0), ("mine-seed1", 2.0), ("alone-seed0", 1.0)):
         values: dict[str, list[float | None]]
@@ -434,7 +435,7 @@ def test_agents_of_several_seeds_get_a_row_with_intervals_over_draws_and_seeds(
         entries.append(read_result(write_result(tmp_path, whole)))
     rows = protocol_section("reach-v1", entries).splitlines()[4:]
     assert [row.split("|")[1].strip() for row in rows if "seeds" in row] == ["**mine, 2 seeds**"]
-    assert "| **0.225 (" in rows[-1]
+    assert "| **0.150 (" in rows[-1]
 
 
 def test_the_interval_over_seeds_contains_the_spread_over_seeds() -> None:
