@@ -124,7 +124,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: the present
                 sequences of random numbers continue.
             options: Optional keys: `start` and `target`, tool and goal positions, m, shape (axes,) or one row for each
-                environment that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
+                environment that is reset; `parameters`, values by full name ("x.mass"), SI, one or one for each
+                environment that is reset, in place of the sampled ones until its next reset; `state`, positions of the
+                machine's n coordinates, then their velocities, in their units, shape (2 n,) or one row for each, in
+                place of `start` and rest; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
         Returns:
             observation: Arrays by key of all environments, shape (num_envs, entries of the key).
@@ -133,8 +136,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
                 each key the mask "_" + key tells which environments have a value.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
-                without one, such as "track", or an unbounded distribution yields an impossible parameter.
+            InputError: If an option or a parameter is unknown, a value has another shape, is not finite or outside its
+                limits, a position is outside the workspace, `target` is given for a task without one, such as "track",
+                or an unbounded distribution yields an impossible parameter.
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing, or the number of seeds is wrong.
         """
@@ -298,6 +302,37 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             self._renderer = Renderer(self.batch.machine, self.render_mode, self.metadata["render_fps"])
         frames = (self._renderer.draw(Scene.of(self.batch, b, trail)) for b, trail in enumerate(self._trails))
         return tuple(frame for frame in frames if frame is not None)
+
+    def get_state(self) -> dict[str, Any]:
+        """Copy the complete state: continued from it, the environments return the same to the bit.
+
+        It includes the counters of the random numbers, so that the episodes after these are the same too.
+
+        Returns:
+            State for `set_state`, which can be pickled.
+
+        Raises:
+            gymnasium.error.ResetNeeded: If `reset` was not called.
+        """
+        trails = [list(trail) for trail in self._trails]
+        return {**self._shared_state("vector"), "over": self._over.copy(), "trails": trails}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Put the environments into a state that `get_state` returned, of these or of others with the same options.
+
+        Args:
+            state: The state.
+
+        Raises:
+            InputError: If it is no state, or that of environments with another number or other options; nothing is
+                changed then.
+        """
+        self._restore_shared(state, "vector")
+        self._over = state["over"].copy()
+        self._collect_parameters()
+        for trail, points in zip(self._trails, state["trails"], strict=False):
+            trail.clear()
+            trail.extend(points)
 
     # -- Gymnasium's access to single environments; all are rows of this one ---------------------------------------
 
