@@ -18,17 +18,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ..controllers import Controller, check_keys
-from ..envs import EnvOptions
 from ..envs.spaces import ObservationFormat
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario, environments_of
 from ..machine import Machine
 from .optional_dependencies import CONTRIB_ALGORITHMS, import_optional, single_threaded_torch
 
-# Forms of observations that an environment of this package can have.
-_FORMS: tuple[EnvOptions, ...] = tuple(
-    EnvOptions(normalize=normalize, flat=flat) for flat in (False, True) for normalize in (False, True)
-)
+# Options `normalize` and `flat` of the forms of observations that an environment can have.
+_FORMS = tuple((normalize, flat) for flat in (False, True) for normalize in (False, True))
 # Module of the policy classes of PPO and A2C; those of the other algorithms are in a module of their name.
 _ON_POLICY = "stable_baselines3.common.policies"
 
@@ -91,7 +88,10 @@ class ZipSource(ControllerSource):
             return None
         model = _load(Path(name))
         one = dataclasses.replace(scenario, episodes=1)
-        environments = [environments_of(one, sensors=one.sensors, period=one.period, **form) for form in _FORMS]
+        environments = [
+            environments_of(one, sensors=one.sensors, period=one.period, normalize=normalize, flat=flat)
+            for normalize, flat in _FORMS
+        ]
         wanted = environments[0].single_action_space
         if not _same(model.action_space, wanted):
             raise InputError(

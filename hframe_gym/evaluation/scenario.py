@@ -312,8 +312,14 @@ def make_controller(
     batch = _batch_of(machine)
     if batch is not None:
         config = batch.config
-        options = {"period": config.period, "drives": config.drives, "sensors": config.sensors}
-        of_environment = Scenario(config.machine, config.task, config.randomize, **options)
+        of_environment = Scenario(
+            config.machine,
+            config.task,
+            config.randomize,
+            config.sensors,
+            period=config.period,
+            drives=config.drives,
+        )
         if of_environment.controller_task != batch.task:
             raise InputError(
                 f"make_controller: controllers preview one goal per control period of {config.period:g} s; make the "
