@@ -40,6 +40,7 @@ ROUNDING = 1e-6  # s and mm, of the values of draws, which have 6 decimals
 GRID_TOLERANCE = 1e-2  # of a sample
 # Differences of a run that is repeated elsewhere: two samples of 1 ms, and 1 um and 1 % of an error in mm.
 REPEATED_S, REPEATED_MM, REPEATED_FRACTION = 2.1e-3, 1e-3, 1e-2
+REPEATED_DRAWS, REPEATED_MEAN = 0.01, 0.002  # fraction of draws that may differ by more, and of a mean
 TOLERANCE = 1e-6  # relative, of scores that are computed again when a file is read
 
 
@@ -358,8 +359,10 @@ class Comparison(NamedTuple):
 def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     """Compare the draws of a result file with those of a run that was repeated.
 
-    Sums are rounded differently on other processors, which friction amplifies: the same entry may settle two samples
-    later. A wrong file differs by far more in at least one draw.
+    Sums are rounded differently on other processors. Friction amplifies this, and a draw that ends near the edge of a
+    band may be in it here and outside there: plans of another processor changed 2 of 512 draws by more than the
+    tolerances, and means by 0.03 %. A file is reproduced if at most 1 % of its draws differ by more, and means by at
+    most 0.2 %: what could be won by editing within these limits is below the intervals of the scores.
 
     Args:
         result: Content of the file.
@@ -370,23 +373,26 @@ def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     """
     protocol = get_protocol(result.protocol)
     count = equal = 0
-    largest, worst = 0.0, ""
+    largest, worst, reproduced = 0.0, "", True
     for part, columns in draws.items():
         for metric, column in columns.items():
-            seconds = metric.startswith("settling_s.")
             given = result.draws[part][metric]
-            for draw, (old, new) in enumerate(zip(given, column, strict=True)):
-                count += 1
-                equal += old == new
-                if old == new:
-                    continue
-                before, after = (protocol.duration_s if value is None else value for value in (old, new))
-                allowed = REPEATED_S if seconds else REPEATED_MM + REPEATED_FRACTION * max(before, after)
-                size = abs(after - before) / allowed
-                if size > largest:
-                    largest = size
-                    worst = f"{part}, draw {draw}, {metric}: {old} in the file, {new} now"
-    return Comparison(count, equal, worst, largest <= 1.0)
+            before, after = (fill_unsettled(values, protocol.duration_s) for values in (given, column))
+            if metric.startswith("settling_s."):
+                allowed, rounding = np.full(len(before), REPEATED_S), REPEATED_S
+            else:
+                allowed, rounding = REPEATED_MM + REPEATED_FRACTION * np.maximum(before, after), REPEATED_MM
+            sizes = np.abs(after - before) / allowed
+            count += len(given)
+            equal += sum(old == new for old, new in zip(given, column, strict=True))
+            difference = abs(after.mean() - before.mean())
+            reproduced &= int((sizes > 1.0).sum()) <= int(REPEATED_DRAWS * len(given))
+            reproduced &= difference <= rounding + REPEATED_MEAN * before.mean()
+            draw = int(sizes.argmax())
+            if sizes[draw] > largest:
+                largest = float(sizes[draw])
+                worst = f"{part}, draw {draw}, {metric}: {given[draw]} in the file, {column[draw]} now"
+    return Comparison(count, int(equal), worst, bool(reproduced))
 
 
 def _close(given: Any, computed: Any) -> bool:
