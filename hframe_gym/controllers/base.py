@@ -143,7 +143,7 @@ def check_keys(observation: Any) -> None:
     """Check that an observation consists of arrays by key, for a batch of machines.
 
     Args:
-        observation: Argument of `Controller.act`.
+        observation: Argument of `Controller.act`: arrays by key, shape (B, entries of the key) for B machines.
 
     Raises:
         InputError: If it is one array, as with the environment option `flat`, or lacks the batch axis.
@@ -164,7 +164,8 @@ def check_state_units(observation: Mapping[str, NDArray[Any]], model: MotionMode
     one pulley has turned by more than `LARGEST_NORMALIZED`, unless angles and positions are fractions of their ranges.
 
     Args:
-        observation: Arrays by key. Only observations of environments, which have `achieved_goal`, are checked.
+        observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
+            which have `achieved_goal`, are checked.
         model: Model of the machine.
 
     Raises:
@@ -198,7 +199,8 @@ def check_goal_units(observation: Mapping[str, NDArray[Any]], machine: Machine) 
     """Check that the goals of an environment's observation lie in a machine's workspace, as those in meters do.
 
     Args:
-        observation: Arrays by key. Only observations of environments, which have `achieved_goal`, are checked.
+        observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
+            which have `achieved_goal`, are checked.
         machine: Machine with its tool axes.
 
     Raises:

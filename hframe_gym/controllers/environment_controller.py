@@ -19,6 +19,9 @@ class Format(Protocol):
 
         Args:
             observation: Observations as the environments return them, with n rows.
+
+        Returns:
+            Arrays by key, m, rad, m/s and rad/s, shape (n, entries of the key).
         """
 
 
