@@ -7,7 +7,11 @@ when an episode ends.
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,6 +124,20 @@ class EnvironmentBatch:
     def elapsed(self) -> NDArray[np.int64]:
         """Number of control periods since the reset of each of the `count` environments, shape (count,)."""
         return self.references.elapsed
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of machine, task, number of environments and options, which a saved state must share."""
+        from ..recordings.machine_file import machine_to_dict  # pydantic takes long to import, and few save states
+
+        config = self.config
+        options = {
+            field.name: value
+            for field in dataclasses.fields(config)
+            if isinstance(value := getattr(config, field.name), bool | int | float | str) and field.name != "machine"
+        }
+        content = [self.count, options, self.task.name, machine_to_dict(self.machine)]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     # -- reset -----------------------------------------------------------------------------------------------------
 

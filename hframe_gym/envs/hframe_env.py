@@ -24,7 +24,7 @@ from .config import (
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
-from .saved_state import FORMAT, batch_state, check_state, fingerprint, generator_state, restore_batch
+from .saved_state import FORMAT, batch_state, check_state, generator_state, restore_batch
 from .spaces import SignalSpec
 
 _ONLY = np.zeros(1, np.intp)
@@ -79,7 +79,7 @@ class BatchProperties:
         return {
             "format": FORMAT,
             "kind": kind,
-            "fingerprint": fingerprint(self.batch),
+            "fingerprint": self.batch.fingerprint,
             "batch": batch_state(self.batch),
         }
 

@@ -8,9 +8,6 @@ collected from the objects themselves, so that a new part of the simulation is s
 from __future__ import annotations
 
 import copy
-import dataclasses
-import hashlib
-import json
 from collections import deque
 from collections.abc import Iterator
 from typing import Any
@@ -34,7 +31,7 @@ def batch_state(batch: Any) -> dict[str, Any]:
     Returns:
         Arrays, numbers and containers of them by the path of the attribute that holds them.
     """
-    return {path: copy.deepcopy(vars(owner)[name]) for path, owner, name in _attributes(batch)}
+    return {path: _copied(vars(owner)[name]) for path, owner, name in _attributes(batch)}
 
 
 def restore_batch(batch: Any, state: dict[str, Any]) -> None:
@@ -58,28 +55,7 @@ def restore_batch(batch: Any, state: dict[str, Any]) -> None:
                 present[...] = value  # in place: others hold the same array
         else:
             # Not through __setattr__, which a frozen class forbids.
-            vars(owner)[name] = copy.deepcopy(value)
-
-
-def fingerprint(batch: Any) -> str:
-    """Compute a hash of what the environments of a state and of the one that it is given to must have in common.
-
-    Args:
-        batch: The environments.
-
-    Returns:
-        Hash of the machine, the number of environments and the options that are numbers, switches or names.
-    """
-    from ..recordings.machine_file import machine_to_dict  # pydantic takes long to import, and few save states
-
-    config = batch.config
-    options = {
-        field.name: value
-        for field in dataclasses.fields(config)
-        if isinstance(value := getattr(config, field.name), bool | int | float | str) and field.name != "machine"
-    }
-    content = [batch.count, options, batch.task.name, machine_to_dict(batch.machine)]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+            vars(owner)[name] = _copied(value)
 
 
 def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | None:
@@ -109,7 +85,7 @@ def check_state(state: Any, kind: str, batch: Any) -> None:
         raise InputError("set_state: the argument is no state that get_state of this version returned")
     if state["kind"] != kind:
         raise InputError(f"set_state: the state is of a {state['kind']} environment, and this is a {kind} one")
-    if state["fingerprint"] != fingerprint(batch):
+    if state["fingerprint"] != batch.fingerprint:
         raise InputError("set_state: the state is of an environment with another machine, number or options")
 
 
@@ -127,15 +103,24 @@ def _attributes(root: Any) -> Iterator[tuple[str, Any, str]]:
                 pending.append((f"{path}.", value))
 
 
+def _copied(value: Any) -> Any:
+    """Return a copy of plain data."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    return value if isinstance(value, _NUMBERS) else copy.deepcopy(value)
+
+
 def _is_plain(value: Any) -> bool:
     """Return whether a value consists of arrays and numbers only."""
     if isinstance(value, np.ndarray):
         return value.dtype != object
+    if isinstance(value, _NUMBERS):
+        return True
     if isinstance(value, dict):
         return all(map(_is_plain, value.values()))
     if isinstance(value, list | tuple | deque | set):
         return all(map(_is_plain, value))
-    return isinstance(value, _NUMBERS)
+    return False
 
 
 def _is_part(value: Any) -> bool:
