@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, output_batch, write_text
-from ..controllers import Controller, MotionModel, check_goal_units, check_keys, check_state_units
+from ..controllers import Controller, UnitCheck
 from ..envs import SensorsLike, action_space, observation_space
 from ..errors import InputError
 from ..locked_folders import complete_commit
@@ -127,7 +127,7 @@ class Agent(Controller):
             InputError: If the observation does not have the form of the training: an array has another width, or
                 `preview` is missing or superfluous, or it is normalized.
         """
-        check_keys(observation)
+        self._check_units(observation)
         previews = "preview" in self.policy.observation_space.spaces
         if previews != ("preview" in observation):
             raise InputError(
@@ -140,27 +140,16 @@ class Agent(Controller):
                     f"agent {self.card['name']}: {key} has shape {observation[key].shape}, but the agent was trained "
                     f"on (batch, {space.shape[0]}); evaluate it with the machine and the sensors of its training"
                 )
-        self._check_units(observation)
         policy_input = self.mapping.augment(observation) if self.mapping else observation
         policy_input = {key: policy_input[key] for key in self.policy.observation_space.spaces}
         with single_threaded_torch():
             outputs, _ = self.policy.predict(policy_input, deterministic=True)
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
 
-    def _check_units(self, observation: Mapping[str, NDArray[Any]]) -> None:
-        """Raise InputError if an observation of an environment is not in SI units."""
-        if self._state_model is None:
-            check_goal_units(observation, self.machine)
-        else:
-            check_state_units(observation, self._state_model)
-
     @cached_property
-    def _state_model(self) -> MotionModel | None:
-        """Model of the machine if the full state is observed; None for sensors or a machine with hidden coordinates."""
-        try:
-            return MotionModel(self.machine) if self._sensors == "state" else None
-        except InputError:
-            return None
+    def _check_units(self) -> UnitCheck:
+        """Check of the units of observations, made when it is needed."""
+        return UnitCheck(self.machine, self._sensors == "state")
 
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
         """Replace the stored last action with the action that was actually applied.

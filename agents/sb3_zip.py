@@ -17,7 +17,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..controllers import Controller, check_keys
+from ..controllers import Controller, UnitCheck
+from ..envs import as_sensors
 from ..envs.spaces import ObservationFormat
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario, environments_of
@@ -38,13 +39,17 @@ class Sb3Model(Controller):
         form: Form in which it observes, for observations by key in SI units.
         machine: Machine on which it runs.
         period: Control period, s.
+        full_state: Whether it observes the full state instead of sensors.
     """
 
     feedback = "observation"
 
-    def __init__(self, model: Any, form: ObservationFormat, machine: Machine, period: float) -> None:
+    def __init__(
+        self, model: Any, form: ObservationFormat, machine: Machine, period: float, full_state: bool = True
+    ) -> None:
         super().__init__(machine, period)
         self.model, self._form = model, form
+        self._check_units = UnitCheck(machine, full_state)
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """Compute the actions for the control period that starts now.
@@ -56,9 +61,9 @@ class Sb3Model(Controller):
             Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
 
         Raises:
-            InputError: If the observation is one array.
+            InputError: If the observation is one array or normalized.
         """
-        check_keys(observation)
+        self._check_units(observation)
         with single_threaded_torch():
             actions, _ = self.model.predict(self._form.apply(dict(observation)), deterministic=True)
         return np.asarray(actions, np.float64)
@@ -100,7 +105,8 @@ class ZipSource(ControllerSource):
             )
         for envs in environments:
             if _same(model.observation_space, envs.single_observation_space):
-                return Sb3Model(model, envs.batch.format, scenario.declared_machine, scenario.period)
+                full_state = as_sensors(scenario.sensors) is None
+                return Sb3Model(model, envs.batch.format, scenario.declared_machine, scenario.period, full_state)
         raise InputError(f"{name}: {_difference(model.observation_space, environments[0].single_observation_space)}")
 
     @staticmethod

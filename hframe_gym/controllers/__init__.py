@@ -27,10 +27,8 @@ from .base import (
     Estimator,
     FullStateController,
     OutputFeedbackController,
-    check_goal_units,
-    check_keys,
+    UnitCheck,
     check_period,
-    check_state_units,
 )
 from .environment_controller import EnvironmentController
 from .estimation_model import ParameterRatios
@@ -69,10 +67,8 @@ __all__ = [
     "SimulatedTransfers",
     "StateEstimator",
     "TextbookPID",
-    "check_goal_units",
-    "check_keys",
+    "UnitCheck",
     "check_period",
-    "check_state_units",
     "scaled_machine",
 ]
 

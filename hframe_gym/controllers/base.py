@@ -13,6 +13,7 @@ as `my_package.my_module:my-controller`.
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -215,6 +216,38 @@ def check_goal_units(observation: Mapping[str, NDArray[Any]], machine: Machine) 
                     f"observation is not in SI units: {key} has {axis} = {values[outside][0]:.3g}, and the workspace is"
                     f" {low:g} to {high:g} m, as if the environment had normalize=True; {_ADVICE}"
                 )
+
+
+class UnitCheck:
+    """Check that observations are arrays by key in SI units, for controllers that use them as they are.
+
+    Args:
+        machine: Machine of the controller.
+        full_state: Whether the full state is observed instead of sensors.
+    """
+
+    def __init__(self, machine: Machine, full_state: bool) -> None:
+        self._machine = machine
+        self._model: MotionModel | None = None
+        if full_state:
+            # A machine with coordinates that nobody observes has no such model; its goals are checked.
+            with contextlib.suppress(InputError):
+                self._model = MotionModel(machine)
+
+    def __call__(self, observation: Mapping[str, NDArray[Any]]) -> None:
+        """Check an observation.
+
+        Args:
+            observation: Arrays by key, shape (B, entries of the key) for B machines.
+
+        Raises:
+            InputError: If it is one array, lacks the batch axis or is normalized.
+        """
+        check_keys(observation)
+        if self._model is None:
+            check_goal_units(observation, self._machine)
+        else:
+            check_state_units(observation, self._model)
 
 
 class EpisodeStarts:

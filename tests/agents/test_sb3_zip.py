@@ -41,6 +41,15 @@ def test_a_model_acts_as_in_its_training(tmp_path: Path, algorithm: str, options
     np.testing.assert_array_equal(controller.act(plain), expected)
 
 
+def test_a_model_that_does_not_know_the_environment_refuses_normalized_observations(tmp_path: Path) -> None:
+    envs = HFrameVectorEnv(4, normalize=True)
+    observation, _ = envs.reset(seed=5)
+    name = saved(tmp_path / "model.zip", HFrameVecEnv(2, normalize=True))
+    with pytest.raises(InputError, match="not in SI units"):
+        make_controller(name).act(observation)
+    assert make_controller(name, envs).act(observation).shape == (4, 2)
+
+
 def test_models_are_evaluated_by_their_file(tmp_path: Path) -> None:
     name = saved(tmp_path / "model.zip", HFrameVecEnv(2, normalize=True))
     scores = evaluate([name, "pid"], episodes=4).scores["controllers"]
