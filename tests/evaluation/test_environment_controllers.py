@@ -11,7 +11,7 @@ import pytest
 from hframe_gym.controllers import Controller, EnvironmentController
 from hframe_gym.envs import HFrameVectorEnv, Track
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import make_controller
+from hframe_gym.evaluation import evaluate, make_controller
 
 FORMATS = [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}]
 PERIODS = 100
@@ -111,6 +111,12 @@ def test_a_preview_at_other_times_is_refused() -> None:
     with pytest.raises(InputError, match=r"one goal per control period of 0\.01 s; make the environment with task="):
         make_controller("pid", env)
     assert isinstance(make_controller("pid", gym.make("HFrameTrack-v0", normalize=True)), EnvironmentController)
+
+
+def test_a_controller_that_was_made_for_an_environment_is_evaluated_as_the_one_inside_it() -> None:
+    made = {"made": make_controller("pid", gym.make("HFrame-v0", normalize=True)), "pid": make_controller("pid")}
+    scores = evaluate(made, episodes=4).scores["controllers"]
+    assert scores["made"] == scores["pid"]
 
 
 def test_an_agent_runs_beside_the_array_for_a_critic() -> None:
