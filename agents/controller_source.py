@@ -103,7 +103,7 @@ class AgentSource(ControllerSource):
             files,
             str(environment.get("sensors", "state")),
             f"{agent['kind']}, continues {start}" if start else agent["kind"],
-            _knowledge(agent["settings"]),
+            _knowledge(agent),
             steps,
             cpu_s,
         )
@@ -118,14 +118,17 @@ def _training_cost(folder: Path) -> tuple[int | None, float | None]:
         return None, None
 
 
-def _knowledge(settings: Mapping[str, Any]) -> str:
-    """Return for what an agent with these settings of a recipe uses the declared machine."""
-    actuation = settings.get("actuation", {})
+def _knowledge(agent: Mapping[str, Any]) -> str:
+    """Return for what an agent, with this content of agent.json, uses the declared machine."""
+    actuation = agent["settings"].get("actuation", {})
     if "base" in actuation:
         return f"corrects {actuation['base']}"
-    uses = [name for name, key in (("feedback laws", "transfers"), ("plans", "plans")) if actuation.get(key)]
-    estimates = ["estimates parameters"] if actuation.get("estimates") else []
-    return ", ".join([*uses, *estimates]) or "belt geometry"
+    uses = {
+        "feedback laws": actuation.get("transfers") or agent["features"].get("gains"),
+        "plans": actuation.get("plans"),
+        "estimates parameters": actuation.get("estimates"),
+    }
+    return ", ".join(name for name, used in uses.items() if used) or "belt geometry"
 
 
 def shipped_agent_folder(name: str, task: str) -> Path:

@@ -392,7 +392,7 @@ def test_entries_state_what_they_know_and_cost() -> None:
     ppo = protocols.make_entry("ppo", reach, "reach")[0]
     assert (ppo.algorithm, ppo.observes, ppo.model, ppo.training_steps) == ("ppo", "state", "belt geometry", 1503232)
     plan = protocols.make_entry("apg_plan", reach, "reach")[0]
-    assert (plan.model, plan.training_cpu_s) == ("plans, estimates parameters", 192.6)
+    assert (plan.model, plan.training_cpu_s) == ("feedback laws, plans, estimates parameters", 192.6)
     with pytest.warns(UserWarning, match="with other parameters"):  # the declared machine has current limits
         assert protocols.make_entry("residual", hard, "reach")[0].observes == "Kalman estimates"
     assert protocols.make_entry("pid", reach, "reach")[0].model == "feedback laws"
