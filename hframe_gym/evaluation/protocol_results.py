@@ -328,7 +328,8 @@ def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) ->
         off_grid = np.abs(times / sample_s - np.rint(times / sample_s)) > GRID_TOLERANCE
         for draw in np.flatnonzero(off_grid | (times > protocol.duration_s + ROUNDING))[:1]:
             refuse(int(draw), f"settling_s.{band} = {times[draw]:g} s is no sample of the episode")
-        for draw in np.flatnonzero(np.isnan(times) != (error > 1e3 * radius + ROUNDING))[:1]:
+        beyond = error - 1e3 * radius  # mm; an error that is rounded to the radius may be on either side
+        for draw in np.flatnonzero(np.where(np.isnan(times), beyond < -ROUNDING, beyond > ROUNDING))[:1]:
             refuse(int(draw), f"settling_s.{band} is {column[draw]} and the error at the end is {error[draw]:g} mm")
         for draw in np.flatnonzero(times < before)[:1]:
             refuse(int(draw), f"it settles within {band} before it settles within the wider band")

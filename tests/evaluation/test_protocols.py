@@ -277,6 +277,15 @@ def test_a_file_that_is_not_valid_is_refused_by_name(
     assert "\n" not in str(error.value)
 
 
+def test_an_error_that_is_rounded_to_the_edge_of_a_band_is_possible(content: dict[str, Any], tmp_path: Path) -> None:
+    for settled in (0.2, None):
+        content["draws"]["reach"]["settling_s.0.05mm"][1] = settled
+        content["draws"]["reach"]["final_error_mm"][1] = 0.05
+        content["scores"]["reach"] = part_scores(content["draws"]["reach"], 0.3)
+        content["checksum"] = checksum(content)
+        read_result(write_result(tmp_path, content))
+
+
 def test_edited_draws_are_refused(content: dict[str, Any], tmp_path: Path) -> None:
     """The scores of the edited draws are right, and every value is possible."""
     content = json.loads(json.dumps(content))
