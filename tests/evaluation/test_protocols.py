@@ -278,6 +278,7 @@ def test_a_file_that_is_not_valid_is_refused_by_name(
 
 
 def test_an_error_that_is_rounded_to_the_edge_of_a_band_is_possible(content: dict[str, Any], tmp_path: Path) -> None:
+    content = json.loads(json.dumps(content))  # whose bands share one list
     for settled in (0.2, None):
         content["draws"]["reach"]["settling_s.0.05mm"][1] = settled
         content["draws"]["reach"]["final_error_mm"][1] = 0.05
