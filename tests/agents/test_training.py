@@ -325,9 +325,8 @@ def test_exploration_that_depends_on_the_state_trains_and_loads(tmp_path, algori
     """The policy then holds samples that depend on its weights, which made a copy of it impossible."""
     recipe = load_recipe(algorithm, "reach")
     small = {"num_envs": 8, "max_episode_steps": 20}
-    keywords = {**recipe.algorithm, "use_sde": True}
-    if algorithm == "sac":
-        keywords |= {"learning_starts": 64, "gradient_steps": 1}
+    of_kind = {"ppo": {"batch_size": 256}, "sac": {"learning_starts": 64, "gradient_steps": 1}}
+    keywords = {**recipe.algorithm, **of_kind[algorithm], "use_sde": True}
     card = train(replace(recipe, env=recipe.env | small, algorithm=keywords), steps=600, out=tmp_path, log=ignore)
     kept = next(row for row in card["curve"] if row["steps"] == card["kept"])
     scenario = Scenario(randomize="default", episodes=EPISODES, seed=1_000_000)
