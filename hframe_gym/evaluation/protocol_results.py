@@ -40,7 +40,9 @@ ROUNDING = 1e-6  # s and mm, of the values of draws, which have 6 decimals
 GRID_TOLERANCE = 1e-2  # of a sample
 # Differences of a run that is repeated elsewhere: two samples of 1 ms, and 1 um and 1 % of an error in mm.
 REPEATED_S, REPEATED_MM, REPEATED_FRACTION = 2.1e-3, 1e-3, 1e-2
-REPEATED_DRAWS, REPEATED_MEAN = 0.01, 0.002  # fraction of draws that may differ by more, and of a mean
+# Fraction of draws that may differ by more; standard deviations of a sum of differences with random signs; fraction of
+# a mean, for differences below the tolerances.
+REPEATED_DRAWS, REPEATED_SIGMAS, REPEATED_MEAN = 0.12, 2.0, 0.002
 TOLERANCE = 1e-6  # relative, of scores that are computed again when a file is read
 
 
@@ -360,10 +362,12 @@ class Comparison(NamedTuple):
 def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     """Compare the draws of a result file with those of a run that was repeated.
 
-    Sums are rounded differently on other processors. Friction amplifies this, and a draw that ends near the edge of a
-    band may be in it here and outside there: plans of another processor changed 2 of 512 draws by more than the
-    tolerances, and means by 0.03 %. A file is reproduced if at most 1 % of its draws differ by more, and means by at
-    most 0.2 %: what could be won by editing within these limits is below the intervals of the scores.
+    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, and a draw that ends
+    near the edge of a band may be in it here and outside there. Repeated on another processor, `apg_plan` differed by
+    more than the tolerances in 2 of 512 draws of reach-v1, and `adaptive-pid` in 53 of 512 of hard-v1; such differences
+    go both ways, and means moved by 0.8 % at most. A file is therefore reproduced if the values of few draws differ by
+    more than the tolerances, and if the differences of a metric add up to no more than those of random signs do. Draws
+    that were edited improve, all of them: more than a handful are found.
 
     Args:
         result: Content of the file.
@@ -380,15 +384,16 @@ def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
             given = result.draws[part][metric]
             before, after = (fill_unsettled(values, protocol.duration_s) for values in (given, column))
             if metric.startswith("settling_s."):
-                allowed, rounding = np.full(len(before), REPEATED_S), REPEATED_S
+                allowed = np.full(len(before), REPEATED_S)
             else:
-                allowed, rounding = REPEATED_MM + REPEATED_FRACTION * np.maximum(before, after), REPEATED_MM
+                allowed = REPEATED_MM + REPEATED_FRACTION * np.maximum(before, after)
             sizes = np.abs(after - before) / allowed
             count += len(given)
             equal += sum(old == new for old, new in zip(given, column, strict=True))
-            difference = abs(after.mean() - before.mean())
+            differences = after - before
+            expected = REPEATED_SIGMAS * np.sqrt(np.sum(differences**2)) + REPEATED_MEAN * before.sum()
             reproduced &= int((sizes > 1.0).sum()) <= int(REPEATED_DRAWS * len(given))
-            reproduced &= difference <= rounding + REPEATED_MEAN * before.mean()
+            reproduced &= abs(differences.sum()) <= expected
             draw = int(sizes.argmax())
             if sizes[draw] > largest:
                 largest = float(sizes[draw])

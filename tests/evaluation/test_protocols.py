@@ -345,6 +345,25 @@ def test_a_repeated_run_may_differ_by_rounding_only(short: Protocol, content: di
     assert not compare_draws(result, again).reproduced
 
 
+def test_edited_draws_do_not_look_like_rounding(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Rounding moves settling times both ways, edits one way: 20 of 512 draws that settle 60 ms earlier."""
+    monkeypatch.setattr("hframe_gym.evaluation.protocol_results.protocol_bounds", lambda name: {})
+    rng, protocol = np.random.default_rng(0), PROTOCOLS["reach-v1"]
+    times = np.round(rng.uniform(0.2, 0.4, 512), 3)
+    moved = np.zeros(512)
+    moved[:20] = 0.06
+    signs = np.where(np.arange(512) % 2, 1.0, -1.0)
+
+    def draws(values: Any) -> dict[str, Any]:
+        columns = {f"settling_s.{band}": np.round(values, 3).tolist() for band in ("1mm", "0.2mm", "0.05mm")}
+        return {"reach": {**columns, "final_error_mm": [0.01] * 512}}
+
+    content = result_content(protocol, Entry("mine", "agent", "a" * 64), draws(times - moved))
+    result = read_result(write_result(tmp_path, content))
+    assert not compare_draws(result, draws(times)).reproduced
+    assert compare_draws(result, draws(times - moved + signs * moved)).reproduced
+
+
 class _Network(Controller):
     """A controller that holds a network, as an adapter of somebody's agent does."""
 
