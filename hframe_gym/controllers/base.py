@@ -178,7 +178,8 @@ def check_state_units(observation: Mapping[str, NDArray[Any]], model: MotionMode
     values = np.asarray(observation["observation"], np.float64)
     achieved = np.asarray(observation["achieved_goal"], np.float64)
     rotary = [i for i, name in enumerate(model.observed) if model.machine.coordinate(name).kind == "rotary"]
-    if not rotary or values.shape[1] != 2 * count:
+    if not rotary or values.shape[1] != 2 * count:  # no angle shows the scale: the size of the workspace has to
+        check_goal_units(observation, model.machine)
         return
     radii = np.array([model.machine.coordinate(model.observed[i]).travel_per_unit for i in rotary])
     rows = [model.machine.coordinate_names.index(model.observed[i]) for i in rotary]

@@ -80,6 +80,12 @@ def test_a_controller_that_does_not_know_the_environment_refuses_normalized_obse
             controller.act({key: values[None] for key, values in observation.items()})
 
 
+def test_a_machine_without_angles_refuses_goals_outside_its_workspace() -> None:
+    observation, _ = HFrameVectorEnv(16, machine="axis", normalize=True).reset(seed=0)
+    with pytest.raises(InputError, match="not in SI units: achieved_goal has"):
+        make_controller("pid", "axis").act(observation)
+
+
 def test_output_feedback_refuses_normalized_measurements() -> None:
     controller = make_controller("pid", sensors="rig")
     observation, _ = HFrameVectorEnv(32, sensors="rig", normalize=True).reset(seed=0)
