@@ -7,6 +7,7 @@ this package does not; it registers trained agents as controllers for `hframe_gy
 from .agent import Agent
 from .controller_source import AgentSource, shipped_agent_folder, shipped_agent_names
 from .recipe import Recipe, load_recipe, recipe_names
+from .sb3_zip import Sb3Model, ZipSource
 from .training import train
 from .training_seeds import train_seeds
 
@@ -14,6 +15,8 @@ __all__ = [
     "Agent",
     "AgentSource",
     "Recipe",
+    "Sb3Model",
+    "ZipSource",
     "load_recipe",
     "recipe_names",
     "shipped_agent_folder",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file, complete_commit, output_batch, write_text
-from ..controllers import Controller
+from ..controllers import Controller, UnitCheck
 from ..envs import SensorsLike, action_space, observation_space
 from ..errors import InputError
 from ..machine import Machine, observed_coordinates
@@ -108,6 +109,7 @@ class Agent(Controller):
         self.policy = policy
         self.mapping = mapping
         self.card = dict(card)
+        self._sensors = self.card.get("settings", {}).get("env", {}).get("sensors", "state")
 
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """Compute the actions for the control period that starts now; call it once per period.
@@ -122,8 +124,9 @@ class Agent(Controller):
 
         Raises:
             InputError: If the observation does not have the form of the training: an array has another width, or
-                `preview` is missing or superfluous.
+                `preview` is missing or superfluous, or it is normalized.
         """
+        self._check_units(observation)
         previews = "preview" in self.policy.observation_space.spaces
         if previews != ("preview" in observation):
             raise InputError(
@@ -136,10 +139,16 @@ class Agent(Controller):
                     f"agent {self.card['name']}: {key} has shape {observation[key].shape}, but the agent was trained "
                     f"on (batch, {space.shape[0]}); evaluate it with the machine and the sensors of its training"
                 )
-        policy_input = self.mapping.augment(observation) if self.mapping else dict(observation)
+        policy_input = self.mapping.augment(observation) if self.mapping else observation
+        policy_input = {key: policy_input[key] for key in self.policy.observation_space.spaces}
         with single_threaded_torch():
             outputs, _ = self.policy.predict(policy_input, deterministic=True)
         return self.mapping.action(outputs) if self.mapping else np.asarray(outputs, np.float64)
+
+    @cached_property
+    def _check_units(self) -> UnitCheck:
+        """Check of the units of observations, made when it is needed."""
+        return UnitCheck(self.machine, self._sensors == "state")
 
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
         """Replace the stored last action with the action that was actually applied.
@@ -207,7 +216,16 @@ class Agent(Controller):
             return None
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
-    def save(self, folder: str | Path) -> None:
+    def weights(self) -> dict[str, Any]:
+        """Copy the weights that an agent needs to run.
+
+        Returns:
+            Tensors by name, without those of the critics, which estimate returns and are needed for training only.
+        """
+        state = self.policy.state_dict()
+        return {name: v.detach().clone() for name, v in state.items() if not name.startswith(CRITIC_PREFIXES)}
+
+    def save(self, folder: str | Path, weights: Mapping[str, Any] | None = None) -> None:
         """Write the agent to a folder, from which `load` reads it.
 
         The files are policy.safetensors (weights), agent.json (how to build the policy) and machine.json (machine of
@@ -215,18 +233,17 @@ class Agent(Controller):
 
         Args:
             folder: Folder for the files; created if it does not exist.
+            weights: Weights as `weights()` returned them. Default: the present ones.
 
         Raises:
             ImportError: If the extra `agents` is not installed.
         """
         safetensors = import_optional("safetensors.torch")
-        state = self.policy.state_dict()
-        # The critics estimate returns and are needed for training only.
-        weights = {name: value.contiguous() for name, value in state.items() if not name.startswith(CRITIC_PREFIXES)}
+        tensors = {name: value.contiguous() for name, value in (weights or self.weights()).items()}
         contents = {key: self.card[key] for key in AGENT_KEYS}
         with output_batch(folder):
             with atomic_file(Path(folder) / "policy.safetensors") as file:
-                file.write(safetensors.save(weights))
+                file.write(safetensors.save(tensors))
             save_machine(self.machine, Path(folder) / "machine.json")
             write_text(Path(folder) / "agent.json", json.dumps(contents, indent=1) + "\n")
 
@@ -253,10 +270,12 @@ class Agent(Controller):
         expected = feature_parameters(machine)
         if any(_shape(card["features"][key]) != _shape(expected[key]) for key in expected):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
+        exploration = {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}
         policy = policy_class(card["kind"])(
             mapping.observation_space(space) if mapping else space,
             mapping.action_space() if mapping else action_space(machine),
             lambda _: 0.0,  # learning rate, which only training uses
+            **exploration,
             **policy_keywords(card["settings"]["policy"], card["features"]),
             optimizer_class=_no_optimizer,
         )

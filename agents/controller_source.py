@@ -1,19 +1,22 @@
 """Trained agents as controllers: agents in a folder, and the agents that come with the package.
 
-Importing this module registers both with `hframe_gym.evaluation.make_controller`; it is the plugin that the package
-declares in the entry-point group `hframe_gym.plugins`.
+Importing this module registers both, and the models of `sb3_zip`, with `hframe_gym.evaluation.make_controller`; it is
+the plugin that the package declares in the entry-point group `hframe_gym.plugins`.
 """
 
 from __future__ import annotations
 
+import json
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
 from ..machine import Machine
+from . import sb3_zip  # noqa: F401  (registers itself)
 from .agent import Agent
 from .agent_files import AGENT_FILES, read_agent_json
 from .recipe import Recipe, recipe_task
@@ -91,9 +94,41 @@ class AgentSource(ControllerSource):
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None
-        environment = read_agent_json(folder)["settings"].get("env", {})
+        agent = read_agent_json(folder)
+        environment, start = agent["settings"].get("env", {}), agent["settings"].get("start", "")
         files = tuple(folder / file for file in AGENT_FILES)
-        return ControllerFiles(folder.resolve().name, files, str(environment.get("sensors", "state")))
+        steps, cpu_s = _training_cost(folder)
+        return ControllerFiles(
+            folder.resolve().name,
+            files,
+            str(environment.get("sensors", "state")),
+            f"{agent['kind']}, continues {start}" if start else agent["kind"],
+            _knowledge(agent),
+            steps,
+            cpu_s,
+        )
+
+
+def _training_cost(folder: Path) -> tuple[int | None, float | None]:
+    """Return the environment steps and the processor time, s, of an agent's training as its card states them."""
+    try:
+        last = json.loads((folder / "card.json").read_text("utf-8"))["curve"][-1]
+        return int(last["steps"]), round(float(last["cpu_s"]), 1)
+    except (OSError, ValueError, TypeError, LookupError):  # the card is not needed to run an agent
+        return None, None
+
+
+def _knowledge(agent: Mapping[str, Any]) -> str:
+    """Return for what an agent, with this content of agent.json, uses the declared machine."""
+    actuation = agent["settings"].get("actuation", {})
+    if "base" in actuation:
+        return f"corrects {actuation['base']}"
+    uses = {
+        "feedback laws": actuation.get("transfers") or agent["features"].get("gains"),
+        "plans": actuation.get("plans"),
+        "estimates parameters": actuation.get("estimates"),
+    }
+    return ", ".join(name for name, used in uses.items() if used) or "belt geometry"
 
 
 def shipped_agent_folder(name: str, task: str) -> Path:

@@ -9,7 +9,6 @@ killed at any time; `resume` continues it as if it had not been interrupted.
 
 from __future__ import annotations
 
-import copy
 import pickle
 import time
 from collections.abc import Callable
@@ -128,7 +127,7 @@ class _Run:
     start_time: float  # s, monotonic clock; such that the time before a resume counts
     start_cpu_time: float  # s, likewise
     kept_costs: Any = None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
-    improved_agent: Agent | None = None  # the agent to keep that is not saved yet
+    improved_weights: dict[str, Any] | None = None  # of the agent to keep that is not saved yet
     evaluated: bool = False  # whether an evaluation is not saved yet
 
     def __init__(
@@ -273,7 +272,7 @@ class _Run:
                 model.logger.record(f"evaluation/{key}", value)
         model.logger.dump(model.num_timesteps)
         if improves(scores.costs, self.kept_costs):
-            self.improved_agent = Agent(copy.deepcopy(model.policy), None, self.machine, self.card)
+            self.improved_weights = agent.weights()  # a policy with gSDE cannot be copied
             self.card["kept"], self.kept_costs = row["steps"], scores.costs
         self.evaluated = True
 
@@ -295,14 +294,14 @@ class _Run:
         if getattr(model, "replay_buffer", None) is not None:
             pickles[replay] = model.save_replay_buffer
         with output_batch(self.folder):
-            if self.improved_agent is not None:
-                self.improved_agent.save(self.folder)
+            if self.improved_weights is not None:
+                Agent(model.policy, None, self.machine, self.card).save(self.folder, self.improved_weights)
             for name, write in pickles.items():
                 with atomic_file(self.folder / name) as file:
                     write(file)
                 sign_checkpoint(newest(self.folder / name))
             write_card(self.folder, self.card)
-        self.improved_agent, self.evaluated = None, False
+        self.improved_weights, self.evaluated = None, False
 
 
 def _algorithm(kind: str) -> Any:

@@ -194,9 +194,13 @@ def test_evaluate_by_protocol_writes_a_result_file_per_controller(
     short = dataclasses.replace(PROTOCOLS["reach-v1"], draws=2, duration_s=0.2)
     short = dataclasses.replace(short, digest=short.compute_digest())
     monkeypatch.setitem(PROTOCOLS, "reach-v1", short)
+    bounds = {"free": np.full(2, 0.1), "held": np.full(2, np.nan)}  # the stored ones are of other draws
+    for module in ("hframe_gym.evaluation", "hframe_gym.evaluation.protocol_results"):
+        monkeypatch.setattr(f"{module}.protocol_bounds", lambda name: bounds)
     code, out, _ = hframe_command("evaluate", "pid", "textbook-pid", "--protocol", "reach-v1", "--out", tmp_path)
     assert code == 0
     assert "reach-v1, reach" in out
+    assert "bound" in out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["reach-v1_pid.json", "reach-v1_textbook-pid.json"]
     assert read_result(tmp_path / "reach-v1_pid.json").entry.name == "pid"
 
@@ -435,7 +439,7 @@ def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
     part = {f"settling_s.{band}": {"success": bands[band], "mean": 1.5, "ci95": (1.4, 1.5)} for band in bands}
     result = {"protocol": "reach-v1", "entry": {"name": "idle"}, "scores": {"reach": {"final_error_mm": 1.0, **part}}}
     (table,) = cli_tables.protocol_tables([result])
-    assert printed(table, 80).split()[-5:] == ["idle", "50.0", "0.0", "0.0", "-"]
+    assert printed(table, 80).split()[-6:] == ["idle", "50.0", "0.0", "0.0", "-", "-"]  # nor a ratio to the bound
 
 
 def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:

@@ -1,13 +1,19 @@
 """Tables of docs/leaderboard.md and docs/bound.md from benchmarks/leaderboard and the stored bounds.
 
-Every file is validated; one that is not valid stops the generation. In each part of a protocol the entries are sorted
-by their mean, and compared draw by draw with the best controller that is not learned. Agents whose names differ only in
-the seed of their training (`NAME-seed0`, `NAME-seed1`) get a further row with intervals over draws and seeds.
+    python -m tools.leaderboard --check FILE...               # are the files valid?
+    python -m tools.leaderboard --rerun FILE [--as ENTRY]     # do the numbers of a submission come out again?
+
+`python -m tools.tables` writes the pages. Every file is validated; one that is not valid stops the generation. In each
+part of a protocol the entries are sorted by their mean, and compared draw by draw with the best controller that is not
+learned. Agents whose names differ only in the seed of their training (`NAME-seed0`, `NAME-seed1`) get a further row
+with intervals over draws and seeds.
 """
 
 from __future__ import annotations
 
+import argparse
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,21 +22,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.results_file import ROOT
+from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
     EFFECT_FAMILIES,
     PROTOCOLS,
     Protocol,
     ResultFile,
+    compare_draws,
     fill_unsettled,
     get_protocol,
+    make_entry,
     paired_ratio,
     protocol_bounds,
     read_result,
+    run_protocol,
 )
+from hframe_gym.registry import load_plugins
 
 FOLDER = ROOT / "benchmarks" / "leaderboard"
 PAGES = (ROOT / "docs" / "leaderboard.md", ROOT / "docs" / "bound.md")
 BANDS = ("1mm", "0.2mm", "0.05mm")
+ABOUT = ("learned by", "observes", "uses of the model", "million steps", "training, s", "control, us")
 Array = NDArray[np.float64]
 
 
@@ -85,21 +97,35 @@ def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
         for entry in ranked:
             against = _ratio(paired_ratio(values[id(entry)], values[id(best)])) if best and best is not entry else "1"
             cells = _move_cells(entry, part, values[id(entry)], bounds) if bounds or task.metrics == "reach" else []
-            rows.append([_name(entry), *(cells or _path_cells(entry, part)), against])
+            rows.append([_name(entry), *_about_cells(entry), *(cells or _path_cells(entry, part)), against])
         rows += [
-            [f"**{recipe}, {len(seeds)} seeds**", *(f"**{cell}**" for cell in cells)]
+            [f"**{recipe}, {len(seeds)} seeds**", *[""] * len(ABOUT), *(f"**{cell}**" for cell in cells)]
             for recipe, seeds in _trained_repeatedly(ranked).items()
             for cells in [_cells_over_seeds(seeds, part, metric, bounds, values[id(best)] if best else None, protocol)]
         ]
         reference = f"over {best.entry.name}" if best else "over the best controller"
         header = _move_header(bounds) if task.metrics == "reach" else ["contour error, rms, mm", "maximum, mm"]
-        texts.append(f"**{part}**\n\n{table(['entry', *header, reference], rows)}")
+        texts.append(f"**{part}**\n\n{table(['entry', *ABOUT, *header, reference], rows)}")
     return "\n\n".join(texts)
 
 
 def _name(entry: ResultFile) -> str:
-    """Return name, kind and first digits of the hash."""
-    return f"`{entry.entry.name}`{' (agent)' if entry.entry.kind == 'agent' else ''} {entry.entry.sha256[:8]}"
+    """Return name and first digits of the hash."""
+    return f"`{entry.entry.name}` {entry.entry.sha256[:8]}"
+
+
+def _about_cells(entry: ResultFile) -> list[str]:
+    """Return what the entry learned by, observes and knows, and its costs; empty cells are unknown."""
+    about = entry.entry
+    steps, cpu_s, control_us = about.training_steps, about.training_cpu_s, about.control_us
+    return [
+        about.algorithm or "not learned",
+        about.observes,
+        about.model,
+        "" if steps is None else f"{steps / 1e6:.3g}",
+        "" if cpu_s is None else f"{cpu_s:.0f}",
+        "" if control_us is None else f"{control_us:.3g}",
+    ]
 
 
 def _move_header(bounds: Mapping[str, Array]) -> list[str]:
@@ -241,3 +267,62 @@ def leaderboard_page(text: str, entries: Sequence[ResultFile]) -> str:
         return f"<!-- leaderboard: {name} -->\n{content}\n<!-- end -->"
 
     return re.sub(r"<!-- leaderboard: ([\w-]+) -->.*?<!-- end -->", section, text, flags=re.DOTALL)
+
+
+def rerun(path: Path, name: str | None = None) -> tuple[bool, str]:
+    """Run the entry of a result file again and compare every draw.
+
+    Args:
+        path: Result file.
+        name: Controller, agent or folder to run. Default: the file's name of the entry, as `hframe evaluate` takes it.
+
+    Returns:
+        reproduced: Whether the file's numbers came out again, by an entry with the same weights.
+        text: One line that says so.
+
+    Raises:
+        InputError: If the file is not valid, or the entry is unknown.
+    """
+    result = read_result(path)
+    protocol = get_protocol(result.protocol)
+    load_plugins()
+    present = make_entry(name or result.entry.name, protocol, next(iter(protocol.parts)))[0]
+    if present.kind == "agent" and len(protocol.parts) == 1 and present.sha256 != result.entry.sha256:
+        return False, f"{path}: swapped weights: {present.name} has the hash {present.sha256[:8]}, not that of the file"
+    entry, draws = run_protocol(name or result.entry.name, protocol)
+    if entry.kind == "agent" and entry.sha256 != result.entry.sha256:
+        return False, f"{path}: swapped weights: {entry.name} has the hash {entry.sha256[:8]}, not that of the file"
+    compared = compare_draws(result, draws)
+    verdict = "reproduced" if compared.reproduced else "NOT reproduced"
+    worst = f"; largest difference: {compared.worst}" if compared.worst else ""
+    source = "" if entry.sha256 == result.entry.sha256 else "; the source has changed since"
+    return (
+        compared.reproduced,
+        f"{path}: {verdict}: {compared.equal} of {compared.values} values are equal{worst}{source}",
+    )
+
+
+def main() -> int:
+    """Check or repeat submissions; return the exit status."""
+    parser = argparse.ArgumentParser(description="Check and repeat submissions to the leaderboard.")
+    action = parser.add_mutually_exclusive_group(required=True)
+    action.add_argument("--check", nargs="+", type=Path, metavar="FILE", help="validate result files")
+    action.add_argument("--rerun", type=Path, metavar="FILE", help="run the entry again and compare every draw")
+    parser.add_argument("--as", dest="entry", help="controller, agent or folder, if its name in the file does not do")
+    arguments = parser.parse_args()
+    try:
+        if arguments.rerun:
+            reproduced, text = rerun(arguments.rerun, arguments.entry)
+            print(text)
+            return 0 if reproduced else 1
+        for path in arguments.check:
+            read_result(path)
+            print(f"{path}: valid")
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -185,7 +185,8 @@ EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of e
 ControllersArgument = Annotated[
     list[str],
     typer.Argument(
-        help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, or module:name."
+        help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, "
+        "a model of stable-baselines3 (NAME.zip), or module:name."
     ),
 ]
 SensorsOption = Annotated[

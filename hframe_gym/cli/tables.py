@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich import box
 from rich.markup import escape
 from rich.table import Table
@@ -126,15 +128,21 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
 
     Returns:
         One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the fractions of
-        episodes, %, that settle within 1, 0.2 and 0.05 mm, and the mean settling time to 0.2 mm, s, with its 95 %
-        interval. For paths: root mean square and largest contour error, mm, with their intervals.
+        episodes, %, that settle within 1, 0.2 and 0.05 mm, the mean settling time to 0.2 mm, s, and its ratio to the
+        mean bound (where bounds are stored), with 95 % intervals. For paths: root mean square and largest contour
+        error, mm, with their intervals.
     """
-    from ..evaluation import settling_or_none
+    from ..evaluation import get_protocol, protocol_bounds, settling_or_none
 
     tables = []
     for part, first in results[0]["scores"].items():
         moves = "final_error_mm" in first
         columns = [f"in {band}, %" for band in BANDS] + [f"until {BOUND_BAND}, s"] if moves else list(first)
+        protocol = get_protocol(results[0]["protocol"])
+        bound = protocol_bounds(protocol.name)["free"] if moves else np.zeros(0)
+        known_bounds = int(np.isfinite(bound).sum())
+        if known_bounds:
+            columns.append(f"over the bound ({known_bounds} draws)")
         table = Table(title=f"{results[0]['protocol']}, {part}", title_justify="left", box=box.SIMPLE_HEAD)
         table.add_column("name", overflow="fold")
         for column in columns:
@@ -149,9 +157,21 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
                 "{mean:.4f} ({0:.4f} to {1:.4f})".format(*score["ci95"], mean=score["mean"]) if score else "-"
                 for score in known
             ]
+            if known_bounds:
+                cells.append(_over_bound(result, part, bound, protocol.duration_s))
             table.add_row(escape(result["entry"]["name"]), *cells)
         tables.append(table)
     return tables
+
+
+def _over_bound(result: Mapping[str, Any], part: str, bound: NDArray[np.float64], duration_s: float) -> str:
+    """Return the ratio of settling times to their bounds with its interval; "-" if nothing settles."""
+    from ..evaluation import fill_unsettled, paired_ratio
+
+    if not result["scores"][part][f"settling_s.{BOUND_BAND}"]["success"]:
+        return "-"
+    ratio = paired_ratio(fill_unsettled(result["draws"][part][f"settling_s.{BOUND_BAND}"], duration_s), bound)
+    return "{mean:.3f} ({0:.3f} to {1:.3f})".format(*ratio["ci95"], mean=ratio["mean"]) if ratio else "-"
 
 
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:

@@ -1,6 +1,7 @@
 """Controllers of batches of machines, designed from a machine model; independent of Gymnasium.
 
 base                    interface, registry, full-state and output-feedback controllers
+environment_controller  controller on observations as an environment with `normalize` or `flat` returns them
 motion_model            machine model for controller design, and the operating points of its linearizations
 finite_horizon_control  point-to-point transfers, and tracking of a previewed goal
 linear_motion           linear models of different machines, and transfers planned with them and simulated
@@ -26,8 +27,10 @@ from .base import (
     Estimator,
     FullStateController,
     OutputFeedbackController,
+    UnitCheck,
     check_period,
 )
+from .environment_controller import EnvironmentController
 from .estimation_model import ParameterRatios
 from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, PreviewTracker
 from .input_compensation import DeadTime, InputInversion
@@ -44,6 +47,7 @@ __all__ = [
     "AdaptiveController",
     "Controller",
     "DeadTime",
+    "EnvironmentController",
     "EpisodeStarts",
     "Estimator",
     "FullStateController",
@@ -63,6 +67,7 @@ __all__ = [
     "SimulatedTransfers",
     "StateEstimator",
     "TextbookPID",
+    "UnitCheck",
     "check_period",
     "scaled_machine",
 ]

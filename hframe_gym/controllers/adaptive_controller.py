@@ -26,6 +26,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,8 @@ class AdaptiveController(FullStateController):
         InputError: If the machine does not have one drive per axis of its tool, an axis has no range, or the period is
             invalid.
     """
+
+    knowledge: ClassVar[str] = "feedback laws, estimates parameters"
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)

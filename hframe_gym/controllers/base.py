@@ -13,8 +13,10 @@ as `my_package.my_module:my-controller`.
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -68,6 +70,9 @@ class Controller(ABC):
         feedback: What the controller needs to measure (class attribute). "state": the true full state; such a
             controller cannot run from sensors. "estimated_state": the full state, which `StateEstimator` supplies where
             the environment observes sensors only. "observation": whatever the environment observes.
+        knowledge: For what it uses the machine from which it is designed, a few words for the leaderboard (class
+            attribute). A planner with the true parameters of a draw says so.
+        files: Files besides its source that determine what it does, such as weights. They count as learned.
         machine: As given.
         period: As given, s.
 
@@ -76,6 +81,8 @@ class Controller(ABC):
     """
 
     feedback: ClassVar[Feedback] = "state"
+    knowledge: ClassVar[str] = "not stated"
+    files: Sequence[str | Path] = ()
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         self.machine = machine
@@ -122,6 +129,126 @@ class Controller(ABC):
 
 
 CONTROLLERS: Registry[type[Controller]] = Registry("controller")
+
+# m. In motion the belts of the stages here stretch by some mm, and end stops yield by less than this.
+LARGEST_STRETCH = 0.05
+# rad. With `normalize=True` an angle is at most 1.5, its bound over its scale; such an angle moves a belt by 1 or 2 cm.
+LARGEST_NORMALIZED = 1.5
+_ADVICE = (
+    "controllers and agents need SI units by key; make them for the environment, make_controller(name, env), which "
+    "undoes normalize and flat, or make the environment without normalize, flat and wrappers that scale observations"
+)
+
+
+def check_keys(observation: Any) -> None:
+    """Check that an observation consists of arrays by key, for a batch of machines.
+
+    Args:
+        observation: Argument of `Controller.act`: arrays by key, shape (B, entries of the key) for B machines.
+
+    Raises:
+        InputError: If it is one array, as with the environment option `flat`, or lacks the batch axis.
+    """
+    if not isinstance(observation, Mapping):
+        raise InputError(f"observation is one array of shape {np.shape(observation)}, not a dict: {_ADVICE}")
+    if observation["observation"].ndim == 1:
+        raise InputError(
+            "observation is that of one machine, without batch axis; make the controller for the environment, "
+            "make_controller(name, env), or give arrays of shape (1, entries)"
+        )
+
+
+def check_state_units(observation: Mapping[str, NDArray[Any]], model: MotionModel) -> None:
+    """Check that a full-state observation is not normalized: its angles fit the tool position.
+
+    Where the tool is more than `LARGEST_STRETCH` of belt travel away from the place where all angles are zero, at least
+    one pulley has turned by more than `LARGEST_NORMALIZED`, unless angles and positions are fractions of their ranges.
+
+    Args:
+        observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
+            which have `achieved_goal`, are checked.
+        model: Model of the machine.
+
+    Raises:
+        InputError: If they do not fit; the message names the values.
+    """
+    if "achieved_goal" not in observation:
+        return
+    count = len(model.observed)
+    values = np.asarray(observation["observation"], np.float64)
+    achieved = np.asarray(observation["achieved_goal"], np.float64)
+    rotary = [i for i, name in enumerate(model.observed) if model.machine.coordinate(name).kind == "rotary"]
+    if not rotary or values.shape[1] != 2 * count:  # no angle shows the scale: the size of the workspace has to
+        check_goal_units(observation, model.machine)
+        return
+    radii = np.array([model.machine.coordinate(model.observed[i]).travel_per_unit for i in rotary])
+    rows = [model.machine.coordinate_names.index(model.observed[i]) for i in rotary]
+    expected = achieved @ model.rigid[rows].T
+    angles = values[:, rotary]
+    far = np.abs(angles * radii - expected).max(axis=1) > LARGEST_STRETCH
+    scaled = far & (np.abs(angles).max(axis=1) <= LARGEST_NORMALIZED)
+    if scaled.any():
+        b = int(np.flatnonzero(scaled)[0])
+        position = ", ".join(f"{value:.3g}" for value in achieved[b])
+        turned = ", ".join(f"{value:.3g}" for value in angles[b])
+        raise InputError(
+            f"observation is not in SI units: at the position ({position}) m the pulleys cannot be at ({turned}) rad, "
+            f"as if the environment had normalize=True; {_ADVICE}"
+        )
+
+
+def check_goal_units(observation: Mapping[str, NDArray[Any]], machine: Machine) -> None:
+    """Check that the goals of an environment's observation lie in a machine's workspace, as those in meters do.
+
+    Args:
+        observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
+            which have `achieved_goal`, are checked.
+        machine: Machine with its tool axes.
+
+    Raises:
+        InputError: If a goal is outside.
+    """
+    for key in ("achieved_goal", "desired_goal") if "achieved_goal" in observation else ():
+        for axis, values in zip(machine.tool_axes, np.asarray(observation[key]).T, strict=False):
+            low, high = machine.coordinate(axis).range or (-np.inf, np.inf)
+            outside = (values < low - LARGEST_STRETCH - 1e-6) | (values > high + LARGEST_STRETCH + 1e-6)
+            if outside.any():
+                raise InputError(
+                    f"observation is not in SI units: {key} has {axis} = {values[outside][0]:.3g}, and the workspace is"
+                    f" {low:g} to {high:g} m, as if the environment had normalize=True; {_ADVICE}"
+                )
+
+
+class UnitCheck:
+    """Check that observations are arrays by key in SI units, for controllers that use them as they are.
+
+    Args:
+        machine: Machine of the controller.
+        full_state: Whether the full state is observed instead of sensors.
+    """
+
+    def __init__(self, machine: Machine, full_state: bool) -> None:
+        self._machine = machine
+        self._model: MotionModel | None = None
+        if full_state:
+            # A machine with coordinates that nobody observes has no such model; its goals are checked.
+            with contextlib.suppress(InputError):
+                self._model = MotionModel(machine)
+
+    def __call__(self, observation: Mapping[str, NDArray[Any]]) -> None:
+        """Check an observation.
+
+        Args:
+            observation: Arrays by key, shape (B, entries of the key) for B machines.
+
+        Raises:
+            InputError: If it is one array, lacks the batch axis or is normalized.
+        """
+        check_keys(observation)
+        if self._model is None:
+            check_goal_units(observation, self._machine)
+        else:
+            check_state_units(observation, self._model)
 
 
 class EpisodeStarts:
@@ -207,9 +334,12 @@ class FullStateController(Controller):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
-            InputError: If the observation does not fit the machine, or the preview is too short for the controller.
+            InputError: If the observation does not fit the machine or is normalized, or the preview is too short for
+                the controller.
         """
+        check_keys(observation)
         state = self.model.state(observation)
+        check_state_units(observation, self.model)
         goals = [np.asarray(observation["desired_goal"], np.float64)[:, None]]
         if "preview" in observation:
             goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, len(self.model.axes)))
@@ -326,9 +456,11 @@ class OutputFeedbackController(Controller):
             Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
-            InputError: If a measurement is not finite.
+            InputError: If a measurement is not finite, or the observation is normalized or one array.
         """
+        check_keys(observation)
         model = self.estimator.model
+        check_goal_units(observation, model.machine)
         measurements = observation["observation"][:, : self.estimator.channels]
         state = self.estimator.update(measurements)
         # The controller receives the same arrays, with the estimated full state in place of the measurements.

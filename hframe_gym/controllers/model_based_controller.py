@@ -73,6 +73,7 @@ class ModelBasedController(FullStateController):
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
+    knowledge: ClassVar[str] = "feedback laws"
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)

@@ -62,6 +62,7 @@ class PredictiveController(FullStateController):
     """
 
     feedback: ClassVar[Feedback] = "estimated_state"
+    knowledge: ClassVar[str] = "plans, estimates parameters"
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,6 +43,8 @@ class TextbookPID(FullStateController):
     References:
         Astrom and Hagglund (2006), Advanced PID Control, chapter 6.
     """
+
+    knowledge: ClassVar[str] = "mass and slowest mode"
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)

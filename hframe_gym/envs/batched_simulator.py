@@ -159,8 +159,8 @@ class BatchedSimulator:
         self.__dict__.update(state)
         self._kernel = kernel_for(self._stepped)
 
-    def reset(self, index: Index, position: Array, values: Array) -> None:
-        """Put k machines at rest with unstretched belts and new parameters.
+    def reset(self, index: Index, position: Array, values: Array, motion: Array | None = None) -> None:
+        """Put k machines at rest with unstretched belts, or into a given motion, with new parameters.
 
         Their time, the internal states of their effects and their delayed voltages are set to zero.
 
@@ -168,11 +168,16 @@ class BatchedSimulator:
             index: Indices of the machines, ascending, shape (k,).
             position: Tool positions, m, shape (k, axes).
             values: All N parameters in the order of `ParameterSpace.names`, SI, shape (k, N).
+            motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in place of
+                `position`. Default: at rest.
         """
         # At rest, the travel of every coordinate is a linear function of the tool position; the rest of the state is 0.
         state = np.zeros((len(index), self.state.shape[1]))
         for axis, travel in enumerate(self._rest.T):
             state[:, : self._n] += position[:, axis, None] * travel
+        units = units_per_travel(self.machine, values)
+        if motion is not None:
+            state[:, : 2 * self._n] = motion / np.tile(units, 2)
         # The unused lanes of the last block repeat the last machine, with voltages of zero.
         repeats = self._unused if index[-1] == self.count - 1 else 0
         _put(index, state, repeats, self.state)
@@ -180,7 +185,7 @@ class BatchedSimulator:
         if self._end_stops is not None:
             parameters = self._end_stops.parameters(values)
         _put(index, parameters, repeats, self.parameters)
-        _put(index, units_per_travel(self.machine, values), repeats, self.units_per_travel)
+        _put(index, units, repeats, self.units_per_travel)
         self.actuators.begin(index, values)
         kernel, delay_line = self._kernel, self._delay_line
         for first, last in block_ranges(index):

@@ -20,6 +20,7 @@ from .rewards import RewardLike
 from .sensors import SensorsLike
 from .tasks import Task, TaskLike, check_point
 
+Array = NDArray[np.float64]
 MachineLike: TypeAlias = Machine | str | Path
 Ends = Literal["stops", "terminate"]
 
@@ -181,7 +182,7 @@ def check_reset_options(
             (axes,) for all environments or (count, axes). None: no options.
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
         count: Number of environments that are reset.
-        others: Further keys that are accepted and not checked.
+        others: Further keys that are accepted and not checked, for example `parameters` and `state`.
 
     Returns:
         Positions by key, m, shape (count, axes); without the keys that are not given.
@@ -211,6 +212,81 @@ def check_reset_options(
             raise InputError(f"{label} has shape {values.shape}, it must be ({axes},) or ({count}, {axes})")
         points[name] = np.array(np.broadcast_to(values, (count, axes)))
     return points
+
+
+def check_reset_parameters(
+    given: Any, names: Sequence[str], lower: Array, upper: Array, count: int
+) -> dict[str, NDArray[np.float64]]:
+    """Check the option `parameters` of an environment's `reset`.
+
+    Args:
+        given: Values by full name ("x.mass"), SI: one for all environments, or one per environment that is reset.
+        names: Names of the N parameters that the environment has.
+        lower: Smallest value that each parameter may have, shape (N,).
+        upper: Largest value that each parameter may have, shape (N,).
+        count: Number of environments that are reset.
+
+    Returns:
+        Values by name, shape (count,).
+
+    Raises:
+        InputError: If a name is unknown, or a value has another shape, is not finite or outside its limits.
+    """
+    label = "reset: options['parameters']"
+    if not isinstance(given, Mapping):
+        raise InputError(f"{label} is {given!r}, it must be a dict of values by name, such as {{'{names[0]}': 1.0}}")
+    parameters = {}
+    for name, value in given.items():
+        if name not in names:
+            similar = get_close_matches(str(name), names, n=3, cutoff=0.4) or names[:3]
+            raise InputError(f"{label}: unknown parameter {name!r}; names are, for example, {', '.join(similar)}")
+        values = _numbers(f"{label}[{name!r}]", value, ((), (1,), (count,)), f"a number or {count} numbers")
+        column = np.array(np.broadcast_to(values, (count,)))
+        i = list(names).index(name)
+        for outside in column[(column < lower[i]) | (column > upper[i])][:1]:
+            raise InputError(f"{label}[{name!r}] is {outside:g}, it must be from {lower[i]:g} to {upper[i]:g}")
+        if name.endswith(".converter_bits") and (column != np.rint(column)).any():
+            raise InputError(f"{label}[{name!r}] is {value!r}, it must be an integer")
+        parameters[name] = column
+    return parameters
+
+
+def check_reset_state(given: Any, machine: Machine, workspace: Array, count: int) -> NDArray[np.float64]:
+    """Check the option `state` of an environment's `reset`.
+
+    Args:
+        given: Positions of the n coordinates, then their velocities, in the order of `machine.coordinate_names`, m or
+            rad and m/s or rad/s, shape (2 n,) for all environments, or (count, 2 n).
+        machine: Machine with its coordinates.
+        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
+        count: Number of environments that are reset.
+
+    Returns:
+        States, shape (count, 2 n).
+
+    Raises:
+        InputError: If the state has another shape, is not finite, or the tool is outside the workspace.
+    """
+    label, size = "reset: options['state']", 2 * len(machine.coordinates)
+    order = ", ".join(machine.coordinate_names)
+    needed = f"positions of {order} and then their velocities, shape ({size},) or ({count}, {size})"
+    values = _numbers(label, given, ((size,), (1, size), (count, size)), needed)
+    tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+    check_point(f"{label}: the tool", values[..., tool], workspace)
+    return np.array(np.broadcast_to(values, (count, size)))
+
+
+def _numbers(label: str, given: Any, shapes: Sequence[tuple[int, ...]], needed: str) -> Array:
+    """Return a finite array of one of some shapes; raise InputError with the label for another."""
+    try:
+        values = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{label} is {given!r}, it must be {needed}") from None
+    if values.shape not in shapes:
+        raise InputError(f"{label} has shape {values.shape}, it must be {needed}")
+    if not np.isfinite(values).all():
+        raise InputError(f"{label} has the value {values[~np.isfinite(values)].ravel()[0]}, it must be finite")
+    return values
 
 
 def check_task(task: Task, workspace: NDArray[np.float64]) -> None:

@@ -7,6 +7,11 @@ when an episode ends.
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,9 +125,30 @@ class EnvironmentBatch:
         """Number of control periods since the reset of each of the `count` environments, shape (count,)."""
         return self.references.elapsed
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of machine, task, number of environments and options, which a saved state must share."""
+        from ..recordings.machine_file import machine_to_dict  # pydantic takes long to import, and few save states
+
+        config = self.config
+        options = {
+            field.name: value
+            for field in dataclasses.fields(config)
+            if isinstance(value := getattr(config, field.name), bool | int | float | str) and field.name != "machine"
+        }
+        content = [self.count, options, self.task.name, machine_to_dict(self.machine)]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
     # -- reset -----------------------------------------------------------------------------------------------------
 
-    def reset(self, index: Index, start: Array | None = None, plan: Array | None = None) -> None:
+    def reset(
+        self,
+        index: Index,
+        start: Array | None = None,
+        plan: Array | None = None,
+        parameters: Mapping[str, Array] | None = None,
+        motion: Array | None = None,
+    ) -> None:
         """Begin a new episode in k environments, with new parameters, start position and goal.
 
         Args:
@@ -130,18 +156,23 @@ class EnvironmentBatch:
             start: Tool positions at the start, m, shape (k, axes). Default: the task chooses them.
             plan: Plans, shape (k, plan_size): numbers from which the task computes the goal at every time; `Task.begin`
                 and `Task.aim` return them. Default: the task chooses them.
+            parameters: Values by full name, SI, shape (k,) each, in place of those that are sampled.
+            motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in place of
+                `start` and rest.
 
         Raises:
             InputError: If a sampled parameter is outside its limits.
         """
         keys, uniforms, values = self.sampler.sample(index, self.task.draws)
         names = self.sampler.space.names
-        parameters = {name: values[:, names.index(f"task.{name}")] for name in self.task.parameters}
-        position, chosen = self.task.begin(self.workspace, uniforms, parameters)
+        for name, column in (parameters or {}).items():
+            values[:, names.index(name)] = column
+        of_task = {name: values[:, names.index(f"task.{name}")] for name in self.task.parameters}
+        position, chosen = self.task.begin(self.workspace, uniforms, of_task)
         self.clipped[index] = 0
         self.values[index] = values
         self.references.begin(index, chosen if plan is None else plan)
-        self.simulator.reset(index, position if start is None else start, values)
+        self.simulator.reset(index, position if start is None else start, values, motion)
         self.observations.begin(index, keys, values, self.sampler, self.elapsed)
         if self.rewards.compares_steps:
             observation = self._blank()
@@ -179,6 +210,18 @@ class EnvironmentBatch:
         if not self._was_reset:
             raise error.ResetNeeded("call reset before step")
         return check_actions(actions, self._expected_shape, self.machine)
+
+    def require_reset(self, method: str) -> None:
+        """Check that `reset` was called.
+
+        Args:
+            method: Name of the method that needs it, for the message.
+
+        Raises:
+            gymnasium.error.ResetNeeded: If it was not.
+        """
+        if not self._was_reset:
+            raise error.ResetNeeded(f"call reset before {method}")
 
     def result(self) -> StepResult:
         """Allocate the arrays into which `step` writes rewards, terminations and distances.

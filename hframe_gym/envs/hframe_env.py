@@ -12,10 +12,19 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .actuators import action_space
-from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode, check_reset_options
+from .config import (
+    EnvConfig,
+    EnvOptions,
+    check_keywords,
+    check_render_mode,
+    check_reset_options,
+    check_reset_parameters,
+    check_reset_state,
+)
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
+from .saved_state import FORMAT, batch_state, check_state, generator_state, restore_batch
 from .spaces import SignalSpec
 
 _ONLY = np.zeros(1, np.intp)
@@ -64,11 +73,36 @@ class BatchProperties:
             raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
         return self.batch.rewards.compute
 
-    def _reset_keywords(self, options: Any, count: int, others: tuple[str, ...] = ()) -> dict[str, NDArray[np.float64]]:
+    def _shared_state(self, kind: str) -> dict[str, Any]:
+        """Return the part of a saved state that single and vector environments have in common."""
+        self.batch.require_reset("get_state")
+        return {
+            "format": FORMAT,
+            "kind": kind,
+            "fingerprint": self.batch.fingerprint,
+            "batch": batch_state(self.batch),
+        }
+
+    def _restore_shared(self, state: Any, kind: str) -> None:
+        """Check a saved state and restore the part that single and vector environments have in common."""
+        check_state(state, kind, self.batch)
+        restore_batch(self.batch, state["batch"])
+
+    def _reset_keywords(self, options: Any, count: int, others: tuple[str, ...] = ()) -> dict[str, Any]:
         """Check the options of a reset of `count` environments; return keywords of `EnvironmentBatch.reset`."""
-        keywords = check_reset_options(options, self.batch.workspace, count, others)
+        batch, space = self.batch, self.batch.sampler.space
+        points = check_reset_options(options, batch.workspace, count, ("parameters", "state", *others))
+        keywords: dict[str, Any] = dict(points)
         if "target" in keywords:
-            keywords["plan"] = self.batch.task.aim(keywords.pop("target"))
+            keywords["plan"] = batch.task.aim(keywords.pop("target"))
+        given = options or {}
+        if given.get("parameters") is not None:
+            limits = space.lower, space.upper
+            keywords["parameters"] = check_reset_parameters(given["parameters"], space.names, *limits, count)
+        if given.get("state") is not None:
+            if "start" in keywords:
+                raise InputError("reset: give options['start'] or options['state'], not both")
+            keywords["motion"] = check_reset_state(given["state"], batch.machine, batch.workspace, count)
         return keywords
 
 
@@ -189,7 +223,9 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         Args:
             seed: Seed of the environment's random generator; None continues the present sequence.
             options: Optional keys `start` and `target`: tool and goal positions, m, shape (axes,), in place of those
-                that the task chooses.
+                that the task chooses; `parameters`: values by full name ("x.mass"), SI, in place of the sampled ones,
+                for this episode; `state`: positions of the machine's n coordinates, then their velocities, in their
+                units, shape (2 n,), in place of `start` and rest.
 
         Returns:
             observation: Arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), shape (entries of the
@@ -197,8 +233,9 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
-                without one, such as "track", or an unbounded distribution yields an impossible parameter.
+            InputError: If an option or a parameter is unknown, a value has another shape, is not finite or outside its
+                limits, a position is outside the workspace, `target` is given for a task without one, such as "track",
+                or an unbounded distribution yields an impossible parameter.
         """
         reset_options = self._reset_keywords(options, 1)  # an error changes no random numbers
         super().reset(seed=seed)
@@ -240,6 +277,43 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             self._update_picture()
         info = self._info(result.distance.item(), result.contour)
         return observation, result.reward.item(), result.terminated.item(), False, info
+
+    def get_state(self) -> dict[str, Any]:
+        """Copy the complete state: continued from it, the environment returns the same to the bit.
+
+        It includes the random generator, so that the episodes after this one are the same too. The limit of steps that
+        `gym.make` adds counts in its wrapper and is not included.
+
+        Returns:
+            State for `set_state`, which can be pickled.
+
+        Raises:
+            gymnasium.error.ResetNeeded: If `reset` was not called.
+        """
+        return {
+            **self._shared_state("single"),
+            "generator": generator_state(self._np_random),
+            "seeded": self._seeded_by is not None and self._seeded_by is self._np_random,
+            "trail": list(self._trail),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Put the environment into a state that `get_state` returned, of this or of another one with the same options.
+
+        Args:
+            state: The state.
+
+        Raises:
+            InputError: If it is no state, or that of an environment with other options; nothing is changed then.
+        """
+        self._restore_shared(state, "single")
+        if state["generator"] is None:
+            self._np_random = None
+        else:
+            self.np_random.bit_generator.state = state["generator"]
+        self._seeded_by = self._np_random if state["seeded"] else None
+        self._parameters = {name: value.item() for name, value in self.batch.randomized(_ONLY).items()}
+        self._trail = deque(state["trail"], maxlen=TRAIL_LENGTH)
 
     def _first(self, observation: Observation) -> Any:
         """Return the observation of the only environment in the form that `normalize` and `flat` select."""

@@ -5,7 +5,7 @@ It needs stable-baselines3, the extra `agents`; nothing else of `hframe_gym.envs
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Unpack
 
 import gymnasium as gym
@@ -123,13 +123,19 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         self._reset_seeds()
         return observation
 
-    def _stacked(self, options: Any) -> dict[str, list[Any]]:
+    def _stacked(self, options: Any) -> dict[str, Any]:
         """Return options of all environments, one row each; raises InputError unless all have the same options."""
         if not isinstance(options, Sequence) or not all(isinstance(entry, dict) for entry in options):
             raise InputError(f"set_options: {options!r} must be a dict, or a list of one dict per environment")
         if len(options) != self.num_envs or any(set(entry) != set(options[0]) for entry in options):
             raise InputError(f"set_options: give each of the {self.num_envs} environments the same options")
-        return {name: [entry[name] for entry in options] for name in options[0]}
+        stacked: dict[str, Any] = {name: [entry[name] for entry in options] for name in options[0]}
+        if isinstance(options[0].get("parameters"), Mapping):
+            dicts = stacked["parameters"]
+            if any(not isinstance(values, Mapping) or set(values) != set(dicts[0]) for values in dicts):
+                raise InputError(f"set_options: give each of the {self.num_envs} environments the same parameters")
+            stacked["parameters"] = {name: [values[name] for values in dicts] for name in dicts[0]}
+        return stacked
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store actions; `step_wait` applies them.

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from ..dynamics.compiled import compiled
+from ..errors import InputError
 from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .workspace import workspace_of
 
@@ -306,6 +307,41 @@ class ObservationFormat:
             return observation
         values = {k: self._normalized(k, observation[k]) if self.normalize else observation[k] for k in self._center}
         return values if self.entries is None else np.concatenate(list(values.values()), axis=1)
+
+    def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
+        """Convert observations of the selected format back to arrays by key in SI units, the inverse of `apply`.
+
+        Args:
+            observation: Observations of n environments as they return them: arrays by key, shape (n, entries of the
+                key), or with `flat` one array, shape (n, all entries).
+
+        Returns:
+            Arrays by key, SI, float32, shape (n, entries of the key); equal to those before `apply` but for the
+            rounding of float32.
+
+        Raises:
+            InputError: If the observation has other keys or another number of entries than this format.
+        """
+        sizes = {key: len(center) for key, center in self._center.items()}
+        if self.entries is not None:
+            joined = np.asarray(observation, np.float32)
+            if joined.ndim != 2 or joined.shape[1] != sum(sizes.values()):
+                raise InputError(f"observation has shape {joined.shape}, it must be (n, {sum(sizes.values())})")
+            parts = np.split(joined, np.cumsum(list(sizes.values()))[:-1], axis=1)
+            observation = dict(zip(sizes, parts, strict=True))
+        if not isinstance(observation, Mapping) or not set(sizes) <= set(observation):
+            given = ", ".join(observation) if isinstance(observation, Mapping) else "one array"
+            raise InputError(f"observation has {given}, it must have the keys {', '.join(sizes)}")
+        restored = {}
+        for key, size in sizes.items():
+            values = np.asarray(observation[key], np.float32)
+            if values.ndim != 2 or values.shape[1] != size:
+                raise InputError(f"observation: {key} has shape {values.shape}, it must be (n, {size})")
+            if self.normalize:
+                exact = values.astype(np.float64) * self._scale[key] + self._center[key]
+                values = exact.astype(np.float32)
+            restored[key] = values
+        return restored
 
     def goal_rounding(self) -> NDArray[np.float32]:
         """Return center and scale by which goals are normalized: (goal - center) / scale.

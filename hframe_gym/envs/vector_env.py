@@ -124,7 +124,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: the present
                 sequences of random numbers continue.
             options: Optional keys: `start` and `target`, tool and goal positions, m, shape (axes,) or one row for each
-                environment that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
+                environment that is reset; `parameters`, values by full name ("x.mass"), SI, one or one for each
+                environment that is reset, in place of the sampled ones until its next reset; `state`, positions of the
+                machine's n coordinates, then their velocities, in their units, shape (2 n,) or one row for each, in
+                place of `start` and rest; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
         Returns:
             observation: Arrays by key of all environments, shape (num_envs, entries of the key).
@@ -133,8 +136,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
                 each key the mask "_" + key tells which environments have a value.
 
         Raises:
-            InputError: If an option is unknown, a position is outside the workspace, `target` is given for a task
-                without one, such as "track", or an unbounded distribution yields an impossible parameter.
+            InputError: If an option or a parameter is unknown, a value has another shape, is not finite or outside its
+                limits, a position is outside the workspace, `target` is given for a task without one, such as "track",
+                or an unbounded distribution yields an impossible parameter.
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing, or the number of seeds is wrong.
         """
@@ -298,6 +302,95 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             self._renderer = Renderer(self.batch.machine, self.render_mode, self.metadata["render_fps"])
         frames = (self._renderer.draw(Scene.of(self.batch, b, trail)) for b, trail in enumerate(self._trails))
         return tuple(frame for frame in frames if frame is not None)
+
+    def get_state(self) -> dict[str, Any]:
+        """Copy the complete state: continued from it, the environments return the same to the bit.
+
+        It includes the counters of the random numbers, so that the episodes after these are the same too.
+
+        Returns:
+            State for `set_state`, which can be pickled.
+
+        Raises:
+            gymnasium.error.ResetNeeded: If `reset` was not called.
+        """
+        trails = [list(trail) for trail in self._trails]
+        return {**self._shared_state("vector"), "over": self._over.copy(), "trails": trails}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Put the environments into a state that `get_state` returned, of these or of others with the same options.
+
+        Args:
+            state: The state.
+
+        Raises:
+            InputError: If it is no state, or that of environments with another number or other options; nothing is
+                changed then.
+        """
+        self._restore_shared(state, "vector")
+        self._over = state["over"].copy()
+        self._collect_parameters()
+        for trail, points in zip(self._trails, state["trails"], strict=False):
+            trail.clear()
+            trail.extend(points)
+
+    # -- Gymnasium's access to single environments; all are rows of this one ---------------------------------------
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method, or read an attribute, that all environments share.
+
+        Args:
+            name: Name of a method or attribute of this vector environment, for example "compute_reward" or "machine".
+            *args: Positional arguments of the method.
+            **kwargs: Keyword arguments of the method.
+
+        Returns:
+            The result or the attribute, once per environment, as Gymnasium's vector environments return it.
+
+        Raises:
+            AttributeError: If there is no such method or attribute.
+        """
+        value = self._shared(name)
+        return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Read an attribute that all environments share.
+
+        Args:
+            name: Name of an attribute of this vector environment.
+
+        Returns:
+            The attribute, once per environment.
+
+        Raises:
+            AttributeError: If there is no such attribute.
+        """
+        return (self._shared(name),) * self.num_envs
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute, which all environments share.
+
+        Args:
+            name: Name of an attribute of this vector environment.
+            values: Value, or a list or tuple with one value per environment, which must be equal.
+
+        Raises:
+            ValueError: If a list or tuple has another length.
+            InputError: If its values differ: the environments are rows of one, and the attribute exists once.
+        """
+        if isinstance(values, list | tuple):
+            if len(values) != self.num_envs:
+                raise ValueError(f"set_attr: {len(values)} values for {self.num_envs} environments")
+            if any(value is not values[0] and value != values[0] for value in values):
+                raise InputError(f"set_attr: {name} exists once for all environments, so that its values must be equal")
+            values = values[0]
+        setattr(self, name, values)
+
+    def _shared(self, name: str) -> Any:
+        """Return an attribute; raise AttributeError that says of what."""
+        if not hasattr(self, name):
+            raise AttributeError(f"{type(self).__name__} and its environments have no attribute {name!r}")
+        return getattr(self, name)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the renderer; Gymnasium's `close` calls this method.

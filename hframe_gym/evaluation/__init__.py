@@ -16,7 +16,10 @@ from .metrics import (
 from .minari_export import ExportedDataset, export_dataset
 from .plots import plot_episode, save_plot
 from .protocol_results import (
+    Comparison,
     ResultFile,
+    checksum,
+    compare_draws,
     fill_unsettled,
     installed_versions,
     paired_ratio,
@@ -26,7 +29,7 @@ from .protocol_results import (
     settling_or_none,
     write_result,
 )
-from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, run_protocol
+from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, make_entry, run_protocol
 from .runner import Evaluation, evaluate, rollout, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
@@ -35,6 +38,7 @@ from .scenario import (
     EpisodeConditions,
     Episodes,
     Scenario,
+    environments_of,
     episode_conditions,
     make_controller,
     period_concern,
@@ -51,6 +55,7 @@ __all__ = [
     "FIXED_OPTIONS",
     "METRICS",
     "PROTOCOLS",
+    "Comparison",
     "ControllerFiles",
     "ControllerSource",
     "Entry",
@@ -63,8 +68,11 @@ __all__ = [
     "Scenario",
     "StoredBounds",
     "acting_effects",
+    "checksum",
+    "compare_draws",
     "condition_digests",
     "effect_rules",
+    "environments_of",
     "episode_conditions",
     "evaluate",
     "export_dataset",
@@ -72,6 +80,7 @@ __all__ = [
     "get_protocol",
     "installed_versions",
     "make_controller",
+    "make_entry",
     "mean_with_interval",
     "paired_ratio",
     "period_concern",

@@ -3,12 +3,14 @@
 A protocol is a fixed benchmark; its parts are tasks that are scored separately; its draws are the episodes (start, goal
 and machine parameters) that all entries, that is, controllers or agents, face. A result file names the protocol and its
 digest, the entry with its hash, and the versions of the packages. It holds the values of every draw, and the scores
-that follow from them. Reading it checks the schema, the digest and the number of draws, and computes the scores again,
-so that a file that was edited or belongs to other draws is refused.
+that follow from them. Reading it checks the schema, the digest, a checksum and the number of draws, that no draw is
+faster than its stored bound or contradicts itself, and computes the scores again, so that a file that was edited or
+belongs to another machine or other draws is refused. Only running it again (`compare_draws`) shows that it is true.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import platform
@@ -16,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import metadata, resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +26,23 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..atomic_files import write_text
 from ..errors import InputError
-from .metrics import BANDS, ratio_of_means, stored_bounds
+from .metrics import BANDS, BOUND_BAND, ratio_of_means, stored_bounds
 from .protocols import Draws, Entry, Protocol, get_protocol
+from .runner import SAMPLES_PER_PERIOD
 
 Array = NDArray[np.float64]
-SCHEMA = 1
+SCHEMA = 2
 BOOTSTRAP_SEED = 0
 PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3")
 BOUNDS_FOLDER = "bound_times_data"
 DIGITS = 9  # decimals of scores, s and mm
+ROUNDING = 1e-6  # s and mm, of the values of draws, which have 6 decimals
+GRID_TOLERANCE = 1e-2  # of a sample
+# Differences of a run that is repeated elsewhere: two samples of 1 ms, and 1 um and 1 % of an error in mm.
+REPEATED_S, REPEATED_MM, REPEATED_FRACTION = 2.1e-3, 1e-3, 1e-2
+# Fraction of draws that may differ by more; standard deviations of a sum of differences with random signs; fraction of
+# a mean, for differences below the tolerances.
+REPEATED_DRAWS, REPEATED_SIGMAS, REPEATED_MEAN = 0.12, 2.0, 0.002
 TOLERANCE = 1e-6  # relative, of scores that are computed again when a file is read
 
 
@@ -42,12 +52,22 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+_Text = Annotated[str, Field(max_length=120, pattern=r"^[^|<>`\n]*$")]
+_Cost = Annotated[float, Field(ge=0.0)] | None
+
+
 class EntryTable(_Strict):
-    """What was scored: name in results, kind, and SHA-256 hash of the files of the controller or agent."""
+    """What was scored: name, kind, hash, what it observes and knows, what it costs; `Entry` documents the fields."""
 
     name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^|<>`\n]+$")]
     kind: Literal["controller", "agent"]
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    algorithm: _Text
+    observes: Literal["state", "measurements", "Kalman estimates"]
+    model: _Text
+    training_steps: Annotated[int, Field(ge=0)] | None
+    training_cpu_s: _Cost
+    control_us: _Cost
 
 
 class ResultFile(_Strict):
@@ -60,16 +80,18 @@ class ResultFile(_Strict):
         entry: What was scored.
         about: Free text of the submitter: how the entry was made, where to find it.
         versions: Versions of the packages on which the scores depend.
+        checksum: SHA-256 of everything but `about` and the scores, which follow from the draws.
         scores: Scores by part and metric.
         draws: Values of every draw by part and metric; null for a draw that does not settle.
     """
 
-    schema_version: Literal[1] = Field(alias="schema")
+    schema_version: Literal[2] = Field(alias="schema")
     protocol: str
     digest: str
     entry: EntryTable
     about: Annotated[str, Field(max_length=500)] = ""
     versions: dict[str, str]
+    checksum: str
     scores: dict[str, dict[str, Any]]
     draws: dict[str, dict[str, list[float | None]]]
 
@@ -85,9 +107,10 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
 
     Returns:
         By key: "protocol" and "digest" (its name and hash), "entry" (controller or agent), "versions" of packages,
-        "scores" by part and metric, "draws" unchanged, and "schema" (version of the format) and "about" (empty text).
+        "checksum", "scores" by part and metric, "draws" unchanged, and "schema" (version of the format) and "about"
+        (empty text).
     """
-    return {
+    content = {
         "schema": SCHEMA,
         "protocol": protocol.name,
         "digest": protocol.digest,
@@ -97,6 +120,22 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
         "scores": {part: part_scores(values, protocol.duration_s) for part, values in draws.items()},
         "draws": {part: dict(values) for part, values in draws.items()},
     }
+    return {**content, "checksum": checksum(content)}
+
+
+def checksum(content: Mapping[str, Any]) -> str:
+    """Compute the hash by which a result file shows that it was not edited after the run.
+
+    It protects against mistakes; whoever computes it anew is found by running the entry again.
+
+    Args:
+        content: Content of a result file.
+
+    Returns:
+        SHA-256 of the protocol with its digest, the entry, the versions and the draws.
+    """
+    covered = {key: content[key] for key in ("protocol", "digest", "entry", "versions", "draws")}
+    return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()
 
 
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
@@ -238,7 +277,12 @@ def read_result(path: str | Path) -> ResultFile:
     if result.digest != protocol.digest:
         raise InputError(
             f"{path}: digest {result.digest} is not that of protocol {protocol.name} ({protocol.digest}): it was "
-            "scored on other draws"
+            "scored on another machine or other draws"
+        )
+    if result.checksum != checksum(result.model_dump(by_alias=True)):
+        raise InputError(
+            f"{path}: checksum does not fit: protocol, entry, versions or draws were edited after the run; run it "
+            f"again with hframe evaluate --protocol {protocol.name}"
         )
     _check_draws(Path(path), result, protocol)
     return result
@@ -261,8 +305,100 @@ def _check_draws(path: Path, result: ResultFile, protocol: Protocol) -> None:
                     f"{path}: draws.{part}.{metric}: must hold {protocol.draws} values that are not negative (null "
                     "only for a settling time)"
                 )
+        _check_possible(path, part, values, protocol)
         if not _close(result.scores.get(part), part_scores(values, protocol.duration_s)):
             raise InputError(f"{path}: scores.{part} do not follow from the draws; write the file again")
+
+
+def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) -> None:
+    """Raise InputError if the values of a draw cannot be those of a motion; the message names the draw."""
+
+    def refuse(draw: int, reason: str) -> None:
+        raise InputError(f"{path}: draws.{part}: draw {draw} is impossible: {reason}")
+
+    sample_s = protocol.period / SAMPLES_PER_PERIOD
+    if protocol.parts[part].metrics != "reach":
+        rms, largest, tracking = (np.array(values[name], np.float64) for name in values)
+        for draw in np.flatnonzero((rms > largest + ROUNDING) | (rms > tracking + ROUNDING))[:1]:
+            refuse(int(draw), f"a contour error of {rms[draw]:g} mm rms exceeds its maximum or the tracking error")
+        return
+    error = np.array(values["final_error_mm"], np.float64)
+    before = np.zeros(len(error))
+    for band, radius in BANDS.items():
+        column = values[f"settling_s.{band}"]
+        times = np.array([np.nan if time is None else time for time in column], np.float64)
+        off_grid = np.abs(times / sample_s - np.rint(times / sample_s)) > GRID_TOLERANCE
+        for draw in np.flatnonzero(off_grid | (times > protocol.duration_s + ROUNDING))[:1]:
+            refuse(int(draw), f"settling_s.{band} = {times[draw]:g} s is no sample of the episode")
+        beyond = error - 1e3 * radius  # mm; an error that is rounded to the radius may be on either side
+        for draw in np.flatnonzero(np.where(np.isnan(times), beyond < -ROUNDING, beyond > ROUNDING))[:1]:
+            refuse(int(draw), f"settling_s.{band} is {column[draw]} and the error at the end is {error[draw]:g} mm")
+        for draw in np.flatnonzero(times < before)[:1]:
+            refuse(int(draw), f"it settles within {band} before it settles within the wider band")
+        before = np.fmax(before, times)
+        if radius <= BANDS[BOUND_BAND]:
+            for times_s in protocol_bounds(protocol.name).values():
+                for draw in np.flatnonzero(times < times_s - sample_s)[:1]:
+                    reason = f"{times[draw]:g} s is less than the shortest possible time, {times_s[draw]:.4f} s"
+                    refuse(int(draw), f"settling_s.{band} = {reason}")
+
+
+class Comparison(NamedTuple):
+    """How the values of a run that was repeated differ from those of a file.
+
+    Attributes:
+        values: Number of values that were compared.
+        equal: Number of those that are equal.
+        worst: Description of the largest difference; empty if all are equal.
+        reproduced: Whether all differences are within what other processors and package versions explain.
+    """
+
+    values: int
+    equal: int
+    worst: str
+    reproduced: bool
+
+
+def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
+    """Compare the draws of a result file with those of a run that was repeated.
+
+    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, and a draw that ends
+    near the edge of a band may be in it here and outside there. Repeated on another processor, `apg_plan` differed by
+    more than the tolerances in 2 of 512 draws of reach-v1, and `adaptive-pid` in 53 of 512 of hard-v1; such differences
+    go both ways, and means moved by 0.8 % at most. A file is therefore reproduced if the values of few draws differ by
+    more than the tolerances, and if the differences of a metric add up to no more than those of random signs do. Draws
+    that were edited improve, all of them: more than a handful are found.
+
+    Args:
+        result: Content of the file.
+        draws: Values of the repeated run by part and metric.
+
+    Returns:
+        Numbers of compared and of equal values, the largest difference, and whether the file is reproduced.
+    """
+    protocol = get_protocol(result.protocol)
+    count = equal = 0
+    largest, worst, reproduced = 0.0, "", True
+    for part, columns in draws.items():
+        for metric, column in columns.items():
+            given = result.draws[part][metric]
+            before, after = (fill_unsettled(values, protocol.duration_s) for values in (given, column))
+            if metric.startswith("settling_s."):
+                allowed = np.full(len(before), REPEATED_S)
+            else:
+                allowed = REPEATED_MM + REPEATED_FRACTION * np.maximum(before, after)
+            sizes = np.abs(after - before) / allowed
+            count += len(given)
+            equal += sum(old == new for old, new in zip(given, column, strict=True))
+            differences = after - before
+            expected = REPEATED_SIGMAS * np.sqrt(np.sum(differences**2)) + REPEATED_MEAN * before.sum()
+            reproduced &= int((sizes > 1.0).sum()) <= int(REPEATED_DRAWS * len(given))
+            reproduced &= abs(differences.sum()) <= expected
+            draw = int(sizes.argmax())
+            if sizes[draw] > largest:
+                largest = float(sizes[draw])
+                worst = f"{part}, draw {draw}, {metric}: {given[draw]} in the file, {column[draw]} now"
+    return Comparison(count, int(equal), worst, bool(reproduced))
 
 
 def _close(given: Any, computed: Any) -> bool:

@@ -21,10 +21,12 @@ import hashlib
 import inspect
 import json
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -223,12 +225,44 @@ class Entry(NamedTuple):
     Attributes:
         name: Name in results and on the leaderboard.
         kind: "controller" (designed from the declared machine) or "agent" (learned).
-        sha256: Hash of the files that determine it: the agent's, or the source of the controller.
+        sha256: Hash of what determines it: files of an agent; source, files and weights of a controller.
+        algorithm: How it was trained, for example "ppo"; empty for a controller.
+        observes: "state", "measurements", or "Kalman estimates" (`StateEstimator` of the package).
+        model: For what it uses the declared machine (`Controller.knowledge`).
+        training_steps: Environment steps of its training; None if unknown or without training.
+        training_cpu_s: Processor time of its training, s; None if unknown or without training.
+        control_us: Processor time of `act` per control period of one machine, us; None if it was not measured.
     """
 
     name: str
     kind: str
     sha256: str
+    algorithm: str = ""
+    observes: str = "state"
+    model: str = "not stated"
+    training_steps: int | None = None
+    training_cpu_s: float | None = None
+    control_us: float | None = None
+
+
+class _Timed(Controller):
+    """A controller whose processor time is measured."""
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__(controller.machine, controller.period)
+        self.controller, self.cpu_s, self.actions = controller, 0.0, 0
+
+    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+        """Return the controller's actions."""
+        start = time.process_time()
+        actions = self.controller.act(observation)
+        self.cpu_s += time.process_time() - start
+        self.actions += len(actions)
+        return actions
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Reset the controller."""
+        self.controller.reset(mask)
 
 
 def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]]:
@@ -249,17 +283,37 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     """
     protocol.check()
     load_plugins()
-    values, entries = {}, []
+    values, entries, timed = {}, [], []
     for part in protocol.parts:
         entry, controller = make_entry(name, protocol, part)
         entries.append(entry)
-        values[part] = draw_values(rollout(controller, protocol.scenario(part)))
-    hashes = dict.fromkeys(entry.sha256 for entry in entries)
-    if len(hashes) == 1:
-        return entries[0], values
-    # Shipped agents of several tasks share a name: the entry is the collection.
-    combined = hashlib.sha256("".join(hashes).encode()).hexdigest()
-    return Entry(entries[0].name, entries[0].kind, combined), values
+        timed.append(_Timed(controller))
+        values[part] = draw_values(rollout(timed[-1], protocol.scenario(part)))
+    cost = 1e6 * sum(t.cpu_s for t in timed) / sum(t.actions for t in timed)
+    return _combined(entries)._replace(control_us=round(cost, 1)), values
+
+
+def _combined(entries: Sequence[Entry]) -> Entry:
+    """Return the entry of a collection: agents of several tasks share a name, and their costs add up."""
+    different = list({entry.sha256: entry for entry in entries}.values())
+    if len(different) == 1:
+        return entries[0]
+
+    def joined(field: str) -> str:
+        parts = (part for entry in different for part in getattr(entry, field).split(", "))
+        return ", ".join(dict.fromkeys(parts))
+
+    def total(field: str) -> Any:
+        numbers = [getattr(entry, field) for entry in different]
+        return None if None in numbers else round(sum(numbers), 1)
+
+    return entries[0]._replace(
+        sha256=hashlib.sha256("".join(entry.sha256 for entry in different).encode()).hexdigest(),
+        algorithm=joined("algorithm"),
+        model=joined("model"),
+        training_steps=total("training_steps"),
+        training_cpu_s=total("training_cpu_s"),
+    )
 
 
 def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Controller]:
@@ -289,16 +343,28 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
     files = next(filter(None, (source.files(name, scenario) for source in sources)), None)
     entry = _controller_entry(name, controller)
     if files:
-        entry = Entry(Path(collection).name if folder.is_dir() else files.name, "agent", _hash(files.files))
+        entry = Entry(
+            Path(collection).name if folder.is_dir() else files.name,
+            "agent",
+            _hash(files.files),
+            files.algorithm,
+            model=files.model,
+            training_steps=files.training_steps,
+            training_cpu_s=files.training_cpu_s,
+        )
     needs_state = files.sensors == "state" if files else controller.feedback != "observation"
     observed = observed_machine(protocol.declared_machine, protocol.sensors)  # type: ignore[arg-type]
     if observed is not None and needs_state:
         controller = OutputFeedbackController(controller, StateEstimator(observed, protocol.period))
-    return entry, controller
+        return entry._replace(observes="Kalman estimates"), controller
+    return entry._replace(observes="state" if observed is None else "measurements"), controller
 
 
 def _controller_entry(name: str, controller: Controller) -> Entry:
-    """Return the entry of a controller without files: the modules of its package that it uses identify it."""
+    """Return the entry of a controller: modules of its package that it uses, its files and its weights identify it.
+
+    A controller with weights is learned, whatever its class says.
+    """
     found: dict[str, Path] = {}
     modules = [inspect.getmodule(type(controller))]
     while modules:
@@ -309,14 +375,50 @@ def _controller_entry(name: str, controller: Controller) -> Entry:
         used = {str(getattr(value, "__module__", "")) for value in vars(module).values()} & set(sys.modules)
         others = (sys.modules[name] for name in sorted(used))
         modules += [other for other in others if other.__package__ and other.__package__ == module.__package__]
-    return Entry(name, "controller", _hash(tuple(found[module_name] for module_name in sorted(found))))
+    weights = _weights(controller)
+    sources = tuple(found[module_name] for module_name in sorted(found))
+    digest = _hash((*sources, *map(Path, controller.files)), weights)
+    learned = bool(weights or controller.files)
+    return Entry(
+        name, "agent" if learned else "controller", digest, "own" if learned else "", model=controller.knowledge
+    )
 
 
-def _hash(files: tuple[Path, ...]) -> str:
-    """Return the SHA-256 of the contents of files, in order."""
+def _weights(controller: Controller) -> list[bytes]:
+    """Return the weights of all networks that a controller, or its module, holds, as bytes in a fixed order."""
+    torch = sys.modules.get("torch")
+    if torch is None:  # nothing can hold a network of torch
+        return []
+    module = inspect.getmodule(type(controller))
+    shared = [value for key, value in sorted(vars(module).items()) if not key.startswith("__")] if module else []
+    pending, seen, networks = [controller, *shared], set(), []
+    while pending:
+        value = pending.pop(0)
+        if id(value) in seen or isinstance(value, type | ModuleType | FunctionType | Machine):
+            continue
+        seen.add(id(value))
+        if isinstance(value, torch.nn.Module):
+            networks.append(value)
+        elif isinstance(value, Mapping):
+            pending += value.values()
+        elif isinstance(value, list | tuple | set):
+            pending += value
+        else:
+            pending += getattr(value, "__dict__", {}).values()
+    parts: list[bytes] = []
+    for network in networks:
+        for name, tensor in sorted(network.state_dict().items()):
+            parts += [f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode(), tensor.cpu().numpy().tobytes()]
+    return parts
+
+
+def _hash(files: tuple[Path, ...], others: Sequence[bytes] = ()) -> str:
+    """Return the SHA-256 of the contents of files, in order, and of further bytes."""
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())
+    for content in others:
+        digest.update(content)
     return digest.hexdigest()
 
 

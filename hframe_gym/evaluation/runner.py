@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import write_text
-from ..controllers import Controller
+from ..controllers import Controller, EnvironmentController
 from ..dynamics import Equations, MotionPoint, NotFiniteError
 from ..envs import MachineLike, RandomizationLike, SensorsLike, TaskLike
 from ..errors import InputError
@@ -137,6 +137,8 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
     """
+    if isinstance(controller, EnvironmentController):  # the recorded environments observe keys in SI units
+        controller = controller.controller
     try:
         return _Recorder(scenario).run(controller)
     except NotFiniteError as error:

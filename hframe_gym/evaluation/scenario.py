@@ -8,12 +8,19 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator, check_period
+from ..controllers import (
+    CONTROLLERS,
+    Controller,
+    EnvironmentController,
+    OutputFeedbackController,
+    StateEstimator,
+    check_period,
+)
 from ..dynamics import mode_frequencies
 from ..envs import (
     ActuatorsLike,
@@ -24,10 +31,12 @@ from ..envs import (
     SensorsLike,
     Task,
     TaskLike,
+    action_space,
     as_machine,
     as_task,
     observed_machine,
 )
+from ..envs.environment_batch import EnvironmentBatch
 from ..errors import InputError
 from ..machine import Machine
 from ..registry import Registry, load_plugins, names_module
@@ -201,11 +210,19 @@ class ControllerFiles(NamedTuple):
         name: Name of the controller in results, for example "ppo-seed0".
         files: Files that determine the controller.
         sensors: What the controller was made to observe: "state", or another sensor preset.
+        algorithm: How it was trained, for example "ppo".
+        model: For what it uses the declared machine, a few words.
+        training_steps: Environment steps of its training; None if unknown.
+        training_cpu_s: Processor time of its training, s; None if unknown.
     """
 
     name: str
     files: tuple[Path, ...]
     sensors: str
+    algorithm: str = ""
+    model: str = "not stated"
+    training_steps: int | None = None
+    training_cpu_s: float | None = None
 
 
 class ControllerSource(ABC):
@@ -262,7 +279,7 @@ CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller sour
 
 def make_controller(
     name: str,
-    machine: MachineLike | Scenario = "hframe",
+    machine: MachineLike | Scenario | Any = "hframe",
     *,
     task: TaskLike = "reach",
     sensors: SensorsLike = "state",
@@ -276,7 +293,9 @@ def make_controller(
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
             or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent.
-        machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further arguments.
+        machine: Machine, built-in name or machine.json; or a `Scenario`, or an environment of this package (single,
+            vector or `HFrameVecEnv`, also in wrappers), which replace all further arguments. For an environment, the
+            controller reads observations as the environment returns them, whatever `normalize` and `flat` are.
         task: Task (name or object) for which the controller is needed; selects among the agents in the package.
         sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
             suite.
@@ -286,8 +305,27 @@ def make_controller(
         The controller, for any number of simulated machines at once.
 
     Raises:
-        InputError: If the name is unknown, or the controller cannot run on this machine or from these sensors.
+        InputError: If the name is unknown, or the controller cannot run on this machine or from these sensors. Also if
+            a wrapper changes the observations or actions of the environment, or its task previews goals at other times
+            than the ends of the next control periods.
     """
+    batch = _batch_of(machine)
+    if batch is not None:
+        config = batch.config
+        of_environment = Scenario(
+            config.machine,
+            config.task,
+            config.randomize,
+            config.sensors,
+            period=config.period,
+            drives=config.drives,
+        )
+        if of_environment.controller_task != batch.task:
+            raise InputError(
+                f"make_controller: controllers preview one goal per control period of {config.period:g} s; make the "
+                f"environment with task={of_environment.controller_task!r}"
+            )
+        return EnvironmentController(make_controller(name, of_environment), batch.format)
     scenario = machine if isinstance(machine, Scenario) else Scenario(machine, task, sensors=sensors, period=period)
     load_plugins()
     if name in CONTROLLERS or (names_module(name) and not Path(name).exists()):
@@ -300,6 +338,28 @@ def make_controller(
     choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
     problem = ": there is no such folder" if "/" in name or "\\" in name else " is unknown"
     raise InputError(f"controller {name!r}{problem}; choose {'; or '.join(choices)}")
+
+
+def _batch_of(environment: Any) -> EnvironmentBatch | None:
+    """Return the batch of an environment, None for another object; raise InputError if a wrapper changes its spaces."""
+    if isinstance(environment, str | Path | Machine | Scenario) or not hasattr(environment, "unwrapped"):
+        return None
+    native = environment.unwrapped
+    batch = getattr(getattr(native, "envs", native), "batch", None)
+    if not isinstance(batch, EnvironmentBatch):
+        raise InputError(f"make_controller: {environment!r} is not an environment of this package")
+    wrapper = environment
+    while wrapper is not native:
+        observed = getattr(wrapper, "single_observation_space", wrapper.observation_space)
+        commanded = getattr(wrapper, "single_action_space", wrapper.action_space)
+        # VecNormalize of stable-baselines3 scales observations and leaves their space as it is.
+        if observed != batch.format.space or commanded != action_space(batch.machine) or hasattr(wrapper, "norm_obs"):
+            raise InputError(
+                f"make_controller: the wrapper {type(wrapper).__name__} changes observations or actions, so that no "
+                "controller can read them; give the environment inside it"
+            )
+        wrapper = wrapper.venv if hasattr(wrapper, "venv") else wrapper.env
+    return batch
 
 
 def _make_registered(name: str, scenario: Scenario) -> Controller:

@@ -316,3 +316,16 @@ def test_recipes_that_do_not_fit_a_task_of_the_user_are_refused(tmp_path, user_t
         train(replace(load_recipe("adapt", user_task), task=shows), task=user_task, out=tmp_path, log=ignore)
     with pytest.raises(InputError, match=r"recipe ppo_track, table task: .*keyword argument 'path'"):
         train(load_recipe("ppo", "track"), task=user_task, out=tmp_path, log=ignore)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_exploration_that_depends_on_the_state_trains_and_loads(tmp_path, algorithm):
+    """The policy then holds samples that depend on its weights, which made a copy of it impossible."""
+    recipe = load_recipe(algorithm, "reach")
+    small = {"num_envs": 8, "max_episode_steps": 20}
+    of_kind = {"ppo": {"batch_size": 256}, "sac": {"learning_starts": 64, "gradient_steps": 1}}
+    keywords = {**recipe.algorithm, **of_kind[algorithm], "use_sde": True}
+    card = train(replace(recipe, env=recipe.env | small, algorithm=keywords), steps=600, out=tmp_path, log=ignore)
+    kept = next(row for row in card["curve"] if row["steps"] == card["kept"])
+    scenario = Scenario(randomize="default", episodes=EPISODES, seed=1_000_000)
+    assert score_agent(Agent.load(tmp_path), scenario).row.items() <= kept.items()

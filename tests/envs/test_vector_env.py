@@ -218,3 +218,21 @@ def test_keywords_of_a_wrong_type_are_refused(keywords, message):
     if "num_envs" in keywords and keywords["num_envs"] is not None:
         with pytest.raises(InputError, match=message):
             gym.make_vec("HFrame-v0", **keywords)
+
+
+def test_attributes_and_methods_of_the_environments_are_reached_as_in_gymnasium() -> None:
+    envs = gym.make_vec("HFrame-v0", num_envs=3, randomize="default")
+    envs.reset(seed=0)
+    assert envs.call("machine") == envs.get_attr("machine") == (envs.unwrapped.machine,) * 3
+    goal = np.zeros(2)
+    assert envs.call("compute_reward", goal, goal, {}) == (0.0,) * 3
+    envs.set_attr("max_episode_steps", 7)
+    assert envs.get_attr("max_episode_steps") == (7, 7, 7)
+    envs.set_attr("max_episode_steps", [9, 9, 9])
+    assert envs.get_attr("max_episode_steps") == (9, 9, 9)
+    with pytest.raises(InputError, match="exists once for all environments"):
+        envs.set_attr("max_episode_steps", [1, 2, 3])
+    with pytest.raises(ValueError, match="2 values for 3 environments"):
+        envs.set_attr("max_episode_steps", [1, 2])
+    with pytest.raises(AttributeError, match="have no attribute 'mass'"):
+        envs.get_attr("mass")

@@ -20,6 +20,8 @@ from hframe_gym.evaluation import (
     Entry,
     Protocol,
     acting_effects,
+    checksum,
+    compare_draws,
     episode_conditions,
     fill_unsettled,
     get_protocol,
@@ -32,9 +34,11 @@ from hframe_gym.evaluation import (
     with_absent_effects,
     write_result,
 )
+from hframe_gym.evaluation.protocol_results import part_scores
 from hframe_gym.evaluation.undeclared_effects import EXPECTED_EFFECTS, SMALLEST_SIZE, Sometimes
 from hframe_gym.machine import BUILTIN_MACHINES
-from tools.leaderboard import leaderboard_page, protocol_section
+from tools.leaderboard import leaderboard_page, protocol_section, rerun
+from tools.leaderboard import results as stored_results
 
 pytestmark = pytest.mark.integration
 
@@ -85,7 +89,11 @@ def test_two_runs_give_the_same_bytes(tmp_path: Path) -> None:
         for folder in ("a", "b")
     )
     assert first.name == "reach-v1_textbook-pid.json"
-    assert first.read_bytes() == second.read_bytes()
+    contents = [json.loads(path.read_bytes()) for path in (first, second)]
+    for content in contents:  # the processor time of a run is measured, and the checksum covers it
+        assert content["entry"].pop("control_us") > 0.0
+        assert len(content.pop("checksum")) == 64
+    assert json.dumps(contents[0]) == json.dumps(contents[1])
 
 
 def test_absent_effects_do_not_change_the_motion() -> None:
@@ -214,12 +222,17 @@ def test_a_folder_with_the_name_of_a_controller_does_not_replace_it(
     assert (entry.name, entry.kind) == ("pid", "controller")
 
 
+ERRORS: list[float | None] = [0.01, 0.02, 3.0, 0.01]  # mm, of draws of which the third does not settle
+
+
 @pytest.fixture
-def content(short: Protocol) -> dict[str, Any]:
+def content(short: Protocol, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return the content of a valid result file of the short protocol."""
+    for module in ("hframe_gym.evaluation.protocol_results", "tools.leaderboard"):
+        monkeypatch.setattr(f"{module}.protocol_bounds", lambda name: {})  # the stored ones are of other draws
     times: list[float | None] = [0.1, 0.2, None, 0.3]
     values: dict[str, list[float | None]] = {f"settling_s.{band}": times for band in ("1mm", "0.2mm", "0.05mm")}
-    return result_content(short, Entry("mine", "agent", "a" * 64), {"reach": values | {"final_error_mm": [0.1] * 4}})
+    return result_content(short, Entry("mine", "agent", "a" * 64), {"reach": values | {"final_error_mm": ERRORS}})
 
 
 def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -> None:
@@ -242,6 +255,13 @@ def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -
         (lambda c: c.update(rank=1), "rank: Extra inputs"),
         (lambda c: c["entry"].update(sha256="abc"), "entry.sha256"),
         (lambda c: c["draws"]["reach"].update(final_error_mm=[None] * 4), "null only for a settling time"),
+        (lambda c: c["draws"]["reach"]["settling_s.1mm"].__setitem__(1, 0.2003), "draw 1 is impossible.*no sample"),
+        (lambda c: c["draws"]["reach"]["settling_s.1mm"].__setitem__(3, 0.4), "draw 3 is impossible.*no sample"),
+        (lambda c: c["draws"]["reach"]["settling_s.0.05mm"].__setitem__(0, 0.09), "draw 0 is impossible: it settles"),
+        (
+            lambda c: c["draws"]["reach"]["settling_s.0.05mm"].__setitem__(2, 0.1),
+            "draw 2.*the error at the end is 3 mm",
+        ),
     ],
 )
 def test_a_file_that_is_not_valid_is_refused_by_name(
@@ -249,26 +269,181 @@ def test_a_file_that_is_not_valid_is_refused_by_name(
 ) -> None:
     content = json.loads(json.dumps(content))
     change(content)
+    content["checksum"] = checksum(content)
     path = write_result(tmp_path, content) if "reach" in content["draws"] else tmp_path / "x.json"
     with pytest.raises(InputError, match=message) as error:
         read_result(path)
     assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
 
 
-def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(
-    content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tools.leaderboard.protocol_bounds", lambda name: {})  # the stored ones are of other draws
+def test_an_error_that_is_rounded_to_the_edge_of_a_band_is_possible(content: dict[str, Any], tmp_path: Path) -> None:
+    content = json.loads(json.dumps(content))  # whose bands share one list
+    for settled in (0.2, None):
+        content["draws"]["reach"]["settling_s.0.05mm"][1] = settled
+        content["draws"]["reach"]["final_error_mm"][1] = 0.05
+        content["scores"]["reach"] = part_scores(content["draws"]["reach"], 0.3)
+        content["checksum"] = checksum(content)
+        read_result(write_result(tmp_path, content))
+
+
+def test_edited_draws_are_refused(content: dict[str, Any], tmp_path: Path) -> None:
+    """The scores of the edited draws are right, and every value is possible."""
+    content = json.loads(json.dumps(content))
+    for band in ("1mm", "0.2mm", "0.05mm"):
+        content["draws"]["reach"][f"settling_s.{band}"][3] = 0.11
+    content["scores"]["reach"] = part_scores(content["draws"]["reach"], 0.3)
+    with pytest.raises(InputError, match=r"checksum does not fit: .* draws were edited after the run"):
+        read_result(write_result(tmp_path, content))
+
+
+def test_a_file_from_another_machine_is_refused(content: dict[str, Any], tmp_path: Path) -> None:
+    light = dataclasses.replace(PROTOCOLS["reach-v1"], machine="corexy")
+    foreign = {**content, "digest": light.compute_digest()}
+    with pytest.raises(InputError, match="it was scored on another machine or other draws"):
+        read_result(write_result(tmp_path, {**foreign, "checksum": checksum(foreign)}))
+
+
+def test_draws_below_their_stored_bound_are_refused(tmp_path: Path) -> None:
+    """A file with 0.2 s for every draw was ranked first, at 0.779 of the bound."""
+    protocol_bounds.cache_clear()
+    protocol = PROTOCOLS["reach-v1"]
+    values: dict[str, list[float | None]] = {f"settling_s.{band}": [0.2] * 512 for band in ("1mm", "0.2mm", "0.05mm")}
+    whole = result_content(
+        protocol, Entry("fast", "controller", "a" * 64), {"reach": values | {"final_error_mm": [0.0] * 512}}
+    )
+    with pytest.raises(InputError, match=r"draw \d+ is impossible: .* 0\.2 s is less than the shortest possible time"):
+        read_result(write_result(tmp_path, whole))
+
+
+def test_all_stored_results_are_valid() -> None:
+    protocol_bounds.cache_clear()
+    assert len(stored_results()) > 30
+
+
+def test_a_submission_is_run_again(short: Protocol, content: dict[str, Any], tmp_path: Path) -> None:
+    entry, draws = run_protocol("pid", short)
+    file = write_result(tmp_path, result_content(short, entry, draws))
+    reproduced, text = rerun(file)
+    assert reproduced
+    assert text == f"{file}: reproduced: 16 of 16 values are equal"
+    for band in ("1mm", "0.2mm", "0.05mm"):  # consistent, and with the right checksum: only a run can tell
+        draws["reach"][f"settling_s.{band}"][1] = 0.15
+        draws["reach"]["final_error_mm"][1] = 0.0
+    reproduced, text = rerun(write_result(tmp_path, result_content(short, entry, draws)))
+    assert not reproduced
+    assert "NOT reproduced: 12 of 16 values are equal; largest difference: reach, draw 1, " in text
+
+
+def test_a_repeated_run_may_differ_by_rounding_only(short: Protocol, content: dict[str, Any], tmp_path: Path) -> None:
+    result = read_result(write_result(tmp_path, content))
+    again = json.loads(json.dumps(content["draws"]))
+    again["reach"]["settling_s.0.2mm"][0] = 0.102
+    again["reach"]["final_error_mm"][0] = 0.0105
+    assert compare_draws(result, again).reproduced
+    again["reach"]["settling_s.0.2mm"][0] = 0.103
+    assert not compare_draws(result, again).reproduced
+
+
+def test_edited_draws_do_not_look_like_rounding(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Rounding moves settling times both ways, edits one way: 20 of 512 draws that settle 60 ms earlier."""
+    monkeypatch.setattr("hframe_gym.evaluation.protocol_results.protocol_bounds", lambda name: {})
+    rng, protocol = np.random.default_rng(0), PROTOCOLS["reach-v1"]
+    times = np.round(rng.uniform(0.2, 0.4, 512), 3)
+    moved = np.zeros(512)
+    moved[:20] = 0.06
+    signs = np.where(np.arange(512) % 2, 1.0, -1.0)
+
+    def draws(values: Any) -> dict[str, Any]:
+        columns = {f"settling_s.{band}": np.round(values, 3).tolist() for band in ("1mm", "0.2mm", "0.05mm")}
+        return {"reach": {**columns, "final_error_mm": [0.01] * 512}}
+
+    content = result_content(protocol, Entry("mine", "agent", "a" * 64), draws(times - moved))
+    result = read_result(write_result(tmp_path, content))
+    assert not compare_draws(result, draws(times)).reproduced
+    assert compare_draws(result, draws(times - moved + signs * moved)).reproduced
+
+
+class _Network(Controller):
+    """A controller that holds a network, as an adapter of somebody's agent does."""
+
+    def __init__(self, machine: Any, period: float = 0.01) -> None:
+        super().__init__(machine, period)
+        import torch
+
+        torch.manual_seed(NETWORK_SEED[0])
+        self.agent = {"policy": torch.nn.Linear(2, 2)}
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        return np.zeros((len(observation["observation"]), 2))
+
+
+NETWORK_SEED = [0]
+
+
+def test_weights_of_a_controller_are_part_of_its_hash(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two agents behind one adapter had one hash, as a controller that is not learned."""
+    pytest.importorskip("torch")
+    CONTROLLERS.register("network")(_Network)
+    try:
+        protocol = small("reach-v1")
+        first, second, again = (_make_with_seed(seed, protocol) for seed in (0, 1, 0))
+        assert first == again
+        assert first.sha256 != second.sha256
+        assert first.kind == "agent"
+        (tmp_path / "weights").write_bytes(b"1")
+        monkeypatch.setattr(_Network, "files", (tmp_path / "weights",))
+        third = _make_with_seed(0, protocol)
+        (tmp_path / "weights").write_bytes(b"2")
+        assert len({first.sha256, third.sha256, _make_with_seed(0, protocol).sha256}) == 3
+    finally:
+        CONTROLLERS.unregister("network")
+
+
+def _make_with_seed(seed: int, protocol: Protocol) -> Entry:
+    """Return the entry of the network with a seed."""
+    NETWORK_SEED[0] = seed
+    return protocols.make_entry("network", protocol, "reach")[0]
+
+
+def test_swapped_weights_are_found_by_a_repeated_run(short: Protocol, content: dict[str, Any], tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    entry = protocols.make_entry("ppo-seed0", short, "reach")[0]
+    file = write_result(tmp_path, result_content(short, entry, content["draws"]))
+    reproduced, text = rerun(file, "ppo-seed1")
+    assert not reproduced
+    assert "swapped weights: ppo-seed1 has the hash" in text
+
+
+def test_entries_state_what_they_know_and_cost() -> None:
+    pytest.importorskip("stable_baselines3")
+    reach, hard = small("reach-v1"), PROTOCOLS["hard-v1"]
+    ppo = protocols.make_entry("ppo", reach, "reach")[0]
+    assert (ppo.algorithm, ppo.observes, ppo.model, ppo.training_steps) == ("ppo", "state", "belt geometry", 1503232)
+    plan = protocols.make_entry("apg_plan", reach, "reach")[0]
+    assert (plan.model, plan.training_cpu_s) == ("feedback laws, plans, estimates parameters", 192.6)
+    with pytest.warns(UserWarning, match="with other parameters"):  # the declared machine has current limits
+        assert protocols.make_entry("residual", hard, "reach")[0].observes == "Kalman estimates"
+    assert protocols.make_entry("pid", reach, "reach")[0].model == "feedback laws"
+
+
+def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(content: dict[str, Any], tmp_path: Path) -> None:
     slower = json.loads(json.dumps(content)) | {"entry": {"name": "pid", "kind": "controller", "sha256": "b" * 64}}
+    content["entry"] |= {
+        "algorithm": "ppo",
+        "training_steps": 1500000,
+        "training_cpu_s": 61.4,
+        "model": "belt geometry",
+    }
     entries = []
-    for entry, factor in ((slower, 2.0), (content, 1.0)):
+    for entry, factor in ((slower, 0.75), (content, 0.5)):
         values = {m: [None if v is None else factor * v for v in c] for m, c in entry["draws"]["reach"].items()}
         whole = result_content(PROTOCOLS["reach-v1"], Entry(**entry["entry"]), {"reach": values})
         entries.append(read_result(write_result(tmp_path, whole)))
     text = protocol_section("reach-v1", entries)
     rows = text.splitlines()[4:]
-    assert rows[0].startswith("| `mine` (agent) aaaaaaaa | 75.0 %")
-    assert rows[1].startswith("| `pid` bbbbbbbb |")
+    assert rows[0].startswith("| `mine` aaaaaaaa | ppo | state | belt geometry | 1.5 | 61 |  | 75.0 %")
+    assert rows[1].startswith("| `pid` bbbbbbbb | not learned | state | not stated |  |  |  | 75.0 %")
     assert rows[1].endswith("| 1 |")
     page = leaderboard_page("a\n<!-- leaderboard: reach-v1 -->\nold\n<!-- end -->\nb", entries)
     assert "old" not in page
@@ -277,18 +452,19 @@ def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(
 
 
 def test_agents_of_several_seeds_get_a_row_with_intervals_over_draws_and_seeds(
-    content: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    content: dict[str, Any], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("tools.leaderboard.protocol_bounds", lambda name: {})  # the stored ones are of other draws
-    times: list[float | None] = [0.1, 0.2, 0.1, 0.2]
+    times: list[float | None] = [0.1, 0.15, 0.1, 0.05]
     entries = []
     for name, factor in (("mine-seed0", 1.0), ("mine-seed1", 2.0), ("alone-seed0", 1.0)):
+        values: dict[str, list[float | None]]
         values = {metric: [factor * time for time in times if time] for metric in content["draws"]["reach"]}
+        values["final_error_mm"] = [0.01] * 4
         whole = result_content(PROTOCOLS["reach-v1"], Entry(name, "agent", "a" * 64), {"reach": values})
         entries.append(read_result(write_result(tmp_path, whole)))
     rows = protocol_section("reach-v1", entries).splitlines()[4:]
     assert [row.split("|")[1].strip() for row in rows if "seeds" in row] == ["**mine, 2 seeds**"]
-    assert "| **0.225 (" in rows[-1]
+    assert "| **0.150 (" in rows[-1]
 
 
 def test_the_interval_over_seeds_contains_the_spread_over_seeds() -> None:

@@ -1,0 +1,227 @@
+"""Models of stable-baselines3 (`model.save("model.zip")`) as controllers.
+
+Importing this module registers them with `hframe_gym.evaluation.make_controller`. Loading such a file executes code
+that it may contain: evaluate only files whose origin you trust.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from ..controllers import Controller, UnitCheck
+from ..envs import as_sensors
+from ..envs.spaces import ObservationFormat
+from ..errors import InputError
+from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario, environments_of
+from ..machine import Machine
+from .optional_dependencies import CONTRIB_ALGORITHMS, import_optional, single_threaded_torch
+
+# Options `normalize` and `flat` of the forms of observations that an environment can have.
+_FORMS = tuple((normalize, flat) for flat in (False, True) for normalize in (False, True))
+# Module of the policy classes of PPO and A2C; those of the other algorithms are in a module of their name.
+_ON_POLICY = "stable_baselines3.common.policies"
+
+
+class Sb3Model(Controller):
+    """Controller that applies the mean action of a model, on observations in the form of its training.
+
+    Args:
+        model: Model of stable-baselines3.
+        form: Form in which it observes, for observations by key in SI units.
+        machine: Machine on which it runs.
+        period: Control period, s.
+        full_state: Whether it observes the full state instead of sensors.
+    """
+
+    feedback = "observation"
+
+    def __init__(
+        self, model: Any, form: ObservationFormat, machine: Machine, period: float, full_state: bool = True
+    ) -> None:
+        super().__init__(machine, period)
+        self.model, self._form = model, form
+        self._check_units = UnitCheck(machine, full_state)
+
+    def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """Compute the actions for the control period that starts now.
+
+        Args:
+            observation: Arrays by key, SI, shape (batch, entries of the key).
+
+        Returns:
+            Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
+
+        Raises:
+            InputError: If the observation is one array or normalized.
+        """
+        self._check_units(observation)
+        with single_threaded_torch():
+            actions, _ = self.model.predict(self._form.apply(dict(observation)), deterministic=True)
+        return np.asarray(actions, np.float64)
+
+
+@CONTROLLER_SOURCES.register("stable-baselines3")
+class ZipSource(ControllerSource):
+    """Source of models in files `NAME.zip` of stable-baselines3."""
+
+    @staticmethod
+    def make(name: str, scenario: Scenario) -> Sb3Model | None:
+        """Load a model, and find the form of observations with which it was trained.
+
+        Args:
+            name: Path of the file.
+            scenario: Machine, task, sensors and control period with which it will run.
+
+        Returns:
+            The controller; None if the name is not that of a zip file.
+
+        Raises:
+            InputError: If the file is no model of stable-baselines3, or its observations or actions are not those of an
+                environment of this scenario; the message says which are missing.
+            ImportError: If the extra `agents` is not installed.
+        """
+        if not _is_zip(name):
+            return None
+        model = _load(Path(name))
+        one = dataclasses.replace(scenario, episodes=1)
+        environments = [
+            environments_of(one, sensors=one.sensors, period=one.period, normalize=normalize, flat=flat)
+            for normalize, flat in _FORMS
+        ]
+        wanted = environments[0].single_action_space
+        if not _same(model.action_space, wanted):
+            raise InputError(
+                f"{name}: its actions are {model.action_space}, those of machine {scenario.declared_machine.name!r} "
+                f"are {wanted}"
+            )
+        for envs in environments:
+            if _same(model.observation_space, envs.single_observation_space):
+                full_state = as_sensors(scenario.sensors) is None
+                return Sb3Model(model, envs.batch.format, scenario.declared_machine, scenario.period, full_state)
+        raise InputError(f"{name}: {_difference(model.observation_space, environments[0].single_observation_space)}")
+
+    @staticmethod
+    def describe(scenario: Scenario) -> str:
+        """Describe the names that this source accepts.
+
+        Args:
+            scenario: Not used.
+
+        Returns:
+            A phrase that completes the error message "controller 'x' is unknown; choose ...".
+        """
+        return "a model that stable-baselines3 saved (NAME.zip)"
+
+    @staticmethod
+    def files(name: str, scenario: Scenario) -> ControllerFiles | None:
+        """List the file, by whose content results identify the model.
+
+        Args:
+            name: Path of the file.
+            scenario: Scenario in which it runs; the model observes what this scenario observes.
+
+        Returns:
+            Name, file, sensors, algorithm and number of training steps; None if the name is not that of a zip file.
+
+        Raises:
+            InputError: If the file is no model of stable-baselines3.
+        """
+        if not _is_zip(name):
+            return None
+        data = _data(Path(name))
+        sensors = scenario.sensors if isinstance(scenario.sensors, str) else "own"
+        steps = data.get("num_timesteps")
+        return ControllerFiles(
+            Path(name).stem,
+            (Path(name),),
+            sensors,
+            _algorithm(Path(name), data).lower(),
+            "none",
+            steps if isinstance(steps, int) else None,
+        )
+
+
+def _is_zip(name: str) -> bool:
+    """Return whether a user's name of a controller is that of a zip file."""
+    return name.endswith(".zip") and Path(name).is_file()
+
+
+def _data(path: Path) -> dict[str, Any]:
+    """Return the settings in a model's file; raise InputError if it has none."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return dict(json.loads(archive.read("data")))
+    except (zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
+        raise InputError(f"{path}: is no model that stable-baselines3 saved ({error})") from None
+
+
+def _algorithm(path: Path, data: Mapping[str, Any]) -> str:
+    """Return the class name of a model's algorithm; raise InputError if it is none of those known here."""
+    policy = data.get("policy_class")
+    module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
+    if module == _ON_POLICY:
+        return "PPO" if "n_epochs" in data else "A2C"
+    name = module.split(".")[-2] if module.count(".") >= 2 else ""
+    if name in ("sac", "td3", *CONTRIB_ALGORITHMS):
+        return "CrossQ" if name == "crossq" else name.upper()
+    raise InputError(
+        f"{path}: its policy is of the module {module or 'unknown'}; the algorithms are PPO, A2C, SAC, TD3, TQC and "
+        "CrossQ. Wrap another one in a registered controller (docs/extending.md)"
+    )
+
+
+def _load(path: Path) -> Any:
+    """Load a model."""
+    name = _algorithm(path, _data(path))
+    package = import_optional("sb3_contrib" if name.lower() in CONTRIB_ALGORITHMS else "stable_baselines3")
+    try:
+        return getattr(package, name).load(path, device="cpu")
+    except (ValueError, TypeError, RuntimeError, KeyError, AttributeError, ModuleNotFoundError) as error:
+        raise InputError(f"{path}: cannot be loaded: {' '.join(str(error).split())[:200]}") from None
+
+
+def _same(space: Any, other: Any) -> bool:
+    """Return whether two observation spaces are equal but for rounding."""
+    if isinstance(space, spaces.Dict) and isinstance(other, spaces.Dict):
+        return set(space.spaces) == set(other.spaces) and all(_same(space[key], other[key]) for key in other.spaces)
+    if not (isinstance(space, spaces.Box) and isinstance(other, spaces.Box)) or space.shape != other.shape:
+        return False
+    return bool(np.allclose(space.low, other.low, rtol=1e-5) and np.allclose(space.high, other.high, rtol=1e-5))
+
+
+def _difference(space: Any, wanted: Any) -> str:
+    """Return a sentence about what a model observes and the environment does not have, or the other way round."""
+    if isinstance(space, spaces.Dict):
+        missing = ", ".join(key for key in wanted.spaces if key not in space.spaces)
+        superfluous = ", ".join(key for key in space.spaces if key not in wanted.spaces)
+        shapes = [
+            f"{key} has shape {space[key].shape}, not {wanted[key].shape}"
+            for key in wanted.spaces
+            if key in space.spaces and space[key].shape != wanted[key].shape
+        ]
+        reasons = [
+            *([f"it does not observe {missing}"] if missing else []),
+            *([f"it observes {superfluous}, which the environment lacks"] if superfluous else []),
+            *shapes,
+        ]
+        found = "; ".join(reasons) or "the bounds of its observations are others"
+    else:
+        size = sum(int(np.prod(box.shape)) for box in wanted.spaces.values())
+        shape = getattr(space, "shape", None)
+        found = (
+            f"it observes one array of shape {shape}, not ({size},)" if shape != (size,) else "its bounds are others"
+        )
+    return (
+        f"was trained on other observations: {found}. Evaluate it with the machine, task and sensors of its "
+        "training; a model behind a wrapper that scales, stacks or adds observations needs a registered controller "
+        "(docs/extending.md)"
+    )

@@ -1,0 +1,94 @@
+"""Tests of the models that stable-baselines3 saves, as controllers."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from hframe_gym.agents import Sb3Model
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
+from hframe_gym.errors import InputError
+from hframe_gym.evaluation import PROTOCOLS, Scenario, evaluate, make_controller, make_entry
+
+stable_baselines3 = pytest.importorskip("stable_baselines3")
+
+
+def saved(path: Path, env: Any, algorithm: str = "PPO", seed: int = 0) -> str:
+    """Save a model with random weights; return the path of the file."""
+    policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
+    keywords = {"n_steps": 8, "batch_size": 8} if algorithm == "PPO" else {}
+    model = getattr(stable_baselines3, algorithm)(policy, env, seed=seed, device="cpu", **keywords)
+    model.save(path)
+    return str(path)
+
+
+@pytest.mark.parametrize("options", [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}])
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
+def test_a_model_acts_as_in_its_training(tmp_path: Path, algorithm: str, options: dict[str, bool]) -> None:
+    envs = HFrameVecEnv(4, **options)  # type: ignore[arg-type]
+    name = saved(tmp_path / "model.zip", envs, algorithm)
+    controller = make_controller(name)
+    assert isinstance(controller, Sb3Model)
+    plain, _ = HFrameVectorEnv(4).reset(seed=5)
+    envs.seed(5)
+    expected, _ = getattr(stable_baselines3, algorithm).load(name).predict(envs.reset(), deterministic=True)
+    np.testing.assert_array_equal(controller.act(plain), expected)
+
+
+def test_a_model_that_does_not_know_the_environment_refuses_normalized_observations(tmp_path: Path) -> None:
+    envs = HFrameVectorEnv(4, normalize=True)
+    observation, _ = envs.reset(seed=5)
+    name = saved(tmp_path / "model.zip", HFrameVecEnv(2, normalize=True))
+    with pytest.raises(InputError, match="not in SI units"):
+        make_controller(name).act(observation)
+    assert make_controller(name, envs).act(observation).shape == (4, 2)
+
+
+def test_models_are_evaluated_by_their_file(tmp_path: Path) -> None:
+    name = saved(tmp_path / "model.zip", HFrameVecEnv(2, normalize=True))
+    scores = evaluate([name, "pid"], episodes=4).scores["controllers"]
+    assert set(scores) == {name, "pid"}
+
+
+def test_two_models_have_two_hashes_and_count_as_learned(tmp_path: Path) -> None:
+    protocol = PROTOCOLS["reach-v1"]
+    names = [saved(tmp_path / f"{seed}.zip", HFrameVecEnv(2, normalize=True), seed=seed) for seed in (0, 1)]
+    first, second = (make_entry(name, protocol, "reach")[0] for name in names)
+    assert first.sha256 != second.sha256
+    assert (first.name, first.kind, first.algorithm, first.model) == ("0", "agent", "ppo", "none")
+    assert first.training_steps == 0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: gym.wrappers.FlattenObservation(gym.make("HFrame-v0", machine="corexy")), "its bounds are others"),
+        (lambda: HFrameVecEnv(2, env_id="HFrameTrack-v0"), "it observes preview, which the environment lacks"),
+        (lambda: HFrameVecEnv(2, privileged=True), "it observes privileged, which the environment lacks"),
+        (lambda: gym.make("Pendulum-v1"), "its actions are Box"),
+        (
+            lambda: gym.wrappers.FrameStackObservation(gym.make("HFrameFlat-v0"), 3),
+            r"one array of shape \(3, 12\), not",
+        ),
+    ],
+)
+def test_a_model_of_other_observations_is_refused_by_what_is_missing(tmp_path: Path, make: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_controller(saved(tmp_path / "model.zip", make()))
+
+
+def test_other_zip_files_are_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
+        archive.writestr("x", "y")
+    (tmp_path / "text.zip").write_text("no archive")
+    for name in ("other.zip", "text.zip"):
+        with pytest.raises(InputError, match=f"{name}: is no model that stable-baselines3 saved"):
+            make_controller(str(tmp_path / name), Scenario())
+    with pytest.raises(InputError, match="there is no such folder"):
+        make_controller(str(tmp_path / "missing.zip"))
