@@ -686,7 +686,7 @@ def test_the_proposed_commands_repeat_randomization_and_period(hframe_command: C
         ("evaluate", "Missing argument 'controllers'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
         ("evaluate --ray", "Missing argument 'controllers'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
         ("evaluate pid", "Missing option '--out'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
-        ("export", "Missing argument 'controllers'", "hframe export pid ppo --episodes 100 --out out/minari"),
+        ("export dataset", "Missing argument 'controllers'", "hframe export dataset pid ppo --episodes 100"),
         ("simulate", "Missing option '--inputs'", "hframe simulate --machine hframe --inputs examples/rig_b/"),
         ("kernel", "Missing argument 'machine'", "hframe kernel hframe"),
         ("examples", "Missing option '--out'", "hframe examples --out examples"),
@@ -707,6 +707,15 @@ def test_a_command_without_what_it_needs_says_what_is_missing_with_an_example(
     assert errors.startswith(f"hframe: {missing}")
     assert f"for example: {example}" in errors or f"for example {example}" in errors
     assert errors.count("\n") == 1
+
+
+def test_a_group_without_a_command_prints_its_help_and_says_what_is_missing(
+    hframe_command: Callable[..., tuple[int, str, str]],
+) -> None:
+    code, out, errors = hframe_command("export")
+    assert code == 2
+    assert "state-space" in out
+    assert errors == "hframe: Missing command (see --help)\n"
 
 
 def test_play_refuses_a_machine_with_one_axis(hframe_command: Callable[..., tuple[int, str, str]]) -> None:

@@ -28,7 +28,7 @@ def counted(tmp_path, monkeypatch):
     """Replace identification by a counter; return the list of its calls."""
     calls = []
 
-    def identify(recordings, machine):
+    def identify(recordings, machine, budget):
         calls.append(len(recordings))
         return len(calls)
 
@@ -50,7 +50,7 @@ def test_result_is_cached_as_long_as_the_source_is_the_same(counted, tmp_path):
 
 
 def test_exception_gives_a_row_that_is_not_cached(counted, tmp_path, monkeypatch):
-    def crash(recordings, machine):
+    def crash(recordings, machine, budget):
         raise KeyError("bridge")
 
     with monkeypatch.context() as broken:
