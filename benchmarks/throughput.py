@@ -277,7 +277,7 @@ def fma_peak(chains: int) -> float:
     head = "def chain(rows, count: int):"
     lines = [head, "a = load(rows, 0)", "b = load(rows, 1)", *starts, "for step in range(count):", *steps]
     program = LaneProgram("\n    ".join([*lines, f"store(rows, 0, {total})"]) + "\n", ("chain",))
-    chain = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)(program["chain"])
+    chain = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)(program.addresses["chain"])
     rows = np.full((2, LANES), 0.5)
     chain(rows.ctypes.data, 10)
     best = np.inf

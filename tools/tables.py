@@ -409,6 +409,15 @@ def faults(results: dict[str, Any]) -> str:
     return markdown(["", "tried", "times", "failed", "result"], rows, "---")
 
 
+def first_step(results: dict[str, Any]) -> str:
+    """Format the processor time to the first step of an environment."""
+    rows = [
+        [f"`{name}`", *(f"{times[key]:.1f} s" for key in ("empty_s", "filled_s"))]
+        for name, times in results["cases"].items()
+    ]
+    return markdown(["`gym.make` with", "empty cache", "filled cache"], rows)
+
+
 def fuzzing(results: dict[str, Any]) -> str:
     """Format how many damaged files each reader got, how many it refused, and what they cost."""
     header = [
@@ -541,6 +550,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "other_simulator_rigs": other_simulator_rigs,
     RANDOM_RIGS: random_rigs,
     "outside_library_1": outside_library,
+    "first_step": first_step,
     "env_speed": env_speed,
     "env_soak": env_soak,
     "faults": faults,

@@ -27,16 +27,15 @@ class LaneProgram:
     Args:
         text: Source text; `lane_compiler` describes the language.
         names: Names of its functions.
+
+    Attributes:
+        addresses: Address of each function by name, for `call_at`.
     """
 
     def __init__(self, text: str, names: Sequence[str]) -> None:
         self.text, self.names = text, tuple(names)
         key = f"{_foundation()} {LANES}\n{text}"
-        self._addresses = native_functions(key, names, lambda: compile_lanes(text, FORMULAS, LANES))
-
-    def __getitem__(self, name: str) -> int:
-        """Return the address of a function, for `call_at`."""
-        return self._addresses[name]
+        self.addresses = native_functions(key, names, lambda: compile_lanes(text, FORMULAS, LANES))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return LaneProgram, (self.text, self.names)

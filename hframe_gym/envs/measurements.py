@@ -122,7 +122,7 @@ class SensorArray:
     ) -> None:
         """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before."""
         devices = self._noise, self._resolution, self.low, self.high
-        _measure(self._program["measure"], readings, devices, self._keys, elapsed, first, last, out, before)
+        _measure(self._program.addresses["measure"], readings, devices, self._keys, elapsed, first, last, out, before)
         if not self._custom:
             return
         # Sensor kinds with a formula of their class replace what the compiled default wrote.

@@ -122,7 +122,7 @@ class ObservationBuilder:
         self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
     ) -> int:
         """Write a view to `out`, the tool position to `tool`; return an environment with a non-finite state, or -1."""
-        simulator, program = self._simulator, view.program["observe"]
+        simulator, program = self._simulator, view.program.addresses["observe"]
         broken: int = _observe(
             program, view.size, simulator.state, simulator.units_per_travel, view.bounds, first, last, out, tool
         )
@@ -231,7 +231,7 @@ class ObservationBuilder:
             out, desired = observation["observation"], observation["desired_goal"]
             kind, band, distance, reward = evaluation
             broken = _observe_and_evaluate(
-                view.program["observe"],
+                view.program.addresses["observe"],
                 view.size,
                 state,
                 units,
@@ -256,7 +256,7 @@ class ObservationBuilder:
     def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
         """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
         _write_measurements(
-            self._measurement_program["observe"],
+            self._measurement_program.addresses["observe"],
             sensors.measurements,
             self._simulator.period,
             sensors.low,

@@ -22,4 +22,4 @@ def run(text: str, *arguments: NDArray | float) -> None:
         ctypes.c_double if isinstance(a, float) else ctypes.c_int64 if isinstance(a, int) else ctypes.c_void_p
         for a in arguments
     ]
-    ctypes.CFUNCTYPE(None, *kinds)(_program(text)["f"])(*operands)
+    ctypes.CFUNCTYPE(None, *kinds)(_program(text).addresses["f"])(*operands)
