@@ -45,7 +45,7 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     table.caption, table.caption_justify = caption, "left"
     table.add_column("channel", overflow="fold")
     for column in ("declared", "before\n(refitted)", "after\n(with effects)"):
-        table.add_column(column, justify="right")  # a narrow terminal shows the multiple on a second line
+        table.add_column(column, justify="right")
     errors = [report[stage]["held_out"] for stage in ("declared", "before", "after")]
     for channel in channels:
         cells = [e[channel] for e in errors]
@@ -64,7 +64,7 @@ def _error_cell(channel: str, error: Mapping[str, Any]) -> str:
     factor, unit = readable_unit(channel, error["rmse"])
     motion = error.get("percent_of_motion")
     percent = "" if motion is None else f", {number(motion)} %"
-    return f"{number(factor * error['rmse'])} {unit} ({number(error['noise_ratio'])}x{percent})"
+    return f"{number(factor * error['rmse'])} {unit}\n({number(error['noise_ratio'])}x{percent})"
 
 
 def score_table(scores: Mapping[str, Any]) -> Table:
