@@ -24,8 +24,8 @@ from ..machine import Machine
 from ..recordings import Recording
 
 SECONDS_PER_CORE = 60.0
-# Cores for which there is time at least: complete searches of normal sessions take one to two minutes on one core, and code
-# that runs for the first time is compiled, which takes some seconds.
+# Cores for which there is time at least: complete searches of normal sessions take one to two minutes on one core, and
+# code that runs for the first time is compiled, which takes some seconds.
 _LEAST_CORES = 2
 # Rows times coordinates of a normal session. The time of a search grows in proportion to them; 160,000 are eight runs
 # of 5 s at 1 kHz of a machine with four coordinates, whose complete search takes one to three minutes.

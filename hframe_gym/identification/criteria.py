@@ -95,7 +95,8 @@ class SelectionCriteria:
         max_partial_excess: Selected effects that leave more than noise are reported if they reduce the error beyond the
             noise to less than this fraction of the refitted machine's. It suffices that one of two errors falls so far:
             chi-squared per sample - `one_step_floor` in one-step prediction, or the root mean square error in
-            simulation.
+            simulation. The held-out runs hold the same limit against the names of effects that are the causes of the
+            missing force; those of a real axis (EMPS) leave 0.11.
         max_noise_ratio_explained: Largest simulation error on the held-out runs, in multiples of the sensors' noise at
             rest, that noise explains: the verdict "no_effect" is not given above it. A correct machine reaches 1; its
             uncertain initial states and a clock that jitters by some microseconds leave up to 2.

@@ -13,7 +13,7 @@ are, and causes at different components compete for the same force: that on a mo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from ..machine import Machine
+from ..machine import HOOKS, AppliedEffect, Machine, argument_names
 from ..machine.motion import rigid_motions
 from .dataset import Dataset
 from .free_parameters import typical_force
@@ -567,3 +567,41 @@ def _resonance(evidence: _Evidence, index: int, acceleration: str) -> Columns:
 def _filtered(filters: Array, denominator: Array, values: Array) -> Array:
     """Return the outputs of filters with one denominator, shape (n, filters)."""
     return np.stack([signal.lfilter(numerator, denominator, values) for numerator in filters], axis=1)
+
+
+# Variables of a force by the arguments of its formula. Other formulas (of a voltage, a tension, a measurement) may
+# depend on any variable of their component.
+_VARIABLES = {"q": "position", "v": "velocity", "direction": "velocity", "t": "time", "drive": "load"}
+_FRICTION_HOOKS = ("coulomb", "friction", "viscous")  # it changes its sign with the velocity
+
+
+def are_causes(effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], machine: Machine) -> bool:
+    """Return whether effects are the causes of a missing force that were found without the form of any effect.
+
+    Args:
+        effects: Effects that are to be named.
+        ranked: Causes of the force that the machine without them lacks, the strongest first.
+        machine: Machine with the effects' sites.
+
+    Returns:
+        True if the strongest cause is that of an effect, and each effect has a cause among them: it acts on the same
+        component, and its formula depends on the same kind of variable.
+    """
+    if not effects or not ranked:
+        return False
+    leads = any(_is_cause(effect, ranked[0], machine) for effect in effects)
+    return leads and all(any(_is_cause(effect, cause, machine) for cause in ranked) for effect in effects)
+
+
+def _is_cause(effect: AppliedEffect, cause: Dependence, machine: Machine) -> bool:
+    """Return whether an effect acts on the component of a cause, and its formula depends on the cause's variable."""
+    definition = effect.definition
+    if cause.component not in (effect.site, machine.coordinate_of_site(effect.site, definition.site)):
+        return False
+    hooks = {hook: getattr(definition, hook) for hook in HOOKS if getattr(definition, hook)}
+    if not hooks.keys() & {"force", *_FRICTION_HOOKS}:
+        return True
+    kinds = {_VARIABLES[name] for f in hooks.values() for name in argument_names(f) if name in _VARIABLES}
+    if hooks.keys() & set(_FRICTION_HOOKS):
+        kinds.add("velocity")
+    return cause.variable.partition(" of ")[0] in kinds

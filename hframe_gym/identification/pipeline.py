@@ -29,7 +29,7 @@ from .dataset import (
     with_all_measurements,
     with_known_positions,
 )
-from .dependences import rank_dependences
+from .dependences import are_causes, rank_dependences
 from .estimation import Fit, prediction_cost
 from .experiment_design import design_discriminating_experiment
 from .force_sizes import drive_force, effect_force
@@ -368,7 +368,13 @@ def _contradiction(evaluated: _Evaluated, differing: Sequence[str], criteria: Se
         return ""
     evidence = _evidence(evaluated, differing, criteria)
     if outcome.selected:
-        return contradiction_of_names(evidence, outcome.explained, criteria)
+        reason = contradiction_of_names(evidence, outcome.explained, criteria)
+        if reason and not outcome.explained:  # ranking the causes takes seconds
+            causes = rank_dependences(outcome.before.machine, outcome.data)
+            named = are_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
+            evidence = dataclasses.replace(evidence, causes_named=named)
+            reason = contradiction_of_names(evidence, outcome.explained, criteria)
+        return reason
     return contradiction_of_no_effect(evidence, criteria)
 
 

@@ -7,8 +7,12 @@ import math
 
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify
+from hframe_gym.identification.dependences import are_causes
+from hframe_gym.identification.residual import Dependence
 from hframe_gym.identification.verdict import Evidence, contradiction_of_names, contradiction_of_no_effect, remaining
+from hframe_gym.machine import AppliedEffect, Machine
 from tests.identification.axis_results import AXIS
 from tests.identification.test_pipeline import limited_runs
 
@@ -66,3 +70,35 @@ def test_a_fit_that_explains_everything_does_not_lead_to_no_effect() -> None:
     assert result.verdict == "unexplained"
     assert f"{result.left:.3g} times the noise of the sensors" in result.reason
     assert result.as_json()["reason"] == result.reason
+
+
+@pytest.mark.parametrize(("remaining_fraction", "named"), [(0.11, True), (0.26, False)])
+def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: float, named: bool) -> None:
+    """Of a real axis, 11 % of the squared error remained beside friction that was confirmed on another record."""
+    evidence = Evidence(3e5, 1e6, 0.01, 0.02, remaining_fraction, causes_named=True)
+    assert (contradiction_of_names(evidence, False, CRITERIA) == "") == named
+
+
+@pytest.mark.parametrize(
+    ("labels", "causes", "expected"),
+    [
+        (["stribeck_friction@x"], [("x", "velocity of x"), ("x", "position of x")], True),
+        (["stribeck_friction@x"], [("x", "dwell of x"), ("x", "velocity of x")], False),  # another variable leads
+        (["stribeck_friction@x"], [("y", "velocity of y"), ("x", "velocity of x")], False),  # another component leads
+        (["stribeck_friction@x", "electrical_lag@motor1"], [("x", "velocity of x"), ("motor1", "v1_V")], True),
+        (["stribeck_friction@x", "electrical_lag@motor1"], [("x", "velocity of x"), ("motor2", "v2_V")], False),
+        (["current_limit@drives"], [("drives", "current of drives")], True),
+        (["current_limit@drives", "load_friction@motor1"], [("drives", "current of drives")], False),
+        (["cogging@motor1"], [("phi1", "position of phi1")], True),
+        (["stribeck_friction@x"], [], False),
+        ([], [("x", "velocity of x")], False),
+    ],
+)
+def test_effects_are_causes(labels: list[str], causes: list[tuple[str, str]], expected: bool, hframe: Machine) -> None:
+    def applied(label: str) -> AppliedEffect:
+        name, _, site = label.partition("@")
+        return EFFECTS[name].at(site, **{p.name: max(p.lower, 0.01) for p in EFFECTS[name].parameters})
+
+    effects = [applied(label) for label in labels]
+    ranked = [Dependence(variable, "x", 0.5, component) for component, variable in causes]
+    assert are_causes(effects, ranked, hframe) == expected
