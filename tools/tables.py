@@ -130,6 +130,19 @@ def other_simulator_rigs(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+def closed_loop_rigs(results: dict[str, Any]) -> str:
+    """Format the eight rigs with a position controller: truth, verdict, what is left, hint and time."""
+    rows = []
+    for r in results["rigs"]:
+        named = ", ".join(f"`{label}`" for label in r["named"]) or f"`{r['verdict']}`"
+        hint = "" if r["hint"] is None else f"{r['hint']['component']}: {r['hint']['variable']}"
+        marks = [text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present]
+        errors = (f"{r['unseen'][machine]:.3g}" for machine in ("declared", "before", "after"))
+        rows.append([r["hidden"], named, ", ".join(marks) or "yes", hint, *errors, f"{r['cpu_seconds']:.0f} s"])
+    header = ["hidden", "verdict", "right", "hint", "unseen runs: declared", "before", "after", "processor time"]
+    return markdown(header, rows)
+
+
 def outside_library(results: dict[str, Any]) -> str:
     """Format the rigs with an effect outside the library: names, errors on unseen runs, hints and time."""
     rows = []
@@ -548,8 +561,9 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     **{f"identification_{name}": identification_set for name in IDENTIFICATION_SETS},
     "formulas": formulas,
     "other_simulator_rigs": other_simulator_rigs,
+    "closed_loop_rigs": closed_loop_rigs,
     RANDOM_RIGS: random_rigs,
-    "outside_library_1": outside_library,
+    "outside_library_2": outside_library,
     "first_step": first_step,
     "env_speed": env_speed,
     "env_soak": env_soak,

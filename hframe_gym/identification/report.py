@@ -234,7 +234,8 @@ def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
         rmse, ratio = error["rmse"], error["noise_ratio"]
         row[stage] = {
             "size": absent if rmse is None else f"{number(factor * rmse)} {unit}",
-            "ratio": "" if ratio is None else f"{number(ratio)} × noise{_percent_of_motion(error)}",
+            "ratio": "" if ratio is None else f"{number(ratio)} × noise",
+            "motion": _percent_of_motion(error),
         }
     return row
 
@@ -242,7 +243,7 @@ def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
 def _percent_of_motion(error: Mapping[str, Any]) -> str:
     """Return an error in percent of the motion, or "" if the channel does not move."""
     percent = error.get("percent_of_motion")
-    return "" if percent is None else f", {number(percent)} % of the motion"
+    return "" if percent is None else f"{number(percent)} % of motion"
 
 
 def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:

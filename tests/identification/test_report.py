@@ -352,7 +352,7 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
         "lacks on x depends most on current of motor, which explains 62 % of its variance.",
         "The nearest effects of the library, which are no causes: current_limit@motor, load_friction@motor.",
         "The search is not complete: the budget of 60 s of processor time ended (trial fit 2 of 5: cogging@motor).",
-        "2.1 % of the motion",
+        "2.1 % of motion",
     ):
         assert text in page, text
     report = json.loads((tmp_path / "report.json").read_text())
@@ -365,7 +365,7 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
     assert report["before"]["missing_force_percent"] == pytest.approx(0.37)
     assert report["before"]["held_out"]["x_m"]["percent_of_motion"] == pytest.approx(2.1)
     table = identification_table(report, AXIS.output_channels)
-    assert list(table.columns[2].cells) == ["5 mm (250x, 2.1 %)"]
+    assert list(table.columns[2].cells) == ["5 mm\n(250x, 2.1 %)"]
     assert "0.37 %" in str(table.caption)
 
 
