@@ -22,6 +22,7 @@ from ..recordings import (
 from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity, channel_unit
 from .identifiability import check_parameters
+from .input_noise import noisy_inputs
 from .sampling import (
     check_input_timing,
     check_sampling,
@@ -128,7 +129,7 @@ def _faults_and_advice(
         findings += check_sampling(recording) + _wraps(recording, machine)
         continuous = without_wraps(recording, machine)
         findings += _outliers(without_repetitions(continuous), cleaned_recording, machine)
-    findings += _motion_without_input(cleaned, rests, machine)
+    findings += _motion_without_input(cleaned, rests, machine) + noisy_inputs(recordings, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
