@@ -227,14 +227,14 @@ def _distance_to_polyline(x: float, y: float, s: float, curve: Any) -> float:
 
 
 @helper
-def _speed_up(t: Any, speed: Any, lead_s: float) -> Any:
+def _speed_up(t: float, speed: float, lead_s: float) -> float:
     """Return the distance, m, after time t, s, from rest to speed."""
     u = t / lead_s if t / lead_s < 1.0 else 1.0
     return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + (t - lead_s if t - lead_s > 0.0 else 0.0))
 
 
 @helper
-def traveled(t: Any, speed: Any, lead_s: float, length: float) -> Any:
+def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
     """Compute how far a goal has traveled along its path at time t. Only compiled functions can call it.
 
     The goal starts at rest and reaches `speed` at t = lead_s, by v = speed (3 u^2 - 2 u^3) with u = t / lead_s. On a
