@@ -13,13 +13,12 @@ from .cleaning import (
     without_repetitions,
 )
 from .examples import copy_examples, examples_folder
-from .log_import import ImportSettings, import_logs, parse_factor, read_mapping_file, write_recording
-from .log_mapping import MappingOptions
+from .logs import ImportSettings, MappingOptions, import_logs, parse_factor, read_mapping_file
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
 from .quantization import exact_quantum, quantum_of
-from .recording import Recording, load_recording, load_recordings, run_name, write_trajectory
+from .recording import Recording, load_recording, load_recordings, run_name, write_recording, write_trajectory
 from .table_file import read_path, recording_files
 from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
 

@@ -16,7 +16,6 @@ import numpy as np
 from ..atomic_files import atomic_file
 from ..errors import InputError
 from ..machine import Machine, Trajectory
-from .measurement_units import UNIT_WORDS, WrongUnitError
 from .quantities import split_unit
 from .table_file import (
     SUFFIXES,
@@ -31,8 +30,11 @@ from .table_file import (
     refuse_rows,
 )
 from .text_reader import Progress, cumulative
+from .wrong_units import UNIT_WORDS, WrongUnitError
 
 MIN_ROWS = 20_000  # rows that are read of each run; typical runs have fewer
+_ROWS_PER_WRITE = 50_000  # so many rows are held in memory as text, a few tens of MB
+_COMPRESSION = 4  # level of gzip; higher levels take several times as long and save a few percent
 # The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
 # if it is larger.
 _LARGEST = {"_m": (20.0, "mm"), "_rad": (2000 * 2 * np.pi, "deg")}
@@ -229,6 +231,50 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
     table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
     with atomic_file(path) as file, compressed_by_name(Path(path), file) as stream:
         np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
+
+
+def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:
+    """Write a recording to a file, from which every number is read back exactly.
+
+    Args:
+        path: File to write: .csv, .csv.gz (compressed) or .parquet.
+        recording: Run to write (times, s; voltages, V; measurements, m or rad); NaN becomes an empty cell.
+        machine: Machine that was recorded; its channels name the columns.
+        progress: Called with the number of rows written since the last call.
+
+    Raises:
+        OSError: If the file cannot be written.
+        InputError: If the file is .parquet and pyarrow is not installed.
+    """
+    names = ["time_s", *machine.input_channels, *machine.output_channels]
+    columns = [recording.time_s, *recording.inputs.T, *recording.outputs.T]
+    if path.suffix == ".parquet":
+        try:
+            import pyarrow
+            from pyarrow import parquet
+        except ImportError:
+            raise InputError(f"{path.name}: writing Parquet files needs pip install 'hframe_gym[parquet]'") from None
+        arrays = [pyarrow.array(column, from_pandas=True) for column in columns]
+        with atomic_file(path) as raw:
+            parquet.write_table(pyarrow.table(dict(zip(names, arrays, strict=True))), raw)
+        if progress is not None:
+            progress(len(recording.time_s))
+        return
+    with atomic_file(path) as raw, compressed_by_name(path, raw, _COMPRESSION) as file:
+        file.write(f"{','.join(names)}\n".encode("ascii"))
+        for begin in range(0, len(recording.time_s), _ROWS_PER_WRITE):
+            cells = [_texts(column[begin : begin + _ROWS_PER_WRITE]) for column in columns]
+            file.write("".join(f"{row}\n" for row in map(",".join, zip(*cells, strict=True))).encode("ascii"))
+            if progress is not None:
+                progress(len(cells[0]))
+
+
+def _texts(values: Array) -> list[str]:
+    """Return the shortest text of each value from which the same number is read; "" for NaN."""
+    texts = list(map(repr, values.tolist()))
+    for row in np.flatnonzero(np.isnan(values)).tolist():
+        texts[row] = ""
+    return texts
 
 
 def run_name(path: Path) -> str:

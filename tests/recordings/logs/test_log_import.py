@@ -30,9 +30,10 @@ from hframe_gym.recordings import (
     read_mapping_file,
     write_recording,
 )
-from hframe_gym.recordings.log_conversion import split_at_rests
-from hframe_gym.recordings.log_file import log_name
-from hframe_gym.recordings.measurement_units import WrongUnitError, accepted_units
+from hframe_gym.recordings.logs.log_conversion import split_at_rests
+from hframe_gym.recordings.logs.log_file import log_name
+from hframe_gym.recordings.logs.measurement_units import accepted_units
+from hframe_gym.recordings.wrong_units import WrongUnitError
 
 Table = dict[str, np.ndarray]
 PLAIN = ["time_s", "v1_V", "v2_V", "phi1_rad", "phi2_rad", "x_m", "y_m"]

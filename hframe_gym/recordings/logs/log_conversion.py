@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..machine import Machine
+from ...errors import InputError
+from ...machine import Machine
+from ..quantization import exact_quantum
+from ..recording import Recording, recording_from_columns
+from ..table_file import Array, refuse_decreasing_times
+from ..text_reader import Progress
+from ..wrapping import find_wrap, known_moduli, unwrapped
+from ..wrong_units import WrongUnitError
 from .log_clock import continued_counter, continued_over_midnight, repair_of_times
 from .log_file import ROW_NUMBER, Log
 from .log_mapping import ChannelSource
-from .measurement_units import TIME, Conversion, WrongUnitError, channel_dimension
-from .quantization import exact_quantum
-from .recording import Recording, recording_from_columns
-from .table_file import Array, refuse_decreasing_times
-from .text_reader import Progress
-from .wrapping import find_wrap, known_moduli, unwrapped
+from .measurement_units import TIME, Conversion, channel_dimension
 
 Mask = NDArray[np.bool_]
 Values = dict[str, NDArray[Any]]  # values of the log's columns by header

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..file_limits import read_document, read_json, refuse_many_values
+from ...errors import InputError
+from ...file_limits import read_document, read_json, refuse_many_values
 
 Array = NDArray[np.float64]
 

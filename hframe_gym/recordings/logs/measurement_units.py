@@ -9,9 +9,8 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..machine import Drive, Machine
-from .quantities import COUNT_UNITS, QUANTITIES, Factors, split_unit
+from ...machine import Drive, Machine
+from ..quantities import COUNT_UNITS, QUANTITIES, Factors, split_unit
 
 TIME = "time_s"  # column of the sample times in recordings
 Array = NDArray[np.float64]
@@ -30,8 +29,6 @@ SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, un
 DUTY_UNITS = {"%": 100.0, "pu": 1.0}
 # Inputs of amplifiers that control the current or the torque, by the unit at the end of the channel's name.
 _COMMANDS: dict[str, Dimension] = {"A": "current", "Nm": "torque", "N": "force"}
-# Units that recordings do not use, in words.
-UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
 _INTEGRATED = "integrated from 0; an offset of the speed makes the position drift"
 _RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)
 
@@ -90,32 +87,6 @@ class UnitConversion(NamedTuple):
     conversion: Conversion
     integrate: bool
     remark: str
-
-
-class WrongUnitError(InputError):
-    """Values of channels are probably in another unit than that of the channel.
-
-    Attributes:
-        problem: File, columns and values, in words.
-        channels: Names of the channels.
-        unit: Unit that the values probably have.
-    """
-
-    def __init__(self, problem: str, channels: tuple[str, ...], unit: str) -> None:
-        """Create the error; its message ends with a question about the unit.
-
-        Args:
-            problem: File, columns and values, in words.
-            channels: Names of the channels.
-            unit: Unit that the values probably have: "mm", "um", "deg", "ms" or "%".
-        """
-        question = "is the column" if len(channels) == 1 else "are they"
-        super().__init__(f"{problem}; {question} in {UNIT_WORDS[unit]}?")
-        self.problem, self.channels, self.unit = problem, channels, unit
-
-    def __reduce__(self) -> tuple[type[WrongUnitError], tuple[str, tuple[str, ...], str]]:
-        """Return the arguments of the constructor for pickle, which would pass the message alone."""
-        return type(self), (self.problem, self.channels, self.unit)
 
 
 def parse_rate(text: str) -> float | None:

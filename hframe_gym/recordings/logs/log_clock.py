@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..table_file import Array
 from .measurement_units import TIME
-from .table_file import Array
 
 _DAY = 86_400.0  # s
 # s; a time of day that goes back by a day less this gap has passed midnight. A recording with a longer gap is refused.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..machine import Machine
+from ...machine import Machine
+from ..quantities import QUANTITIES, Meaning
 from .measurement_units import SI_UNITS, SPEED_UNITS, TIME, accepted_units, channel_dimension
-from .quantities import QUANTITIES, Meaning
 
 # What the output of a controller is often named after, although it is a voltage: a "torque" or "speed" that is written
 # to an amplifier. For these the user may state a unit of voltage.

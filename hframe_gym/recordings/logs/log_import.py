@@ -14,26 +14,24 @@ from typing import Literal
 
 import numpy as np
 
-from ..atomic_files import atomic_file, output_batch
-from ..errors import InputError
-from ..file_limits import read_document, read_json
-from ..machine import Machine
-from .cleaning import GAP_PERIODS
+from ...atomic_files import output_batch
+from ...errors import InputError
+from ...file_limits import read_document, read_json
+from ...machine import Machine
+from ..cleaning import GAP_PERIODS
+from ..recording import Recording, run_name, write_recording
+from ..table_file import SUFFIXES, Array
+from ..text_reader import Progress, cumulative
 from .log_conversion import LogConverter, split_at_rests
 from .log_file import Log, find_logs, headers_text, log_name, open_logs
 from .log_mapping import ChannelSource, MappingOptions, map_columns
-from .measurement_units import TIME, channel_dimension
-from .recording import Recording, run_name
-from .table_file import SUFFIXES, Array, compressed_by_name
-from .text_reader import Progress, cumulative
+from .measurement_units import channel_dimension
 
 RunFormat = Literal["csv.gz", "csv", "parquet"]
 
-_ROWS_PER_WRITE = 50_000  # so many rows are held in memory as text, a few tens of MB
 # s; a single motion takes a few seconds, so that a longer log probably holds several, with rests between them.
 _LONG_RUN = 60.0
 _UNUSED_ROWS = 20  # columns that are not used and get a row of the table; logs of machine tools have hundreds
-_COMPRESSION = 4  # level of gzip; higher levels take several times as long and save a few percent
 
 
 @dataclass(frozen=True)
@@ -165,50 +163,6 @@ def parse_factor(where: str, factor: object) -> float:
     if not 1e-30 <= abs(value) <= 1e30:
         raise InputError(f"{where}: {factor!r} is not a factor; give a number such as 0.001")
     return value
-
-
-def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:
-    """Write a recording to a file, from which every number is read back exactly.
-
-    Args:
-        path: File to write: .csv, .csv.gz (compressed) or .parquet.
-        recording: Run to write (times, s; voltages, V; measurements, m or rad); NaN becomes an empty cell.
-        machine: Machine that was recorded; its channels name the columns.
-        progress: Called with the number of rows written since the last call.
-
-    Raises:
-        OSError: If the file cannot be written.
-        InputError: If the file is .parquet and pyarrow is not installed.
-    """
-    names = [TIME, *machine.input_channels, *machine.output_channels]
-    columns = [recording.time_s, *recording.inputs.T, *recording.outputs.T]
-    if path.suffix == ".parquet":
-        try:
-            import pyarrow
-            from pyarrow import parquet
-        except ImportError:
-            raise InputError(f"{path.name}: writing Parquet files needs pip install 'hframe_gym[parquet]'") from None
-        arrays = [pyarrow.array(column, from_pandas=True) for column in columns]
-        with atomic_file(path) as raw:
-            parquet.write_table(pyarrow.table(dict(zip(names, arrays, strict=True))), raw)
-        if progress is not None:
-            progress(len(recording.time_s))
-        return
-    with atomic_file(path) as raw, compressed_by_name(path, raw, _COMPRESSION) as file:
-        file.write(f"{','.join(names)}\n".encode("ascii"))
-        for begin in range(0, len(recording.time_s), _ROWS_PER_WRITE):
-            cells = [_texts(column[begin : begin + _ROWS_PER_WRITE]) for column in columns]
-            file.write("".join(f"{row}\n" for row in map(",".join, zip(*cells, strict=True))).encode("ascii"))
-            if progress is not None:
-                progress(len(cells[0]))
-
-
-def _texts(values: Array) -> list[str]:
-    """Return the shortest text of each value from which the same number is read; "" for NaN."""
-    texts = list(map(repr, values.tolist()))
-    for row in np.flatnonzero(np.isnan(values)).tolist():
-        texts[row] = ""
-    return texts
 
 
 class _Importer:

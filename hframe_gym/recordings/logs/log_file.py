@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..file_limits import refuse_expansion
+from ...errors import InputError
+from ...file_limits import refuse_expansion
+from ..quantities import Meaning, is_unit, meaning_of, normalize_unit, split_unit
+from ..table_file import open_parquet, parquet_numbers, read_parquet_column
+from ..text_format import detect_format
+from ..text_reader import Progress, read_columns
 from .foreign_files import FOREIGN_SUFFIXES, is_json, refuse_foreign_file
-from .quantities import Meaning, is_unit, meaning_of, normalize_unit, split_unit
 from .sysid_json import SysIdTest, is_sysid_file, read_tests
-from .table_file import open_parquet, parquet_numbers, read_parquet_column
-from .text_format import detect_format
-from .text_reader import Progress, read_columns
 
 LOG_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".lvm", ".mat", ".parquet")
 

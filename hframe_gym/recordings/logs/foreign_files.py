@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ..errors import InputError
+from ...errors import InputError
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _AS_CSV = "export its signals as CSV"

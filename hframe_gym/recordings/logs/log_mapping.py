@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ..errors import InputError
-from ..machine import Machine
-from ..operating_system import quoted
+from ...errors import InputError
+from ...machine import Machine
+from ...operating_system import quoted
+from ..quantities import QUANTITIES, normalize_unit
 from .log_file import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
 from .measurement_units import (
     ALL_SPEED_UNITS,
@@ -23,7 +24,6 @@ from .measurement_units import (
     wrong_unit_message,
 )
 from .possible_maps import obstacle
-from .quantities import QUANTITIES, normalize_unit
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
