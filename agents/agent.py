@@ -193,7 +193,6 @@ class Agent(Controller):
         """Return a warning if an evaluation differs from the agent's training in machine, control period or sensors.
 
         Args:
-            machine: Machine of the evaluation.
             period: Control period of the evaluation, s.
             sensors: What the agent observes in the evaluation: "state", or a sensor suite or its name.
 
@@ -337,10 +336,6 @@ def _counted(count: int, noun: str) -> str:
 
 def same_parameters(machine: Machine, other: Machine) -> bool:
     """Return whether two machines have the same parameters with equal values.
-
-    Args:
-        machine: A machine.
-        other: Another one.
 
     Returns:
         True if names and order are equal and values differ by at most a fraction of 1e-9, which rounding explains.

@@ -185,9 +185,6 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 def read_training_card(file: Path) -> dict[str, Any]:
     """Read settings and results of a training run that is to be resumed, and check the entries that are used.
 
-    Args:
-        file: The file card.json of the run.
-
     Returns:
         Content of the file. It has the keys `recipe`, `task`, `seed`, `kept` (number of steps after which the policy
         was kept) and `curve` (learning curve: one dictionary of numbers per evaluation).
@@ -234,9 +231,6 @@ def refuse_unsigned(path: Path) -> None:
     """Raise an error unless this installation wrote a checkpoint and nothing has changed it since.
 
     Call it before a checkpoint is loaded, because loading executes code that the file contains.
-
-    Args:
-        path: File that `sign_checkpoint` signed.
 
     Raises:
         InputError: If the file has no signature, or one of another installation, or was changed since.

@@ -82,7 +82,6 @@ def feature_parameters(
     The features of a policy can include voltages of model-based controllers, which are linear in the observation.
 
     Args:
-        machine: Machine with a workspace.
         period: Control period, s.
         transfers: For a fixed goal: durations of the minimum-energy transfers (motions to rest at the goal) whose first
             voltages are features, in control periods beyond the shortest transfer (0). Default: none.

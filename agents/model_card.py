@@ -92,9 +92,6 @@ def episode_costs(episodes: Episodes) -> Array:
     error. Along a path it is the sum of the rms contour error and the rms tracking error; the contour error alone
     would be zero for a tool that never leaves its start.
 
-    Args:
-        episodes: B recorded episodes.
-
     Returns:
         Costs, s for a fixed goal, mm for a moving goal, shape (B,).
     """

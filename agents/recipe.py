@@ -139,7 +139,6 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
     """Raise an error if a recipe uses longer transfers (motions to rest at the goal) than a machine's workspace allows.
 
     Args:
-        recipe: Settings of a training run.
         machine: Machine on which it is to train.
         task: Name of the task.
 
@@ -166,7 +165,6 @@ def build_task(recipe: Recipe, name: str) -> Task:
     """Build the task of a training run with the recipe's settings.
 
     Args:
-        recipe: Settings of the training run.
         name: Name of a registered task, or `module:name`.
 
     Returns:

@@ -113,9 +113,6 @@ class ZipSource(ControllerSource):
     def describe(scenario: Scenario) -> str:
         """Describe the names that this source accepts.
 
-        Args:
-            scenario: Not used.
-
         Returns:
             A phrase that completes the error message "controller 'x' is unknown; choose ...".
         """

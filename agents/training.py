@@ -205,11 +205,7 @@ class _Run:
         return model
 
     def _load_checkpoint(self, trust: bool) -> Any:
-        """Load the folder's checkpoint: model, environment, random numbers, and the learning curve into the card.
-
-        Args:
-            trust: Whether to load it also if this installation did not write it.
-        """
+        """Load the folder's checkpoint: model, environment, random numbers, and the learning curve into the card."""
         complete_commit(self.folder)
         card_file, checkpoint, environment, replay = (self.folder / name for name in RESUME_FILES)
         for file in (card_file, checkpoint, environment):

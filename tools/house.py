@@ -1,9 +1,9 @@
-"""Measure how readable and how well cut the package is: words, module and function sizes, docstring sections.
+"""Measure how readable and how well cut the package is: words, module and function sizes, docstrings.
 
     python -m tools.house [--list]
 
-`--list` also prints every word that counts, every docstring that lacks a section, and every array without a shape and
-number without a unit in a docstring. tests/test_house.py holds the limits on these. Sizes are printed, not limited: a
+`--list` also prints every word that counts, every function without docstring, and every array without a shape and
+number without a unit. tests/test_house.py holds the limits on these. Sizes are printed, not limited: a
 module is one idea and a function does one thing, with the length that this needs.
 """
 
@@ -24,6 +24,7 @@ MAX_WORDS_PER_1000_LINES = 5.0
 
 _WORD = re.compile(rf"\b({'|'.join(WORDS)})\b", re.IGNORECASE)
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
+_Documented = ast.Module | ast.ClassDef | _Function
 # Decorated functions that read as attributes, or whose documentation is elsewhere.
 _EXEMPT_DECORATORS = ("property", "cached_property", "overload", "setter", "override")
 _COMMAND_DECORATORS = ("command", "callback")  # Typer prints the docstring; each option has its help text
@@ -66,72 +67,64 @@ class Function:
             part.startswith("_") for part in (*self.name.split("."), self.path.stem.removeprefix("__init__"))
         )
 
-    def missing_sections(self) -> list[str]:
-        """Return the docstring sections that the signature calls for and the docstring lacks.
+    @property
+    def inherits(self) -> bool:
+        """Return whether the function is marked as an override, whose contract is that of the base class."""
+        return "override" in self._decorators()
 
-        Returns:
-            Some of "docstring", "Args" and "Returns".
-        """
-        decorators = {_last_name(decorator) for decorator in self.node.decorator_list}
-        if decorators.intersection(_EXEMPT_DECORATORS):
-            return []
-        docstring = ast.get_docstring(self.node)
-        if docstring is None:
-            return ["docstring"]
-        if decorators.intersection(_COMMAND_DECORATORS):
-            return []
-        missing = []
-        if self._arguments() and not re.search(r"^Args:$", docstring, re.MULTILINE):
-            missing.append("Args")
-        if self._returns_value() and not re.search(r"^(Returns|Yields):$", docstring, re.MULTILINE):
-            missing.append("Returns")
-        return missing
+    @property
+    def needs_docstring(self) -> bool:
+        """Return whether the function must have a docstring and has none."""
+        exempt = self._decorators().intersection(_EXEMPT_DECORATORS)
+        return not exempt and ast.get_docstring(self.node) is None
 
     def vague_entries(self, array_classes: Collection[str] = ()) -> list[str]:
-        """Return the entries of the docstring that describe an array without a shape or a float without a unit.
+        """Return the arrays of which the docstring states no shape, and the numbers of which it states no unit.
 
-        A parameter without annotation counts as an array. Parameters and results without an entry do not count.
+        An argument is described by its entry in Args, or in the text if this names it in backquotes; a result by
+        Returns, or by the text. A named type of `hframe_gym.arrays` states shape and unit itself. An override may
+        leave out what the base class says. A parameter without annotation counts as an array.
 
         Args:
             array_classes: Names of classes that hold arrays; a result of such a class must state a shape as well.
 
         Returns:
-            Entries as "name: no shape", "name: no unit"; the name is "Returns" for results and properties.
+            Entries as "name: no shape", "name: no unit", "name: not described"; the name is "Returns" for results and
+            properties.
         """
-        decorators = {_last_name(decorator) for decorator in self.node.decorator_list}
         docstring = ast.get_docstring(self.node)
-        if docstring is None or decorators.intersection(_COMMAND_DECORATORS):
+        if docstring is None or self._decorators().intersection(_COMMAND_DECORATORS):
             return []
-        annotation = ast.unparse(self.node.returns) if self.node.returns else "Array"
-        if decorators.intersection(_PROPERTY_DECORATORS):
-            described = {"Returns": (annotation, docstring)}
-        else:
-            entries = _entries(_section(docstring, "Args"))
-            described = {x.arg: (_annotation(x), entries.get(x.arg, "")) for x in self._arguments()}
-            result = _section(docstring, "Returns") or _section(docstring, "Yields")
-            described["Returns"] = (annotation, result)
         prose = re.split(r"^(?:Args|Returns|Yields|Raises):$", docstring, flags=re.MULTILINE)[0]
+        entries = _entries(_section(docstring, "Args"))
         vague = []
-        for name, (annotated, text) in described.items():
+        if not self._decorators().intersection(_PROPERTY_DECORATORS):
+            for x in self._arguments():
+                annotated = _annotation(x)
+                text = entries.get(x.arg) or (prose if f"`{x.arg}`" in prose else "")
+                is_array = _ARRAY.search(annotated) is not None
+                if text:
+                    vague += _lacking(x.arg, text, is_array and "shape (" not in prose, annotated)
+                elif (is_array or _NUMBER.fullmatch(annotated)) and not self.inherits:
+                    vague.append(f"{x.arg}: not described")
+        result = _section(docstring, "Returns") or _section(docstring, "Yields")
+        if result or not self.inherits:
+            annotated = ast.unparse(self.node.returns) if self.node.returns else "Array"
             is_array = _ARRAY.search(annotated) is not None
-            if name == "Returns" and "cli" not in self.path.parts:  # the tables of the command line are those of rich
+            if "cli" not in self.path.parts:  # the tables of the command line are those of rich
                 is_array |= not set(re.findall(r"\w+", annotated)).isdisjoint(array_classes)
-            if text and is_array and "shape" not in text and "shape (" not in prose:
-                vague.append(f"{name}: no shape")
-            elif text and _NUMBER.fullmatch(annotated) and not _UNIT.search(" ".join(text.split())):
-                vague.append(f"{name}: no unit")
+            vague += _lacking("Returns", result or prose, is_array and "shape (" not in prose, annotated)
         return vague
+
+    def _decorators(self) -> set[str]:
+        """Return the last parts of the names of the decorators."""
+        return {_last_name(decorator) for decorator in self.node.decorator_list}
 
     def _arguments(self) -> list[ast.arg]:
         """Return the documented parameters: all but self, cls and those with a leading underscore."""
         a = self.node.args
         every = [*a.posonlyargs, *a.args, *a.kwonlyargs, *(x for x in (a.vararg, a.kwarg) if x)]
         return [x for x in every if x.arg not in ("self", "cls") and not x.arg.startswith("_")]
-
-    def _returns_value(self) -> bool:
-        """Return whether the annotation promises a value."""
-        returns = self.node.returns
-        return returns is not None and ast.unparse(returns) not in ("None", "NoReturn", "Never")
 
 
 @dataclass
@@ -144,8 +137,8 @@ class House:
         modules: Number of lines by module of hframe_gym without effects/, agents and the packages' __init__ files.
         packages: Number of lines by __init__ file of the same packages.
         module_lines: Number of lines by module, all of them.
+        docstring_lines: Number of lines of docstrings by module.
         functions: All functions and methods that are not nested in a function.
-        bases: Names of the base classes by the name of a class.
         array_classes: Names of the classes with a field that is annotated as an array.
     """
 
@@ -154,8 +147,8 @@ class House:
     modules: dict[Path, int] = field(default_factory=dict)
     packages: dict[Path, int] = field(default_factory=dict)
     module_lines: dict[Path, int] = field(default_factory=dict)
+    docstring_lines: Counter[Path] = field(default_factory=Counter)
     functions: list[Function] = field(default_factory=list)
-    bases: dict[str, list[str]] = field(default_factory=dict)
     array_classes: set[str] = field(default_factory=set)
 
     @property
@@ -165,7 +158,7 @@ class House:
 
     @property
     def public_functions(self) -> list[Function]:
-        """Return the public functions that need all sections.
+        """Return the public functions whose docstrings must state shapes and units.
 
         Effects document their formulas in one line each; the formulas of registers have the contract of the functions
         of the same name in `elementwise`.
@@ -176,16 +169,20 @@ class House:
 
     @property
     def undocumented(self) -> list[str]:
-        """Return the public functions whose docstring lacks a section as "path:line: name lacks ...".
+        """Return the public functions without a docstring as "path:line: name"; overrides inherit theirs."""
+        return [_where(f) for f in self.public_functions if f.needs_docstring]
 
-        A method with a docstring inherits the sections of the base class's method.
-        """
-        complete = {f.name for f in self.public_functions if not f.missing_sections()}
-        return [
-            f"{_where(f)} lacks {', '.join(missing)}"
-            for f in self.public_functions
-            if (missing := f.missing_sections()) and (missing == ["docstring"] or not self._inherits(f.name, complete))
-        ]
+    @property
+    def docstring_shares(self) -> dict[str, tuple[int, int]]:
+        """Return the numbers of lines and of docstring lines by package, and of all under "total"."""
+        shares: Counter[str] = Counter()
+        totals: Counter[str] = Counter()
+        for path, count in self.module_lines.items():
+            room = "/".join(path.parts[:2]) if len(path.parts) > 2 else path.parts[0]
+            for name in (room, "total"):
+                totals[name] += count
+                shares[name] += self.docstring_lines[path]
+        return {name: (totals[name], shares[name]) for name in totals}
 
     @property
     def vague(self) -> list[str]:
@@ -195,14 +192,6 @@ class House:
             for f in self.public_functions
             if (vague := f.vague_entries(self.array_classes))
         ]
-
-    def _inherits(self, name: str, complete: set[str]) -> bool:
-        """Return whether a base class of this repository has a completely documented method of the same name."""
-        class_name, _, method = name.rpartition(".")
-        return any(
-            f"{base}.{method}" in complete or self._inherits(f"{base}.{method}", complete)
-            for base in self.bases.get(class_name, ())
-        )
 
 
 def measure(root: Path = ROOT) -> House:
@@ -227,8 +216,9 @@ def measure(root: Path = ROOT) -> House:
         tree = ast.parse(text)
         house.functions += [Function(relative, name, node) for name, node in _functions(tree)]
         for node in ast.walk(tree):
+            if isinstance(node, _Documented) and ast.get_docstring(node) is not None:
+                house.docstring_lines[relative] += (node.body[0].end_lineno or 0) - node.body[0].lineno + 1
             if isinstance(node, ast.ClassDef):
-                house.bases[node.name] = [_last_name(base) for base in node.bases]
                 fields = [ast.unparse(item.annotation) for item in node.body if isinstance(item, ast.AnnAssign)]
                 if any(map(_ARRAY.search, fields)):
                     house.array_classes.add(node.name)
@@ -255,6 +245,15 @@ def _functions(tree: ast.Module | ast.ClassDef, prefix: str = "") -> Iterator[tu
             yield from _functions(node, f"{prefix}{node.name}.")
         elif isinstance(node, _Function):
             yield prefix + node.name, node
+
+
+def _lacking(name: str, text: str, is_array: bool, annotated: str) -> list[str]:
+    """Return "name: no shape" or "name: no unit" if the text lacks what the annotation calls for."""
+    if is_array and "shape" not in text:
+        return [f"{name}: no shape"]
+    if _NUMBER.fullmatch(annotated) and not _UNIT.search(" ".join(text.split())):
+        return [f"{name}: no unit"]
+    return []
 
 
 def _annotation(argument: ast.arg) -> str:
@@ -299,7 +298,9 @@ def main() -> None:
     print(f"in hframe_gym without effects/: {len(house.modules)} modules, {len(house.packages)} package __init__ files")
     print(f"longest modules: {', '.join(f'{path} {count}' for path, count in longest)}")
     print(f"longest functions: {', '.join(f'{_where(f)} {f.lines}' for f in long_functions)}")
-    print(f"public functions that lack a section: {len(house.undocumented)} of {len(house.public_functions)}")
+    shares = sorted(house.docstring_shares.items(), key=lambda item: -item[1][0])
+    print(f"docstrings: {', '.join(f'{room} {100 * part / count:.0f} % of {count}' for room, (count, part) in shares)}")
+    print(f"public functions without docstring: {len(house.undocumented)} of {len(house.public_functions)}")
     print(f"public functions with an array without shape or a number without unit: {len(house.vague)}")
     if arguments.list:
         for entry in (*house.words, *house.undocumented, *house.vague):

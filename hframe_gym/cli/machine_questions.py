@@ -133,7 +133,6 @@ def file_obstacle(path: Path, force: bool) -> str:
     """Return the reason why a new machine cannot be written to a file: wrong ending, or the file exists.
 
     Args:
-        path: File that the user has named.
         force: Whether an existing file is replaced.
 
     Returns:
@@ -146,9 +145,6 @@ def file_obstacle(path: Path, force: bool) -> str:
 
 def motion_lines(machine: Machine) -> list[str]:
     """Describe moved mass, stall force and top speed at rated voltage; implausible values reveal a wrong unit.
-
-    Args:
-        machine: The new machine.
 
     Returns:
         One line with units per rigid motion (one that stretches no belt), for example along x and along y.

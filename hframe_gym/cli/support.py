@@ -76,7 +76,6 @@ def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
 
     Args:
         recordings: Runs of the folder (times, s; voltages, V; measurements, m or rad).
-        folder: Folder, for the message.
 
     Raises:
         InputError: If there is a single run. The message says how to cut it into several.
@@ -272,7 +271,6 @@ def check_recordings_before_fit(
 
     Args:
         recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
-        machine: Machine as declared.
         refuse: Folder of the recordings, which the error names. None: faults are only printed.
         log: Called with a line of text for every group of similar faults, and for the number of other findings.
 

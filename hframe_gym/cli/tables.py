@@ -353,9 +353,6 @@ def _limits_table(machine: Machine) -> Table:
 def belt_mode_line(machine: Machine) -> str:
     """Describe in one line the lowest three natural frequencies of a machine's masses on its belts, at position 0.
 
-    Args:
-        machine: Machine to describe.
-
     Returns:
         Text without a line break, with frequencies in Hz, or with the word "none" if there is no elastic belt.
     """

@@ -167,7 +167,6 @@ def check_state_units(observation: Mapping[str, NDArray[Any]], model: MotionMode
     Args:
         observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
             which have `achieved_goal`, are checked.
-        model: Model of the machine.
 
     Raises:
         InputError: If they do not fit; the message names the values.
@@ -203,7 +202,6 @@ def check_goal_units(observation: Mapping[str, NDArray[Any]], machine: Machine) 
     Args:
         observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
             which have `achieved_goal`, are checked.
-        machine: Machine with its tool axes.
 
     Raises:
         InputError: If a goal is outside.

@@ -61,7 +61,6 @@ def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
     """Estimate the time of the longest point-to-point motion in the workspace, an upper limit of planned durations.
 
     Args:
-        model: Model of the machine.
         grid: Operating points (tool positions), which span the workspace.
 
     Returns:

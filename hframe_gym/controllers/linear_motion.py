@@ -275,11 +275,6 @@ class SimulatedTransfers:
         """Compute the costates of all transfers, against a constant force on each coordinate (B, n), N.
 
         A plan with the costate c applies (A^(j-1) B)' c in the j-th period before its end.
-
-        Returns:
-            A^(j-1) B for j = 1 to the longest duration, (B, periods, 2 n, drives); the Gramians (B, K, 2 n, 2 n); and
-            the costates as a linear function of the state error, with the contribution of the force in the last column,
-            (B, K, 2 n, 2 n + 1).
         """
         A, B, E = matrices
         force_response = np.einsum("bij,bj->bi", E, force) / self._scale  # to the force in one period

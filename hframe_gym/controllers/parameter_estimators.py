@@ -142,17 +142,7 @@ class ParameterEstimator(ABC):
         """Forget the episodes of the machines (B,) that start a new one."""
 
     def _simulate(self, estimates: Array, before: Array, actions: Array) -> Array:
-        """Simulate R control periods with given estimates, and again with each of them changed by `difference`.
-
-        Args:
-            estimates: Estimates of the machine of each period, shape (R, size).
-            before: States at the starts of the periods, m and m/s, shape (R, 2 n).
-            actions: Voltages that follow each other in a period, divided by the rated ones, shape (R, 1 or 2, drives).
-
-        Returns:
-            States at the ends of the periods in units of `state_std`, first with the given estimates, then with the
-            changed ones, shape (1 + size, R, 2 n).
-        """
+        """Simulate R control periods with given estimates, and again with each of them changed by `difference`."""
         variants = 1 + self.size
         varied = np.tile(estimates, (variants, 1, 1))
         varied[1:] += self.difference * np.eye(self.size)[:, None]

@@ -253,16 +253,7 @@ class _PathPlanner:
     def command(
         self, state: Array, goals: Array, parameters: Array, offset: Array, inversion: InputInversion, starts: Mask
     ) -> Array:
-        """Return the commanded voltages of the present period, V, shape (B, drives).
-
-        Args:
-            state: Belt travel and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals now and at the ends of the next H periods, m, shape (B, 1 + H, axes).
-            parameters: Parameters of the machines, SI, shape (B, P).
-            offset: Voltages that act beside the commanded ones, V, shape (B, drives).
-            inversion: Characteristics of the drives.
-            starts: True for machines whose episode starts, shape (B,).
-        """
+        """Return the commanded voltages of the present period, V, shape (B, drives)."""
         if len(self._volts) != len(state):
             self._volts = np.zeros((len(state), self.horizon, len(self._rated)))
         self._volts[starts] = 0.0

@@ -36,9 +36,6 @@ def effect_instances(machine: Machine) -> list[EffectInstance]:
 
     An effect on all belts, for example, has one instance per belt.
 
-    Args:
-        machine: Machine with its effects.
-
     Returns:
         One `EffectInstance` (effect, component, indices of its coordinates) per effect and component, in the order of
         the machine's effects, and for each in the order of the machine's components.
@@ -60,9 +57,6 @@ def instances_with_state(machine: Machine) -> list[EffectInstance]:
 
     An instance is an effect (deviation from the nominal model) on one component; an effect on all belts has one per
     belt.
-
-    Args:
-        machine: Machine with its effects.
 
     Returns:
         The instances in the order in which their states follow positions and velocities in an initial state.

@@ -97,7 +97,6 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
     Machines that differ only in parameter values get the same functions. The compiled code is kept on disk.
 
     Args:
-        machine: The machine.
         forced: Whether the function that simulates a recording (`Kernel.rollout`) takes, besides the voltages, an
             external force on every coordinate.
 
@@ -138,7 +137,6 @@ def is_generated(machine: Machine, *, forced: bool) -> bool:
     """Return whether `kernel_for` can return the simulation functions of a machine without generating source code.
 
     Args:
-        machine: The machine.
         forced: Whether the functions take an external force on every coordinate.
 
     Returns:

@@ -129,7 +129,6 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     integrator diverge. The stiffness is that at position 0.
 
     Args:
-        machine: Machine with its belts.
         longest_step: Largest step, s, that the inputs and the friction permit.
 
     Returns:

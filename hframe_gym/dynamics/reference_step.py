@@ -123,16 +123,7 @@ def _acceleration(equations: Equations, i: int, v: float, balance: ForceBalance)
 
 
 def _flow(v: float, f: float, level: float, viscous: Sequence[float], m: float, h: float) -> tuple[float, float]:
-    """Return speed and travel after the time h of m dv/dt = f - b v - F sign v.
-
-    Args:
-        v: Speed, m/s.
-        f: Force without friction, N.
-        level: Coulomb friction force F, N.
-        viscous: Viscous coefficients, Ns/m, of the present and of the opposite direction of motion.
-        m: Mass, kg.
-        h: Time, s.
-    """
+    """Return speed and travel after the time h of m dv/dt = f - b v - F sign v."""
     net = f - _friction(v, f, level)
     speed, travel = _exponential(v, net, viscous[0], m, h)
     if speed * v >= 0.0:

@@ -117,7 +117,6 @@ def rollout_kernel(
     arrays can have more parameters and states than the machine. `share_kernel` prepares such functions.
 
     Args:
-        machine: The machine.
         parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P) for B variants of the machine.
         start: Belt travel (position, or radius * angle of a pulley), m, its rate, m/s, and states of effects at the
             first sample, shape (B, 2 * coordinates + effect states).

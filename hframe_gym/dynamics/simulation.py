@@ -77,9 +77,6 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 def parameter_batch(machine: Machine) -> Array:
     """Return the parameters of a machine as an array, a batch of one machine.
 
-    Args:
-        machine: The machine.
-
     Returns:
         Values of the P parameters in the order of `Machine.parameters`, SI, shape (1, P).
     """
@@ -228,7 +225,6 @@ def simulate(
     Inputs are held from each sample until the next (zero-order hold).
 
     Args:
-        machine: Machine to simulate.
         time_s: Times of n samples, s, strictly increasing, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,). The

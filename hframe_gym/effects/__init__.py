@@ -80,7 +80,6 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
 
     Args:
         effect: Definition of the effect.
-        machine: The machine.
 
     Returns:
         Names of coordinates, drives, belts or sensor channels, depending on the kind of the effect. The word "drives",

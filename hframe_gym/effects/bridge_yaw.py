@@ -28,9 +28,6 @@ def fits(machine: Machine) -> bool:
 
     The bridge must move along the first axis, which then has the larger mass, because the bridge carries the cart.
 
-    Args:
-        machine: The machine.
-
     Returns:
         True if the effect can be added.
     """
@@ -44,7 +41,6 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     """Add the coordinate `yaw`, its part in the extension of the belts, and the product y yaw to sensors that read x.
 
     Args:
-        machine: Machine without the coordinate.
         effect: This effect with the parameters J, kg m^2, k, Nm/rad, c, Nms, and w, m.
 
     Returns:

@@ -77,9 +77,6 @@ def lever_arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
 def fits(machine: Machine) -> bool:
     """Check whether a machine can have this effect: it needs belts.
 
-    Args:
-        machine: The machine.
-
     Returns:
         True if the machine has belts.
     """

@@ -37,9 +37,6 @@ def force(q, v, m, net, friction, f0, zeta, r, s):  # type: ignore[no-untyped-de
 def fits(machine: Machine) -> bool:
     """Check whether a machine can have this effect: it has no coordinate `frame` yet.
 
-    Args:
-        machine: The machine.
-
     Returns:
         True if the effect can be added.
     """
@@ -50,7 +47,6 @@ def fits_site(machine: Machine, site: str) -> bool:
     """Check whether the effect can act along a coordinate: a linear one that a sensor measures.
 
     Args:
-        machine: The machine.
         site: Name of the coordinate.
 
     Returns:
@@ -63,7 +59,6 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     """Add the coordinate of the frame, and its displacement to the readings of the sensors of the carriage.
 
     Args:
-        machine: Machine without the coordinate.
         effect: This effect; its site is the coordinate of the carriage.
 
     Returns:

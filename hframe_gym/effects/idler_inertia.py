@@ -58,9 +58,6 @@ def _roles(machine: Machine) -> dict[str, str]:
 def fits(machine: Machine) -> bool:
     """Check whether a machine can have this effect: the belts of the 8th-order model, no ties, and no name in use.
 
-    Args:
-        machine: The machine.
-
     Returns:
         True if the effect can be added.
     """

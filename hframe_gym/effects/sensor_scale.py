@@ -17,9 +17,6 @@ def fits(machine: Machine) -> bool:
     The machine needs redundant sensors: more than it has rigid-body motions. If a single sensor measures an axis, a
     scale error cannot be distinguished from masses and forces that are wrong by the same factor.
 
-    Args:
-        machine: Machine with its sensors and coordinates.
-
     Returns:
         True if there are more sensors than rigid-body motions.
     """

@@ -12,7 +12,6 @@ def fits_site(machine: Machine, site: str) -> bool:
     """Check whether the effect can act on a sensor: it must measure one of exactly two linear coordinates.
 
     Args:
-        machine: The machine.
         site: Channel of the sensor, for example x_m.
 
     Returns:

@@ -43,13 +43,6 @@ class _Table:
         """Interpolate the table linearly at u; constant beyond the first and the last knot.
 
         Each piece adds its slope times the distance of u from its left knot, so that no branch is necessary.
-
-        Args:
-            u: Variable of the table, for example a position, m, or the time, s.
-            *knots_and_values: KNOTS increasing knots in the unit of u, then KNOTS values, N or Nm.
-
-        Returns:
-            Value of the curve, N or Nm.
         """
         knots, values = knots_and_values[:KNOTS], knots_and_values[KNOTS:]
         total = values[0]

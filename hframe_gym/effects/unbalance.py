@@ -8,7 +8,6 @@ def fits_site(machine: Machine, site: str) -> bool:
     """Check whether the effect can act on a coordinate: it must have an angle.
 
     Args:
-        machine: The machine.
         site: Name of the coordinate.
 
     Returns:

@@ -138,9 +138,6 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
 def action_space(machine: Machine) -> spaces.Box:
     """Create the action space: the voltage of each drive as a fraction of its rated voltage.
 
-    Args:
-        machine: Machine with its drives.
-
     Returns:
         Box from -1 to 1, float32, shape (drives,).
     """
@@ -153,7 +150,6 @@ def check_actions(actions: Any, shape: tuple[int, int], machine: Machine) -> NDA
     Args:
         actions: Voltages as fractions of the rated voltages. They may exceed [-1, 1]; the actuators limit them.
         shape: Required shape, (environments, drives).
-        machine: Machine with its drives, for messages.
 
     Returns:
         Actions, float32 if they were float32, else float64, of the required shape.

@@ -46,7 +46,6 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
     angle of a pulley. Position in the unit of the coordinate = belt travel * factor.
 
     Args:
-        machine: Machine with its coordinates.
         values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order;
             further columns are ignored.
 

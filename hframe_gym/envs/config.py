@@ -257,7 +257,6 @@ def check_reset_state(given: Any, machine: Machine, workspace: Array, count: int
     Args:
         given: Positions of the n coordinates, then their velocities, in the order of `machine.coordinate_names`, m or
             rad and m/s or rad/s, shape (2 n,) for all environments, or (count, 2 n).
-        machine: Machine with its coordinates.
         workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
         count: Number of environments that are reset.
 

@@ -63,7 +63,6 @@ class ParameterSpace:
         - all others, also those of the task: at least 0.05 v; no limits if v is negative.
 
         Args:
-            machine: Machine without randomization.
             task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
 
         Returns:

@@ -228,11 +228,6 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
 
     Args:
         reward: The reward, in one of three forms:
-
-            - Name of a registered reward: "dense", "sparse", "progress" or one of a plugin.
-            - `package.module:name`: the module is imported, in order to register the name; then as above.
-            - Function of achieved and desired positions, m, float32, shape (n, axes) each, that returns rewards,
-              dimensionless, shape (n,).
         band: Distance to the goal that counts as a success, m. The object that is registered under a name is called
             with it, as `object(band)`, and returns the function. A function that is given directly does not receive it.
         axes: Number of axes of the tool, for a test call of the function.

@@ -185,9 +185,6 @@ class DeclaredSensors(SensorSuite):
     def apply(self, machine: Machine) -> Machine:
         """Return the machine itself: the sensors that it declares are used unchanged.
 
-        Args:
-            machine: Machine with its sensors.
-
         Returns:
             The same machine, not a copy.
         """
@@ -195,9 +192,6 @@ class DeclaredSensors(SensorSuite):
 
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
         """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then all other ones.
-
-        Args:
-            machine: Machine with its sensors.
 
         Returns:
             Sensors in the order of the observation.
@@ -236,7 +230,6 @@ def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
     """Return a copy of the machine whose sensors are those in the observation, as a state estimator needs it.
 
     Args:
-        machine: Machine model.
         sensors: Environment option: "state" (true state), "rig" (encoders and lasers), "machine" (declared sensors), or
             a `SensorSuite`.
 
@@ -315,7 +308,6 @@ class PositionFromSensors:
         """Derive the map from measurements to the tool position from a machine's kinematics with unstretched belts.
 
         Args:
-            machine: Machine that declares the sensors.
             sensors: The n observed sensors.
 
         Returns:

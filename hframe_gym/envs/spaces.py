@@ -51,7 +51,6 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
     """Specify the entries of an observation of the true state: positions of coordinates, then their velocities.
 
     Args:
-        machine: Machine with its coordinates.
         names: Names of coordinates. Default: the tool's axes and the driven coordinates.
 
     Returns:
@@ -106,7 +105,6 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
     A rate is the difference of the last two measurements divided by the control period.
 
     Args:
-        machine: Machine that declares the sensors.
         sensors: Observed sensors.
 
     Returns:
@@ -134,7 +132,6 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
     """Specify the entries of `privileged`, the observation array for a critic: true state, randomized parameters.
 
     Args:
-        machine: Machine with its coordinates.
         bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it can have,
             divided by its nominal value, dimensionless (SI if that is 0).
 
@@ -165,7 +162,6 @@ def observation_signals(
     """Specify the entries of all arrays of an observation, by key.
 
     Args:
-        machine: Machine with a workspace.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.
@@ -204,7 +200,6 @@ def observation_space(
     """Create the observation space of an environment without the options `normalize` and `flat`.
 
     Args:
-        machine: Machine with a workspace.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.

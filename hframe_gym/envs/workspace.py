@@ -43,7 +43,6 @@ def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[s
     length is at least `smallest_fraction` times the machine's present `rest_length` everywhere in the workspace.
 
     Args:
-        machine: Machine with its effects and belts.
         smallest_fraction: Smallest allowed unstretched length / present `rest_length`, dimensionless.
 
     Returns:
@@ -231,7 +230,6 @@ def tool_product(machine: Machine, name: str) -> tuple[int, int]:
     is then (index of yaw, index of y).
 
     Args:
-        machine: Machine with its coordinates and sensors.
         name: Axis of the tool position, "x" or "y".
 
     Returns:

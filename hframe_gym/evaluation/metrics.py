@@ -32,7 +32,6 @@ class MetricSet(Protocol):
         """Compute the metrics of B recorded episodes.
 
         Args:
-            episodes: Recorded episodes.
             bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
             seed: Seed of the bootstrap resampling.
 
@@ -88,7 +87,6 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
     An episode settles within 1, 0.2 or 0.05 mm if the tool stays within this distance of the goal until the end.
 
     Args:
-        episodes: B recorded episodes with fixed goals.
         bound_s: Shortest possible settling times within 0.2 mm, s, shape (B,), NaN where unknown; None for all unknown.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
 
@@ -198,9 +196,6 @@ def tracking_delay(episodes: Episodes) -> Array:
     """Compute the mean delay of the tool behind its moving goal in each of B episodes.
 
     The delay T minimizes the sum over the samples of |g - T g' - p|^2: goal g, its velocity g', tool position p.
-
-    Args:
-        episodes: B recorded episodes.
 
     Returns:
         Delay, s, negative if the tool leads, shape (B,); zero for a goal that does not move.

@@ -138,7 +138,6 @@ def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Pane
 
     Args:
         name: Name of the controller.
-        episodes: Recorded episodes of this controller.
         episode: Index of the episode, from 0 to the number of episodes - 1.
 
     Returns:

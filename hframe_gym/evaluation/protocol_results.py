@@ -252,9 +252,6 @@ def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
 def read_result(path: str | Path) -> ResultFile:
     """Read a result file (scores of a controller or agent in a protocol) and check that its scores are consistent.
 
-    Args:
-        path: File that `write_result` wrote.
-
     Returns:
         Content of the file: protocol, controller or agent, versions of packages, scores, and values of all episodes.
 

@@ -390,7 +390,6 @@ def period_concern(machine: Machine, period: float) -> str | None:
     A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
 
     Args:
-        machine: Machine model.
         period: Control period, s.
 
     Returns:

@@ -98,9 +98,6 @@ class MachineExporter(Exporter):
     def files(self, machine: Machine) -> Files:
         """Compute the contents of the files.
 
-        Args:
-            machine: Machine to describe.
-
         Returns:
             Text or bytes by file name.
 
@@ -145,9 +142,6 @@ class MachineExporter(Exporter):
     def provenance(self, machine: Machine) -> dict[str, Any]:
         """Describe where an export comes from; equal exports have equal files, so there is no date in it.
 
-        Args:
-            machine: Machine of the export.
-
         Returns:
             Name, description, hash and effects of the machine, kind and options of the export, and the version of this
             package.
@@ -170,7 +164,6 @@ class MachineExporter(Exporter):
         """Write the first lines of a text file: provenance, then further statements; printable characters only.
 
         Args:
-            machine: Machine of the export.
             *more: Further lines, for example on units.
 
         Returns:
@@ -262,9 +255,6 @@ def _plain_value(value: Any) -> Any:
 def axis_range(coordinate: Coordinate) -> tuple[float, float]:
     """Return the range of a coordinate; a carriage without a range has 0.25 m to either side, a pulley one turn.
 
-    Args:
-        coordinate: Coordinate of a machine.
-
     Returns:
         Lowest and highest position, m or rad.
     """
@@ -275,7 +265,6 @@ def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.fl
     """Convert the option --at to the positions of all coordinates, with unstretched belts.
 
     Args:
-        machine: Machine.
         at: Items "AXIS=METERS" of linear coordinates; the others are at 0. None: none.
 
     Returns:

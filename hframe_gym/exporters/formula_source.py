@@ -132,9 +132,6 @@ def trace_formula(
 def parameters_of(machine: Machine) -> dict[str, Parameter]:
     """Name the parameters of a machine in source text.
 
-    Args:
-        machine: Machine.
-
     Returns:
         Parameters by full name; identifiers are unique.
     """

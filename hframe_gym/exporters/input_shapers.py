@@ -116,9 +116,6 @@ class InputShaperExporter(MachineExporter):
     def axis_modes(self, machine: Machine) -> list[AxisMode]:
         """Compute the first mode of each axis.
 
-        Args:
-            machine: Machine.
-
         Returns:
             One mode per axis of the tool.
 

@@ -82,7 +82,6 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     """Linearize a machine, with its effects, about rest.
 
     Args:
-        machine: Machine.
         position: Position of every coordinate with unstretched belts, m or rad, shape (coordinates,).
 
     Returns:

@@ -130,9 +130,6 @@ def model_xml(
 def tool_coordinates(machine: Machine) -> list[Coordinate]:
     """Return the coordinates of the tool axes of a machine that consists of a tool and pulleys.
 
-    Args:
-        machine: Machine.
-
     Returns:
         One or two coordinates, in the order of the tool's axes.
 
@@ -170,7 +167,6 @@ def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:
     """Compute the stiffness of the belts at an operating point, without effects.
 
     Args:
-        machine: Machine.
         position: Position of every coordinate, m or rad, shape (coordinates,); None: all zero.
 
     Returns:

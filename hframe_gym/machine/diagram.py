@@ -25,9 +25,6 @@ def draw_machine(machine: Machine) -> Any:
     each belt (extension per travel of the coordinate, m/m), drive (force or torque per volt, N/V or Nm/V) and sensor
     (coefficient of the coordinate in the reading).
 
-    Args:
-        machine: Machine to draw.
-
     Returns:
         Figure of matplotlib; its method `savefig` writes a file.
 

@@ -187,9 +187,6 @@ class Effect:
 
         The further conditions `fits` and `fits_site` are not checked.
 
-        Args:
-            machine: Machine whose components are listed.
-
         Returns:
             Names of coordinates, drives, belts or sensor channels. "drives" and "belts" stand for all drives or belts
             at once, "machine" for the whole machine. Empty if the machine has no such component.
@@ -272,9 +269,6 @@ class AppliedEffect:
     def components(self, machine: Machine) -> tuple[str, ...]:
         """Return the components of a machine on which the effect (deviation from the nominal model) acts.
 
-        Args:
-            machine: Machine that has the site.
-
         Returns:
             The site itself if it is one component. All drives for the site "drives", all belts for "belts", all
             coordinates for "machine"; but ("machine",) for an effect that adds components (`Effect.structure`).
@@ -300,9 +294,6 @@ class AppliedEffect:
 
     def check_site(self, machine: Machine) -> None:
         """Raise an error if a machine lacks the component on which the effect acts, or has the effect there already.
-
-        Args:
-            machine: Machine without the effect.
 
         Raises:
             ValueError: If the machine has no such coordinate, drive, belt or sensor channel (the message lists the

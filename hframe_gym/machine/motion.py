@@ -45,7 +45,6 @@ class Simulator(Protocol):
         """Simulate a machine over a voltage history.
 
         Args:
-            machine: Machine to simulate.
             time_s: Times of n samples, s, strictly increasing, shape (n,).
             inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
             initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
@@ -93,7 +92,6 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     extensions is minimal. Coordinates that a spring holds, such as the yaw of a bridge, are zero.
 
     Args:
-        machine: Machine with its coordinates and belts.
         position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
             value applies to all of them. Default: zeros.
 
@@ -140,9 +138,6 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
     In each motion one linear coordinate leads, and others follow so that all belts keep their length: the pulleys, or
     in a machine without pulleys the other carriages. In a machine without belts each coordinate moves alone.
     Coordinates that a spring holds, such as the yaw of a bridge, do not move.
-
-    Args:
-        machine: Machine with its coordinates and belts.
 
     Returns:
         Motions by name of the leading coordinate: motion of every coordinate per unit of the leading one (m or rad per

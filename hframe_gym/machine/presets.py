@@ -86,7 +86,6 @@ def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Ma
     """Return a copy of a machine whose belt stiffness does not depend on the position, as in a linear model.
 
     Args:
-        machine: Machine with belts.
         stiffness: Stiffness of every belt of the machine by belt name, N/m.
 
     Returns:

@@ -16,9 +16,6 @@ Array = NDArray[np.float64]
 def terms_of_table(table: AppliedEffect) -> tuple[Term, ...]:
     """Return the terms that a formula for a table (force or friction level over one variable) may contain.
 
-    Args:
-        table: The table at its site.
-
     Returns:
         Terms for the table's variable, see `terms_of`.
     """
@@ -30,7 +27,6 @@ def curve_of_table(table: AppliedEffect, machine: Machine) -> Curve:
     """Return the values of a table (force or friction level over one variable) with their covariance.
 
     Args:
-        table: The table at its site.
         machine: Machine with the table, and with the uncertainty of its parameters where it is known.
 
     Returns:
@@ -52,9 +48,6 @@ def _friction_basis(table: AppliedEffect, knots: Array) -> Array:
     """Return the curves by which the Coulomb and viscous friction of the coordinate can change a table's values.
 
     The recordings determine the sum of friction and table only, so that formulas need not explain these curves.
-
-    Returns:
-        Values of the curves at the knots, shape (knots, curves).
     """
     of_speed = table.definition.against == f"velocity of {table.site}"
     if table.name.startswith("smooth_friction"):

@@ -1,0 +1,52 @@
+"""Array types that occur in many signatures, with shape and unit stated once.
+
+The names are annotations for readers; a type checker only sees arrays of floats. Letters in shapes: B machines that
+are simulated side by side, n coordinates of a machine, P parameters, N samples; "axes" are those of the tool. Belt
+travel and other terms are defined in docs/glossary.md.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+"""Floats; the docstring of the function states shape and unit."""
+
+Mask: TypeAlias = NDArray[np.bool_]
+"""True for the selected machines, shape (B,)."""
+
+Index: TypeAlias = NDArray[np.intp]
+"""Indices of machines or environments, ascending, shape (k,)."""
+
+Times: TypeAlias = NDArray[np.float64]
+"""Sample times, s, strictly increasing, shape (N,)."""
+
+ElapsedTimes: TypeAlias = NDArray[np.float64]
+"""Time since the start of the episode of each machine, s, shape (B,)."""
+
+Volts: TypeAlias = NDArray[np.float64]
+"""Voltage of each drive, V, shape (B, drives)."""
+
+Actions: TypeAlias = NDArray[np.float64]
+"""Voltages divided by the rated voltages, in [-1, 1], shape (B, drives)."""
+
+ToolPositions: TypeAlias = NDArray[np.float64]
+"""Positions of the tool, m, shape (B, axes)."""
+
+PreviewedGoals: TypeAlias = NDArray[np.float64]
+"""Tool goals, m, shape (B, 1 + H, axes): now, then at the ends of the next H periods. H = 0: the goal does not move."""
+
+TravelStates: TypeAlias = NDArray[np.float64]
+"""Belt travel of the coordinates, m, then its velocity, m/s, shape (B, 2 n)."""
+
+CoordinateForces: TypeAlias = NDArray[np.float64]
+"""Force on each coordinate, N, positive in the direction of increasing belt travel, shape (B, n)."""
+
+ParameterRows: TypeAlias = NDArray[np.float64]
+"""Parameters of each machine in the order of `Machine.parameters`, SI, shape (B, P)."""
+
+Workspace: TypeAlias = NDArray[np.float64]
+"""Workspace of the tool: one row per axis, columns low and high, m, shape (axes, 2)."""
