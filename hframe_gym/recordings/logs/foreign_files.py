@@ -11,7 +11,6 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _AS_CSV = "export its signals as CSV"
 # By the bytes with which a file begins: what it is, and what to do.
 _BY_START: tuple[tuple[bytes, str, str], ...] = (
-    (b"WPILOG", "is a WPILib data log", "export it as CSV with AdvantageScope (File, Export Data) or DataLogTool"),
     (b"\x89MCAP0\r\n", "is an MCAP file", f"{_AS_CSV}, with PlotJuggler or Foxglove"),
     (b"#ROSBAG", "is a ROS bag", f"{_AS_CSV}: rostopic echo -b FILE -p TOPIC, or with PlotJuggler"),
     (b"SQLite format 3\0", "is a database (such as a ROS 2 bag)", f"{_AS_CSV}, a ROS 2 bag with PlotJuggler"),
@@ -23,7 +22,7 @@ _BY_START: tuple[tuple[bytes, str, str], ...] = (
 )
 # Endings of files in a folder that are probably logs but are not read, by the same kinds.
 FOREIGN_SUFFIXES = (
-    *(".xlsx", ".xls", ".xlsm", ".ods", ".wpilog", ".mcap", ".bag", ".db3", ".ulg", ".tdms", ".mf4", ".mdf", ".hdf5"),
+    *(".xlsx", ".xls", ".xlsm", ".ods", ".mcap", ".bag", ".db3", ".ulg", ".tdms", ".mf4", ".mdf", ".hdf5"),
     *(".h5", ".json", ".jsonl"),
 )
 # An object, or a list of texts, lists, objects or numbers; a row of units begins with "[-]" or "[1]".

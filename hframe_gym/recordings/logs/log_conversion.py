@@ -17,8 +17,8 @@ from ..table_file import Array, refuse_decreasing_times
 from ..text_reader import Progress
 from ..wrapping import find_wrap, known_moduli, unwrapped
 from ..wrong_units import WrongUnitError
+from .log import ROW_NUMBER, Log
 from .log_clock import continued_counter, continued_over_midnight, repair_of_times
-from .log_file import ROW_NUMBER, Log
 from .log_mapping import ChannelSource
 from .measurement_units import TIME, Conversion, channel_dimension
 

@@ -22,8 +22,9 @@ from ..cleaning import GAP_PERIODS
 from ..recording import Recording, run_name, write_recording
 from ..table_file import SUFFIXES, Array
 from ..text_reader import Progress, cumulative
+from .log import Log, headers_text
 from .log_conversion import LogConverter, split_at_rests
-from .log_file import Log, find_logs, headers_text, log_name, open_logs
+from .log_files import find_logs, log_name, log_size, open_logs
 from .log_mapping import ChannelSource, MappingOptions, map_columns
 from .measurement_units import channel_dimension
 
@@ -94,7 +95,7 @@ def import_logs(
     if other_files:
         log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
     # Each byte counts twice: once for reading, once for writing, which take about as long.
-    total = 2 * sum(path.stat().st_size for path in paths)
+    total = 2 * sum(map(log_size, paths))
     importer = _Importer(machine, settings, log, cumulative(progress, total))
     written: list[Path] = []
     with output_batch(folder):
@@ -180,14 +181,16 @@ class _Importer:
         """Convert a file and yield its runs, one log of the file after the other."""
         logs = open_logs(path)
         for log in logs:
-            yield from self._runs_of(log, path.stat().st_size / len(logs))
+            yield from self._runs_of(log, log_size(path) / len(logs))
 
     def _runs_of(self, log: Log, size: float) -> list[Recording]:
         """Convert a log, which takes a size in bytes of its file, and return its runs."""
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._log_mapping(log, sources)
         recording, remarks = self._converter.convert(log, sources, self._progress)
-        recording = dataclasses.replace(recording, name="_".join(filter(None, (log_name(log.path), log.part))))
+        recording = dataclasses.replace(
+            recording, name=log.run or "_".join(filter(None, (log_name(log.path), log.part)))
+        )
         self._bytes_per_row = size / len(recording.time_s)
         remarks += _clock_remarks(recording.time_s)
         runs = [recording]

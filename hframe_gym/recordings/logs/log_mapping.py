@@ -9,7 +9,7 @@ from ...errors import InputError
 from ...machine import Machine
 from ...operating_system import quoted
 from ..quantities import QUANTITIES, normalize_unit
-from .log_file import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
+from .log import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
 from .measurement_units import (
     ALL_SPEED_UNITS,
     SI_UNITS,
@@ -125,11 +125,13 @@ class _LogMapping:
         self._refuse_back_emf()
         times = self._time_columns()
         columns = self._assigned_columns(times)
+        time_of = {column.header: self._time_of(column, times) for column in columns.values() if column is not None}
+        times = [*times, *(time for time in self.log.times if time in time_of.values())]
         time_sources = {time.header: self._source(TIME, time, None) for time in times}
         sources = []
         for channel in self.channels:
             column = columns[channel]
-            time_source = time_sources[self._time_of(column, times).header] if column is not None else None
+            time_source = time_sources[time_of[column.header].header] if column is not None else None
             sources.append(self._source(channel, column, time_source))
         used_times = [source.time for source in sources]
         if any(time not in used_times for time in time_sources.values()):
@@ -158,9 +160,12 @@ class _LogMapping:
     def _time_columns(self) -> list[LogColumn]:
         """Return the columns of time: those that the user names, or else those named like a time.
 
-        If the user states a rate, this is the row number, which is not a column of the file.
+        If the user states a rate, this is the row number, which is not a column of the file. None are returned for a
+        log in which each column states its time.
         """
         reference = self.options.columns.get(TIME)
+        if reference is None and self.log.times:
+            return []  # each column has its own
         if reference is None:
             named = [
                 column
@@ -184,7 +189,7 @@ class _LogMapping:
         columns = {channel: self._column_from_user(channel) for channel in mapped}
         self._refuse_repeated_columns(columns)
         taken = [*times, *columns.values()]
-        missing = [] if times else [TIME]
+        missing = [] if times or self.log.times else [TIME]
         for channel in [channel for channel in self.channels if channel not in columns]:
             named = [column for column in self._named_like(channel) if column not in taken]
             if len(named) == 1:
@@ -246,7 +251,10 @@ class _LogMapping:
         raise InputError(f"{self.log.path}: {_map_option(channel, reference)}: {problem}")
 
     def _time_of(self, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
-        """Return the time of a column: the one of equal length, or in a table the nearest one to its left."""
+        """Return the time of a column: the stated one, that of equal length, or in a table the nearest to its left."""
+        if column.time is not None:
+            same = [time for time in times if time.time == column.time]  # another time that the user named
+            return same[0] if same else column.time
         if times[0].kind == ROW_NUMBER:
             return times[0]
         if column.rows is not None:

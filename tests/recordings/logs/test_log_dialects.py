@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_gym.recordings.logs.log_file import Log, open_logs
+from hframe_gym.recordings.logs.log import Log
+from hframe_gym.recordings.logs.log_files import open_logs
 from hframe_gym.recordings.text_format import detect_format
 
 TIME = np.arange(30) * 1e-3

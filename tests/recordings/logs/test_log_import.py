@@ -31,7 +31,7 @@ from hframe_gym.recordings import (
     write_recording,
 )
 from hframe_gym.recordings.logs.log_conversion import split_at_rests
-from hframe_gym.recordings.logs.log_file import log_name
+from hframe_gym.recordings.logs.log_files import log_name
 from hframe_gym.recordings.logs.measurement_units import accepted_units
 from hframe_gym.recordings.wrong_units import WrongUnitError
 

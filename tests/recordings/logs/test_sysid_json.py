@@ -128,7 +128,6 @@ def test_an_error_names_the_test(axis: Machine, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "start", "message"),
     [
-        ("a.wpilog", b"WPILOG\x00\x01", "is a WPILib data log; export it as CSV with AdvantageScope"),
         ("a.mcap", b"\x89MCAP0\r\n", "is an MCAP file; export its signals as CSV"),
         ("a.bag", b"#ROSBAG V2.0\n", "is a ROS bag; export its signals as CSV"),
         ("a.db3", b"SQLite format 3\x00", "ROS 2 bag.*export its signals as CSV"),

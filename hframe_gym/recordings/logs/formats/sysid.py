@@ -7,6 +7,7 @@ The file has an object with the entries "sysid" (true), "test" (kind of the mech
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
-from ...file_limits import read_document, read_json, refuse_many_values
+from ....errors import InputError
+from ....file_limits import read_document, read_json, refuse_many_values
+from ...text_reader import Progress
+from ..foreign_files import is_json
+from ..log import Log, log_columns
+from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
 
 Array = NDArray[np.float64]
 
@@ -57,34 +62,41 @@ class SysIdTest:
     remarks: tuple[str, ...]
 
 
-def is_sysid_file(path: Path) -> bool:
-    """Return whether a JSON file is one of SysId; False if it cannot be read.
+@LOG_FORMATS.register("sysid")
+class SysIdLogs(LogFormat):
+    """JSON files of SysId; JSON of another kind is refused with advice."""
 
-    Args:
-        path: File to read.
+    suffixes = (".json",)
+    precedence = KNOWN_CONTENT
 
-    Returns:
-        True if it says so.
-    """
-    try:
-        return '"sysid"' in read_document(path) and _tests(read_json(path)) != {}
-    except InputError:
-        return False
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize JSON of any kind."""
+        return is_json(path, start)
+
+    def is_log(self, path: Path) -> bool:
+        """Leave out other JSON files, such as machines."""
+        try:
+            return '"sysid"' in read_document(path) and _tests(read_json(path)) != {}
+        except InputError:
+            return False
+
+    def open(self, path: Path) -> list[Log]:
+        """Read all tests."""
+        return [_test_log(path, test) for test in _read_tests(path)]
 
 
-def read_tests(path: Path) -> list[SysIdTest]:
-    """Read the tests of a SysId file.
+def _test_log(path: Path, test: SysIdTest) -> Log:
+    """Return the log of a test, whose values are in memory."""
 
-    Args:
-        path: JSON file.
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        return [test.columns[index] for index in indices], []
 
-    Returns:
-        Tests that have rows, slow ones first; columns of the shape (rows,).
+    columns = log_columns(test.names, [""] * len(test.names), ["number"] * len(test.names))
+    return Log(path, columns, test.remarks, read, test.name)
 
-    Raises:
-        InputError: If the file cannot be read, is another JSON file, or a row has not 4 or 9 numbers. The message names
-            the test and the row.
-    """
+
+def _read_tests(path: Path) -> list[SysIdTest]:
+    """Read the tests of a SysId file that have rows, slow ones first."""
     try:
         content = read_json(path)
     except InputError as error:

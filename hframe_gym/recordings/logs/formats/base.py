@@ -1,0 +1,78 @@
+"""Interface of a file format of logs, and the registry of all formats."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import ClassVar
+
+from ....registry import Registry
+from ..log import Log
+
+# Precedence of formats that recognize the same file.
+ANY_TEXT = 0
+CONTAINER = 1  # of tables or arrays with any content
+KNOWN_CONTENT = 2  # written by a known program
+
+
+class LogFormat(ABC):
+    """File format of logs: how its files are recognized, and how one is opened.
+
+    Attributes:
+        suffixes: Endings of the names of its files, in lower case, by which they are found in a folder.
+        precedence: Of the formats that recognize a file, the one with the highest opens it.
+    """
+
+    suffixes: ClassVar[tuple[str, ...]]
+    precedence: ClassVar[int] = CONTAINER
+
+    @abstractmethod
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Return whether a file has this format, by its content or, if that says nothing, by its name.
+
+        Args:
+            path: File of a log, or folder that `logs_in` returns.
+            start: First 128 bytes of the file; empty for a folder.
+
+        Returns:
+            True if the file has the format, also if it is damaged.
+        """
+
+    @abstractmethod
+    def open(self, path: Path) -> list[Log]:
+        """Open a file of this format and determine its columns.
+
+        Args:
+            path: File that `recognizes` accepts.
+
+        Returns:
+            The logs in the file, each of which becomes one or more runs.
+
+        Raises:
+            InputError: If the file is damaged, has no numbers, or an extra is missing. The message names the file.
+        """
+
+    def logs_in(self, folder: Path) -> list[Path]:
+        """Find the logs of a folder that is as a whole a data set of this format.
+
+        Args:
+            folder: Folder that the user named, or a folder in it.
+
+        Returns:
+            Files to open, or the folder itself; empty if the folder is no such data set.
+        """
+        return []
+
+    def is_log(self, path: Path) -> bool:
+        """Return whether a file of a folder is a log, which its ending may leave open.
+
+        Args:
+            path: File with one of the endings.
+
+        Returns:
+            True for a log; False for another file with the same ending, such as readme.txt.
+        """
+        return True
+
+
+LOG_FORMATS: Registry[type[LogFormat]] = Registry("log format")

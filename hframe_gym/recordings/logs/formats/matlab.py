@@ -1,0 +1,99 @@
+"""MATLAB files up to version 7; columns are their vectors and the columns of their matrices, also in structs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....errors import InputError
+from ....file_limits import refuse_expansion
+from ...text_reader import Progress
+from ..log import Log, LogColumn, log_columns
+from .base import LOG_FORMATS, LogFormat
+
+_MAT_HEADER = 128  # bytes before the first variable in MATLAB files of version 5 to 7
+_MAT_COMPRESSED = 15  # type of a compressed variable
+# Compressed bytes per step. A byte expands to 1032 at most, a step to 64 MB; the size is checked after each step.
+_MAT_BLOCK = 1 << 16
+
+
+@LOG_FORMATS.register("matlab")
+class MatlabLogs(LogFormat):
+    """MATLAB files."""
+
+    suffixes = (".mat",)
+
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the header, or the name of files of version 4, which have none."""
+        return start.startswith(b"MATLAB") or path.suffix.lower() == ".mat"
+
+    def open(self, path: Path) -> list[Log]:
+        """Read all arrays."""
+        return [_open_mat(path)]
+
+
+def _open_mat(path: Path) -> Log:
+    """Open a MATLAB file up to version 7; columns are its vectors and the columns of its matrices, also in structs."""
+    _refuse_large_variables(path)
+    vectors = _mat_vectors(path)
+    if not vectors:
+        advice = (
+            "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in MATLAB"
+        )
+        raise InputError(f"{path}: has no arrays of numbers; {advice}")
+    kinds = ["number"] * len(vectors)
+    columns = tuple(
+        LogColumn(column.header, column.name, column.unit, column.kind, len(vector))
+        for column, (_, vector) in zip(
+            log_columns([name for name, _ in vectors], [""] * len(vectors), kinds), vectors, strict=True
+        )
+    )
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        if progress is not None:
+            progress(path.stat().st_size)
+        return [vectors[index][1] for index in indices], []
+
+    return Log(path, columns, ("it is a MATLAB file",), read)
+
+
+def _mat_vectors(path: Path) -> list[tuple[str, NDArray[np.float64]]]:
+    """Return the names and values of all vectors of a MATLAB file, which a process of its own reads.
+
+    SciPy's reader can end the process on damaged files (segmentation fault), which no exception handler sees.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder, "vectors.npz")
+        # -P keeps the script's folder off sys.path, so that its modules cannot shadow others.
+        command = [sys.executable, "-P", str(Path(__file__).with_name("matlab_vectors.py")), str(path), str(target)]
+        run = subprocess.run(command, check=False, capture_output=True, text=True)
+        if run.returncode:
+            reason = run.stderr.strip().rpartition("\n")[2] if run.returncode > 0 else "it is damaged"
+            raise InputError(f"{path}: cannot be read as a MATLAB file: {reason}")
+        with np.load(target, allow_pickle=False) as content:
+            return [(str(name), content[f"arr_{k}"]) for k, name in enumerate(content["names"])]
+
+
+def _refuse_large_variables(path: Path) -> None:
+    """Check the size of the compressed variables of a MATLAB file without keeping their content in memory."""
+    size, content = 0, memoryview(path.read_bytes())
+    position, order = _MAT_HEADER, ">u4" if bytes(content[126:128]) == b"MI" else "<u4"
+    while position + 8 <= len(content):
+        kind, length = np.frombuffer(content[position : position + 8], order).tolist()
+        if kind == _MAT_COMPRESSED:
+            stream, compressed = zlib.decompressobj(), content[position + 8 : position + 8 + length]
+            for start in range(0, len(compressed), _MAT_BLOCK):
+                try:
+                    size += len(stream.decompress(compressed[start : start + _MAT_BLOCK]))
+                except zlib.error:
+                    break  # which the reader reports
+                refuse_expansion(path, size)
+        position += 8 + length

@@ -1,0 +1,116 @@
+"""Logs of signals that have their own times each: build a log from tables of columns that share their times."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...quantities import split_unit
+from ...text_reader import Progress
+from ..log import Log, LogColumn
+
+Array = NDArray[np.float64]
+
+_INDEX = re.compile(r"(?:\[\d+\])+$")
+
+
+@dataclass(frozen=True)
+class TimedTable:
+    """Columns of a log that share their times, such as the fields of a topic.
+
+    Attributes:
+        name: Name of the signal or topic.
+        columns: The columns.
+        reader: Function that reads the times, float64 in s or datetime64[ns], shape (rows,), and the values of columns
+            by index, shape (rows,) each. It also returns sentences for the user about what was left out.
+        time_kind: "number" for times in s, or "stamp" for instants.
+    """
+
+    name: str
+    columns: tuple[LogColumn, ...]
+    reader: Callable[[Sequence[int], Progress | None], tuple[NDArray[Any], list[Array], list[str]]]
+    time_kind: str = "number"
+
+
+def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
+    """Build the columns of signals that are named like paths, such as "/arm/position[0]" or "/arm/angle_deg".
+
+    Args:
+        names: Names of the signals. Only the part after the last slash may end in a unit; an index in brackets is none.
+
+    Returns:
+        Columns of numbers.
+    """
+    columns = []
+    for name in names:
+        folder, slash, last = name.rpartition("/")
+        index = _INDEX.search(last)
+        plain, unit = split_unit(last[: index.start()] if index else last)
+        columns.append(LogColumn(name, f"{folder}{slash}{plain}{index[0] if index else ''}", unit, "number"))
+    return tuple(columns)
+
+
+def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, ...], part: str = "") -> Log:
+    """Build a log from tables with their own times each.
+
+    When columns are read, the rows of each table are sorted by time, and of rows with equal times the last is kept.
+
+    Args:
+        path: File of the log.
+        tables: Tables with at least one column.
+        remarks: Sentences for the user about the file.
+        part: Name of the part of the file; "" if it is one log.
+
+    Returns:
+        Log whose columns state their times.
+    """
+    times = [LogColumn(f"time of {table.name}", "time", "s", table.time_kind) for table in tables]
+    columns: list[LogColumn] = []
+    seen: Counter[str] = Counter()
+    for table, time in zip(tables, times, strict=True):
+        for column in table.columns:
+            seen[column.header] += 1
+            number = f".{seen[column.header]}" if seen[column.header] > 1 else ""
+            columns.append(replace(column, header=column.header + number, time=time))
+    # Table and index in it by index in `columns` followed by `times`; None stands for the times.
+    places: list[tuple[int, int | None]] = [(t, c) for t, table in enumerate(tables) for c in range(len(table.columns))]
+    places += [(t, None) for t in range(len(tables))]
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        values: dict[int, NDArray[Any]] = {}
+        remarks: list[str] = []
+        for number, table in enumerate(tables):
+            wanted = {index: places[index][1] for index in indices if places[index][0] == number}
+            if not wanted:
+                continue
+            numbers = [column for column in wanted.values() if column is not None]
+            time_values, read_values, said = table.reader(numbers, progress)
+            rows, order_remarks = _ordered(table.name, time_values)
+            by_column = dict(zip(numbers, read_values, strict=True))
+            for index, column_number in wanted.items():
+                values[index] = (time_values if column_number is None else by_column[column_number])[rows]
+            remarks += [*said, *order_remarks]
+        return [values[index] for index in indices], remarks
+
+    return Log(path, tuple(columns), remarks, read, part, tuple(times))
+
+
+def _ordered(name: str, time: NDArray[Any]) -> tuple[NDArray[np.intp], list[str]]:
+    """Return the rows in the order of their times, the last one of equal times only, and remarks about the others."""
+    remarks = []
+    rows = np.argsort(time, kind="stable")
+    if np.any(np.diff(rows) < 0):
+        remarks.append(f"{name}: rows sorted by time")
+    ordered = time[rows]
+    is_last = np.append(ordered[1:] != ordered[:-1], True)[: len(ordered)]
+    repeated = int(np.sum(~is_last))
+    if repeated:
+        remarks.append(f"{name}: {repeated} of {len(time)} rows have the time of the row after them and are left out")
+    return rows[is_last], remarks

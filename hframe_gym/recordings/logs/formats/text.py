@@ -1,0 +1,61 @@
+"""Tables in text with any separator, decimal mark, header and encoding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ...text_format import detect_format
+from ...text_reader import Progress, read_columns
+from ..log import Log, log_columns
+from .base import ANY_TEXT, LOG_FORMATS, LogFormat
+
+_DOCUMENTS = ("readme.txt", "license.txt", "licence.txt", "notes.txt", "changelog.txt")
+
+
+@LOG_FORMATS.register("text")
+class TextLogs(LogFormat):
+    """Tables in text, possibly compressed by gzip."""
+
+    _ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".prn", ".lvm")
+    suffixes = (*_ENDINGS, *(f"{ending}.gz" for ending in _ENDINGS))
+    precedence = ANY_TEXT
+
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Take every file that no other format recognizes."""
+        return path.is_file()
+
+    def is_log(self, path: Path) -> bool:
+        """Leave out texts that describe the logs."""
+        return path.name.lower() not in _DOCUMENTS
+
+    def open(self, path: Path) -> list[Log]:
+        """Detect the table's format and the names of its columns."""
+        return [open_text_table(path)]
+
+
+def open_text_table(path: Path, remarks: tuple[str, ...] = (), units: dict[str, str] | None = None) -> Log:
+    """Open a table in text.
+
+    Args:
+        path: File of the table.
+        remarks: Sentences for the user, before those about the table.
+        units: Units by name of the column, for columns whose unit the file does not state.
+
+    Returns:
+        Log with the table's columns.
+
+    Raises:
+        InputError: If the file is empty, is not text, or has no table.
+    """
+    layout = detect_format(path)
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        return read_columns(path, layout, indices, lenient=True, progress=progress)
+
+    given = units or {}
+    stated = [unit or given.get(name, "") for name, unit in zip(layout.names, layout.units, strict=True)]
+    return Log(path, log_columns(layout.names, stated, layout.kinds), (*remarks, *layout.deviations), read)

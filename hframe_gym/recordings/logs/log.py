@@ -1,0 +1,180 @@
+"""A log of a controller or data logger, in any file format: its columns, whose values are read on demand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ..quantities import Meaning, is_unit, meaning_of, normalize_unit, split_unit
+from ..text_reader import Progress
+
+_LISTED = 200  # columns in a message; logs of robots have up to thousands of signals
+ROW_NUMBER = "row number"  # kind of a column that is not in the file, but counts its rows from 0
+
+
+@dataclass(frozen=True)
+class LogColumn:
+    """Column of a log.
+
+    Attributes:
+        header: Name as written in the file, with a number if it is repeated ("Time.2").
+        name: Name without its unit.
+        unit: Unit from the header or from a row of units; "" if neither has one.
+        kind: "number", "stamp" (dates or times of day), "text", or "row number" (not in the file).
+        rows: Number of rows; None if all columns of the file have the same number, or if `time` is known.
+        time: Column of the sample times, if the format says which; it is one of the log's `times`.
+    """
+
+    header: str
+    name: str
+    unit: str
+    kind: str
+    rows: int | None = None
+    time: LogColumn | None = None
+
+    @property
+    def meaning(self) -> Meaning:
+        """Physical quantity of the column by its name and unit."""
+        if self.kind == "stamp":
+            return Meaning("time", "", "unit", "")
+        return meaning_of(self.name, self.unit)
+
+
+@dataclass(frozen=True)
+class Log:
+    """Log file whose columns are known and whose values are read on demand.
+
+    Attributes:
+        path: The file.
+        columns: Its columns in the order of the file.
+        remarks: Remarks for the user on the file's format, where it differs from that of a recording.
+        reader: Function that reads the values of columns by index in `columns`, followed by `times`, see `read`.
+        part: Name of the part of the file that this log is; "" if the file is one log.
+        times: Columns of sample times that belong to certain columns, see `LogColumn.time`. They are not in `columns`.
+        run: Name of the run to which the log is converted; "" for the name of the file, followed by the part.
+    """
+
+    path: Path
+    columns: tuple[LogColumn, ...]
+    remarks: tuple[str, ...]
+    reader: Callable[[Sequence[int], Progress | None], tuple[list[NDArray[Any]], list[str]]]
+    part: str = ""
+    times: tuple[LogColumn, ...] = ()
+    run: str = ""
+
+    @property
+    def place(self) -> Path:
+        """The file, with the part of it after a comma, for messages."""
+        return self.path.with_name(self.title)
+
+    @property
+    def title(self) -> str:
+        """Name of the file and of the part of it, for the user."""
+        return f"{self.path.name}, {self.part}" if self.part else self.path.name
+
+    def read(
+        self, columns: Sequence[LogColumn], progress: Progress | None = None
+    ) -> tuple[list[NDArray[Any]], list[str]]:
+        """Read the values of some columns of the log.
+
+        Args:
+            columns: Columns of this log, from its attributes `columns` and `times`.
+            progress: Called with the number of bytes read since the last call.
+
+        Returns:
+            values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
+                datetime64[ns] for time stamps. Columns of a MATLAB file may differ in their numbers of rows.
+            remarks: Sentences for the user about rows that were left out.
+
+        Raises:
+            InputError: If a cell is not a number or the file cannot be read. The message names file, row and column.
+        """
+        known = (*self.columns, *self.times)
+        return self.reader([known.index(column) for column in columns], progress)
+
+    def columns_called(self, reference: str) -> list[LogColumn]:
+        """Find the columns that a user may mean by a reference.
+
+        Args:
+            reference: "#3" for the third column, a header, or a name without its unit.
+
+        Returns:
+            All columns that meet the first of these criteria that is met at all: number equal to the reference; equal
+            header; equal header but for upper and lower case; equal name without unit but for upper and lower case.
+            Empty if no column meets any of them.
+        """
+        if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
+            return [self.columns[int(reference[1:]) - 1]]
+        exact = [column for column in self.columns if column.header == reference]
+        same_header = [column for column in self.columns if column.header.lower() == reference.lower()]
+        same_name = [column for column in self.columns if column.name.lower() == reference.lower()]
+        return exact or same_header or same_name
+
+    def columns_named_like(self, channel: str) -> list[LogColumn]:
+        """Find the columns that have the name of a channel.
+
+        Args:
+            channel: Name of a channel with its unit, such as "x_m".
+
+        Returns:
+            The column whose header equals the channel's name. If there is none: all columns with the same name without
+            unit (case, blanks and punctuation do not matter).
+        """
+        name = plain_name(split_unit(channel)[0])
+        named = [column for column in self.columns if plain_name(column.name) == name]
+        return [column for column in self.columns if column.header == channel] or named
+
+
+def plain_name(name: str) -> str:
+    """Simplify a name for comparisons.
+
+    Args:
+        name: Name of a column.
+
+    Returns:
+        The name in lower case without blanks and punctuation, except "#"; for example "posx" for "Pos. X".
+    """
+    return re.sub(r"[^\w#]|_", "", name.lower())
+
+
+def headers_text(columns: Sequence[LogColumn]) -> str:
+    """List the headers of columns in one text, for messages.
+
+    Args:
+        columns: Columns of a log.
+
+    Returns:
+        Headers separated by commas; a unit from a row of units follows its header in brackets. Beyond 200 columns their
+        number is given.
+    """
+    listed = [c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]]
+    more = [f"and {len(columns) - _LISTED} more"] if len(columns) > _LISTED else []
+    return ", ".join([*listed, *more])
+
+
+def log_columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> tuple[LogColumn, ...]:
+    """Build the columns of a table.
+
+    Args:
+        headers: Headers as written in the file, possibly with units.
+        units: Units that the file states elsewhere, "" where it does not.
+        kinds: What each column contains: "number", "stamp" or "text".
+
+    Returns:
+        Columns, whose repeated names get a number and whose empty ones get that of the column.
+    """
+    columns: list[LogColumn] = []
+    for position, (written, unit, kind) in enumerate(zip(headers, units, kinds, strict=True), start=1):
+        header = written.strip() or f"#{position}"
+        name, unit_in_header = split_unit(header)
+        if is_unit(unit) and not is_unit(unit_in_header):  # the brackets in the header have a remark, no unit
+            unit_in_header = ""
+        repeats = sum(column.header == header or column.header.startswith(f"{header}.") for column in columns)
+        number = f".{repeats + 1}" if any(column.header == header for column in columns) else ""
+        columns.append(LogColumn(header + number, name, unit_in_header or normalize_unit(unit), kind))
+    return tuple(columns)

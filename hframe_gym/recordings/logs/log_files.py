@@ -1,0 +1,122 @@
+"""Find the logs of a folder and open them with the reader of their file format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from ...errors import InputError
+from ...registry import load_plugins
+from .foreign_files import FOREIGN_SUFFIXES, refuse_foreign_file
+from .formats import LOG_FORMATS, LogFormat
+from .log import Log
+
+_START = 128  # bytes of a file by which its format is recognized
+
+
+def open_logs(path: Path) -> list[Log]:
+    """Open a log of a controller or data logger in any registered format, and determine its columns.
+
+    Args:
+        path: File of the log, or a folder that is one log, such as a bag of ROS 2.
+
+    Returns:
+        The logs of the file with the names, units and numbers of rows of their columns. Values, shape (rows,), are read
+        by `Log.read`.
+
+    Raises:
+        InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
+            says how to export it.
+    """
+    start = b""
+    if path.is_file():
+        with open(path, "rb") as file:
+            start = file.read(_START)
+        refuse_foreign_file(path, start)
+    found = [kind for kind in _formats() if kind.recognizes(path, start)]
+    return max(found, key=lambda kind: kind.precedence).open(path)
+
+
+def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
+    """List the logs of a folder, which are recognized by the endings of their names.
+
+    Args:
+        path: A log, whatever its ending, or a folder of logs.
+
+    Returns:
+        logs: Files of the folder, in alphabetical order, with the endings of the registered formats (.csv, .txt, .mat,
+            ...), except documents such as readme.txt, and folders in it that are one log, such as bags of ROS 2; or the
+            one log.
+        other_files: The remaining files of the folder, except hidden ones.
+
+    Raises:
+        InputError: If the path does not exist, the folder has no logs, or two of them would become runs of the same
+            name.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [path], []
+    if not path.is_dir():
+        raise InputError(f"{path}: no such file or folder")
+    formats = _formats()
+    as_whole = _data_set(path, formats)
+    if as_whole:
+        return as_whole, []
+    entries = sorted(p for p in path.iterdir() if not p.name.startswith("."))
+    files = [p for p in entries if p.is_file()]
+    logs = [p for p in files if _is_log(p, formats)]
+    logs = sorted([*logs, *(log for p in entries if p.is_dir() for log in _data_set(p, formats))])
+    if not logs:
+        for file in files:
+            if file.name.lower().endswith(FOREIGN_SUFFIXES):
+                open_logs(file)  # which says why it is not read
+        endings = sorted({suffix for kind in formats for suffix in kind.suffixes if not suffix.endswith(".gz")})
+        raise InputError(f"{path}: no logs ({', '.join(endings)}) in this folder")
+    for first, second in pairwise(sorted((p for p in logs if p.parent == path), key=log_name)):
+        if log_name(first) == log_name(second):
+            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
+    return logs, [p for p in files if p not in logs]
+
+
+def log_name(path: Path) -> str:
+    """Return the name of the run to which a log is converted: its file name without .gz and without its ending.
+
+    Args:
+        path: File of the log, or a folder that is one log.
+
+    Returns:
+        The name, for example "test_3" for test_3.csv.gz.
+    """
+    if path.is_dir():
+        return path.name
+    return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
+
+
+def log_size(path: Path) -> int:
+    """Return the size of a log, for the display of progress.
+
+    Args:
+        path: File of the log, or a folder that is one log.
+
+    Returns:
+        Number of bytes.
+    """
+    return sum(p.stat().st_size for p in path.iterdir() if p.is_file()) if path.is_dir() else path.stat().st_size
+
+
+def _formats() -> list[LogFormat]:
+    """Return a reader of each format, those of plugins included."""
+    load_plugins()
+    return [LOG_FORMATS.get(name)() for name in LOG_FORMATS]
+
+
+def _data_set(folder: Path, formats: Sequence[LogFormat]) -> list[Path]:
+    """Return the logs of a folder that is as a whole a data set of some format; empty for other folders."""
+    return next((logs for logs in (kind.logs_in(folder) for kind in formats) if logs), [])
+
+
+def _is_log(path: Path, formats: Sequence[LogFormat]) -> bool:
+    """Return whether a file of a folder is a log by its name or, where its ending leaves that open, by its content."""
+    name = path.name.lower()
+    return any(name.endswith(kind.suffixes) and kind.is_log(path) for kind in formats)

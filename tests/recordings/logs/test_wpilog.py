@@ -1,0 +1,146 @@
+"""Data logs of WPILib are read: entries of every type with their own times, structures, and damaged files."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
+from hframe_gym.recordings.logs.log_files import open_logs
+
+PERIOD_US = 20_000
+COUNT = 40
+
+
+def record(number: int, time_us: int, payload: bytes) -> bytes:
+    """Return a record with the fewest bytes for each of its numbers."""
+    fields = []
+    for value, most in ((number, 4), (len(payload), 4), (time_us, 8)):
+        fields.append(value.to_bytes(next(n for n in range(1, most + 1) if value < 1 << 8 * n), "little"))
+    lengths = len(fields[0]) - 1 | len(fields[1]) - 1 << 2 | len(fields[2]) - 1 << 4
+    return bytes([lengths]) + b"".join(fields) + payload
+
+
+def start(number: int, name: str, kind: str) -> bytes:
+    """Return the control record that starts an entry."""
+    texts = b"".join(struct.pack("<I", len(text)) + text.encode() for text in (name, kind, ""))
+    return record(0, 0, b"\0" + struct.pack("<I", number) + texts)
+
+
+def log_bytes(*records: bytes) -> bytes:
+    """Return a file of some records."""
+    extra = b"made for a test"
+    return b"WPILOG\0\1" + struct.pack("<I", len(extra)) + extra + b"".join(records)
+
+
+@pytest.fixture
+def axis() -> Machine:
+    return BUILTIN_MACHINES["axis"]()
+
+
+def drive_log(count: int = COUNT) -> bytes:
+    """Return a log of a drive: a voltage every period, a position 3 ms later, an array and texts besides."""
+    rows = [start(1, "/drive/voltage", "double"), start(300, "/drive/position", "float"), start(2, "/mode", "string")]
+    rows += [start(3, "/all", "double[]"), start(4, "/raw", "raw"), record(2, 5, b"auto"), record(4, 5, b"x")]
+    for k in range(count):
+        rows.append(record(1, k * PERIOD_US, struct.pack("<d", 6.0 * (k >= 10))))
+        rows.append(record(300, k * PERIOD_US + 3000, struct.pack("<f", 0.01 * max(k - 10, 0))))
+        rows.append(record(3, k * PERIOD_US, struct.pack(f"<{1 + k % 2}d", *[0.5 * k] * (1 + k % 2))))
+    return log_bytes(*rows)
+
+
+def test_entries_become_a_recording(tmp_path: Path, axis: Machine) -> None:
+    (tmp_path / "match.wpilog").write_bytes(drive_log())
+    lines: list[str] = []
+    columns = dict(zip((*axis.input_channels, *axis.output_channels), ["/drive/voltage", *["none"] * 9], strict=False))
+    columns[axis.output_channels[0]] = "/drive/position"
+    settings = ImportSettings(MappingOptions(columns))
+    import_logs(tmp_path / "match.wpilog", tmp_path / "runs", axis, settings, lines.append)
+    (run,) = load_recordings(tmp_path / "runs", axis)
+    assert run.name == "match"
+    assert len(run.time_s) == 2 * COUNT  # the times of both entries
+    np.testing.assert_allclose(run.time_s[:4], [0.0, 0.003, 0.02, 0.023])
+    measured = np.isfinite(run.outputs[:, 0])
+    np.testing.assert_array_equal(measured, np.arange(2 * COUNT) % 2 == 1)
+    np.testing.assert_allclose(run.outputs[measured, 0], 0.01 * np.maximum(np.arange(COUNT) - 10, 0), atol=1e-7)
+    np.testing.assert_array_equal(run.inputs[1::2, 0], 6.0 * (np.arange(COUNT) >= 10))  # held between its records
+    assert any("/mode (string), /raw (raw)" in line for line in lines)
+
+
+def test_arrays_have_a_column_for_each_item(tmp_path: Path) -> None:
+    (tmp_path / "match.wpilog").write_bytes(drive_log())
+    (log,) = open_logs(tmp_path / "match.wpilog")
+    assert [column.header for column in log.columns] == ["/drive/voltage", "/drive/position", "/all[0]", "/all[1]"]
+    (first, second), _ = log.read(log.columns[2:])
+    np.testing.assert_array_equal(first, 0.5 * np.arange(COUNT))
+    np.testing.assert_array_equal(np.isnan(second), np.arange(COUNT) % 2 == 0)  # of the shorter arrays
+    np.testing.assert_array_equal(second[1::2], 0.5 * np.arange(1, COUNT, 2))
+
+
+def test_structures_are_read_by_their_description(tmp_path: Path) -> None:
+    inner, outer = "double angle_rad;", "enum {a=1} int8 state; Rotation2d turn; float size[2]"
+    records = [
+        start(1, "/.schema/struct:Rotation2d", "structschema"),
+        start(2, "/.schema/struct:Pose", "structschema"),
+        start(3, "/pose", "struct:Pose"),
+        start(4, "/bits", "struct:Bits"),
+        start(5, "/.schema/struct:Bits", "structschema"),
+        record(1, 0, inner.encode()),
+        record(2, 0, outer.encode()),
+        record(5, 0, b"int8 a:4; int8 b:4"),
+        record(4, 0, b"\x11"),
+        *(record(3, k, struct.pack("<bdff", 1, 0.1 * k, 2.0, 3.0 + k)) for k in range(5)),
+    ]
+    (tmp_path / "pose.wpilog").write_bytes(log_bytes(*records))
+    (log,) = open_logs(tmp_path / "pose.wpilog")
+    headers = [column.header for column in log.columns]
+    assert headers == ["/pose/state", "/pose/turn/angle_rad", "/pose/size[0]", "/pose/size[1]"]
+    assert log.columns[1].unit == "rad"
+    values, _ = log.read(log.columns)
+    np.testing.assert_allclose(values[1], 0.1 * np.arange(5))
+    np.testing.assert_allclose(values[3], 3.0 + np.arange(5))
+    assert any("/bits (struct:Bits)" in remark for remark in log.remarks)  # bit fields are not read
+
+
+def test_rows_are_sorted_and_repeated_times_left_out(tmp_path: Path) -> None:
+    records = [record(1, time, struct.pack("<q", value)) for time, value in [(30, 3), (10, 1), (20, 2), (20, 4)]]
+    (tmp_path / "log.wpilog").write_bytes(log_bytes(start(1, "n", "int64"), *records))
+    (log,) = open_logs(tmp_path / "log.wpilog")
+    (times, values), remarks = log.read([log.times[0], log.columns[0]])
+    np.testing.assert_allclose(times, [1e-5, 2e-5, 3e-5])
+    np.testing.assert_array_equal(values, [1, 4, 3])
+    assert remarks == [
+        "n: rows sorted by time",
+        "n: 1 of 4 rows have the time of the row after them and are left out",
+    ]
+
+
+def test_an_incomplete_record_is_left_out(tmp_path: Path) -> None:
+    (tmp_path / "log.wpilog").write_bytes(drive_log()[:-5])
+    (log,) = open_logs(tmp_path / "log.wpilog")
+    assert "its last record is incomplete and left out" in log.remarks
+    assert [len(values) for values in log.read(log.columns)[0]] == [COUNT, COUNT, COUNT - 1, COUNT - 1]
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"WPILOG\0\1", "ends within its header"),
+        (b"WPILOG\0\2\0\0\0\0", "version 2"),
+        (log_bytes(), "has no entries of numbers; entries: none"),
+        (log_bytes(start(1, "text", "string"), record(1, 5, b"hello")), r"entries: text \(string\)"),
+        (log_bytes(record(7, 5, b"hello")), "byte 27: has a record of the entry 7, which is not started"),
+        (log_bytes(record(0, 5, b"\0\1")), "has a damaged control record"),
+        (log_bytes(start(1, "x", "double"), record(1, 5, b"1234")), "x, record 1: has 4 bytes, not 8"),
+    ],
+)
+def test_damaged_files_are_refused(tmp_path: Path, content: bytes, problem: str) -> None:
+    (tmp_path / "log.wpilog").write_bytes(content)
+    with pytest.raises(InputError, match=problem) as error:
+        open_logs(tmp_path / "log.wpilog")
+    assert "log.wpilog" in str(error.value)
