@@ -46,7 +46,7 @@ class LogFormat(ABC):
             path: File that `recognizes` accepts.
 
         Returns:
-            The logs in the file, each of which becomes one or more runs.
+            The logs in the file, with columns of the shape (rows,); each becomes one or more runs.
 
         Raises:
             InputError: If the file is damaged, has no numbers, or an extra is missing. The message names the file.

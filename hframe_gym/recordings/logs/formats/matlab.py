@@ -36,7 +36,7 @@ class MatlabLogs(LogFormat):
         return start.startswith(b"MATLAB") or path.suffix.lower() == ".mat"
 
     def open(self, path: Path) -> list[Log]:
-        """Read all arrays."""
+        """Read all arrays, as columns of the shape (rows,)."""
         return [_open_mat(path)]
 
 

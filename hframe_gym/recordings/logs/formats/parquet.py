@@ -27,7 +27,7 @@ class ParquetLogs(LogFormat):
         return start.startswith(b"PAR1")
 
     def open(self, path: Path) -> list[Log]:
-        """Read the schema."""
+        """Read the schema; columns have the shape (rows,)."""
         return [_open_parquet(path)]
 
 

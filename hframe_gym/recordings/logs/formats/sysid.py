@@ -81,7 +81,7 @@ class SysIdLogs(LogFormat):
             return False
 
     def open(self, path: Path) -> list[Log]:
-        """Read all tests."""
+        """Read all tests; columns have the shape (rows,)."""
         return [_test_log(path, test) for test in _read_tests(path)]
 
 

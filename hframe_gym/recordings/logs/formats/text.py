@@ -33,7 +33,7 @@ class TextLogs(LogFormat):
         return path.name.lower() not in _DOCUMENTS
 
     def open(self, path: Path) -> list[Log]:
-        """Detect the table's format and the names of its columns."""
+        """Detect the table's format and the names of its columns, of the shape (rows,)."""
         return [open_text_table(path)]
 
 
@@ -46,7 +46,7 @@ def open_text_table(path: Path, remarks: tuple[str, ...] = (), units: dict[str, 
         units: Units by name of the column, for columns whose unit the file does not state.
 
     Returns:
-        Log with the table's columns.
+        Log with the table's columns, of the shape (rows,).
 
     Raises:
         InputError: If the file is empty, is not text, or has no table.

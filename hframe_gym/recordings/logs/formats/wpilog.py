@@ -73,7 +73,7 @@ class WpiLogs(LogFormat):
         return start.startswith(b"WPILOG")
 
     def open(self, path: Path) -> list[Log]:
-        """Find the records of all entries; entries of texts and raw data are left out."""
+        """Find the records of all entries, columns of the shape (rows,); texts and raw data are left out."""
         content = path.read_bytes()
         entries, is_complete = _entries(path, content)
         remarks = ["it is a data log of WPILib"]
