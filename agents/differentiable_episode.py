@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+
+from hframe_gym.arrays import Array
 
 from ..dynamics import Equations, rollout
 from ..envs.tasks.base import ReferenceTrajectories
@@ -18,7 +19,6 @@ from ..envs.workspace import EndStops
 from ..errors import InputError
 from ..machine import Machine
 
-Array = NDArray[np.float64]
 SAMPLES = 2  # samples of the tool position per control period that enter the cost
 INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
 SWITCHING_S = 1e-9  # s, length of the interval in which the voltage before the period is applied, for a dead time

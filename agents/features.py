@@ -24,6 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
+
 from ..controllers import (
     MinimumEnergyTransfers,
     MotionModel,
@@ -38,7 +40,6 @@ from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import Machine, observed_coordinates, rest_positions_per_axis
 
-Array = NDArray[np.float64]
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
 STRETCH_SCALES = (1e-3, 1e-4)  # m

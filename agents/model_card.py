@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hframe_gym.arrays import Array
 
 from ..atomic_files import write_text
 from ..controllers import Controller
 from ..envs import EnvConfig, as_task
 from ..evaluation import BANDS, Episodes, Scenario, installed_versions, rollout, settling_or_none, settling_times
 
-Array = NDArray[np.float64]
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
 EVALUATION_EPISODES = 256  # of every row of a learning curve
 # Cost of one millimeter of final error in seconds of settling time. Agents that settle in no band differ only in their

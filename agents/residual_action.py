@@ -23,12 +23,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
+
 from ..controllers import CONTROLLERS, DeadTime, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
 from ..machine import Machine, observed_coordinates
 from .features import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
 
-Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
 LARGEST_HELD = 0.12  # limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction

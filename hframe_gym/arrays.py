@@ -7,7 +7,8 @@ travel and other terms are defined in docs/glossary.md.
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,3 +51,12 @@ ParameterRows: TypeAlias = NDArray[np.float64]
 
 Workspace: TypeAlias = NDArray[np.float64]
 """Workspace of the tool: one row per axis, columns low and high, m, shape (axes, 2)."""
+
+KeyedObservation: TypeAlias = Mapping[str, NDArray[Any]]
+"""Observation of B machines by key.
+
+- `observation`: positions of the tool's axes and the driven coordinates, m and rad, then their velocities, m/s and
+  rad/s, if the full state is observed, shape (B, 2 n); otherwise one measurement per sensor, shape (B, channels);
+- `desired_goal`: present tool goal, m, shape (B, axes);
+- `preview`, only for a moving goal: goals at the ends of the next H periods, m, shape (B, axes * H).
+"""

@@ -29,17 +29,17 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import override
 
+from ..arrays import Actions, Array, CoordinateForces, Mask, PreviewedGoals, TravelStates, Volts
 from ..dynamics import stiffness_matrix
 from ..errors import InputError
 from ..machine import Machine
-from .base import CONTROLLERS, FullStateController, Mask
+from .base import CONTROLLERS, FullStateController
 from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
 from .motion_model import MotionModel, OperatingPointGrid
 
-Array = NDArray[np.float64]
 # Design points of the bank, as factors on the declared EA and masses: about the range of the randomization "default".
 STIFFNESS_RATIOS = np.array([0.7, 1.0, 1.3])
 MASS_RATIOS = np.array([0.9, 1.2])
@@ -59,12 +59,7 @@ MEAN_REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes,
 class AdaptiveController(FullStateController):
     """Model-based controller that adapts to the belt stiffness, masses and friction it estimates during the episode.
 
-    It commands B simulated machines with n coordinates each. Its registered name is `adaptive-pid`, because the
-    controllers that it adapts are `ModelBasedController`s (`pid`).
-
-    Args:
-        machine: Machine model from which the bank of controllers is designed.
-        period: Control period, s.
+    Its registered name is `adaptive-pid`, because the controllers that it adapts are `ModelBasedController`s (`pid`).
 
     Attributes:
         model: Model of the machine.
@@ -97,12 +92,8 @@ class AdaptiveController(FullStateController):
         self._elapsed_s = np.zeros(0)
         self._state = self.expected_friction = np.zeros((0, 0))
 
+    @override
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear estimates and controller memory of the machines that start a new episode with their next observation.
-
-        Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
-        """
         super().reset(mask)
         for controller in self._controllers():
             controller.reset(mask)
@@ -116,17 +107,9 @@ class AdaptiveController(FullStateController):
         """
         return self._filter.estimates
 
-    def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Update the estimates and compute the actions for the control period that starts now, for B machines.
-
-        Args:
-            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
-                and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
-                periods. P = 0 means that the goal does not move.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+    @override
+    def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
+        """Update the estimates and compute the actions for the control period that starts now.
 
         Raises:
             InputError: If the goal moves and the preview ends less than 4 periods (PERIODS_AHEAD + 1) after the dead
@@ -150,12 +133,8 @@ class AdaptiveController(FullStateController):
             controller.replace_last_action(actions)
         return actions
 
-    def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored actions of this control period with the actions that were actually applied.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
-        """
+    @override
+    def replace_last_action(self, actions: Actions) -> None:
         self._dead_time.replace_last(actions * self.model.rated)
         for controller in self._controllers():
             controller.replace_last_action(actions)
@@ -242,20 +221,20 @@ class MomentumFilter:
         moving_mass = self.model.mass[:, None] * self.model.rigid**2
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
-    def update(self, before: Array, after: Array, volts: Array, effect_force: Array, starts: NDArray[np.bool_]) -> None:
+    def update(
+        self, before: TravelStates, after: TravelStates, volts: Volts, effect_force: CoordinateForces, starts: Mask
+    ) -> None:
         """Update the estimates of friction, masses and belt stiffness with the momentum balances of the last period.
 
         A balance compares the measured change of momentum with the modeled forces. There is one for the motion with
         unstretched belts and one for the tool, along each axis; the description of the module states the equations.
 
         Args:
-            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
-                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
-            after: States at the end of the period, m and m/s, shape (B, 2 n).
-            volts: Mean voltages at the motors in the period, V, shape (B, drives).
-            effect_force: Modeled forces of the machine's effects (deviations from its nominal model) on each
-                coordinate, including those by which effects change friction, N, shape (B, n).
-            starts: True for machines whose episode starts with `after`, shape (B,); their estimates become zero.
+            before: States at the start of the period.
+            after: States at its end.
+            volts: Mean voltages at the motors in the period.
+            effect_force: Modeled forces of the machine's effects, including those by which effects change friction.
+            starts: Machines whose episode starts with `after`; their estimates become zero.
         """
         size = len(self._prior_std)
         if len(self.estimates) != len(starts):
@@ -299,16 +278,15 @@ class MomentumFilter:
         return -np.einsum("bij,bj->bi", self._stiffness[points], mean_travel)
 
     def friction_voltage_ahead(self, goals: Array) -> Array:
-        """Compute voltages that compensate the difference between estimated and modeled Coulomb friction along a path.
+        """Compute voltages that compensate the error of the modeled Coulomb friction along a path.
 
         Friction opposes the velocity of the goals, which follows from the differences of k goals for k - 2 periods.
 
         Args:
-            goals: Tool goals of B machines now and at the ends of the next k - 1 periods, m, shape (B, k, axes), k > 2.
+            goals: Tool goals now and at the ends of the next k - 1 periods, m, shape (B, k, axes), k > 2.
 
         Returns:
-            Voltages for k - 2 periods, the first being the period that starts now, V, shape (B, k - 2, drives); 0 where
-            the estimated friction equals the model's.
+            Voltages for k - 2 periods, the first being the period that starts now, V, shape (B, k - 2, drives).
         """
         model, n = self.model, len(self.model.mass)
         mean_velocity = np.diff(goals, axis=1) / self.period
@@ -321,15 +299,12 @@ class MomentumFilter:
 
 
 def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
-    """Return a copy of a machine whose belt stiffnesses and masses are multiplied by factors.
+    """Return a copy of a machine whose belt stiffnesses EA and masses (inertias) are multiplied by factors.
 
     Args:
-        machine: Machine to copy; it is not changed.
+        machine: Machine to copy.
         stiffness_ratio: Factor on the tensile stiffness EA of all belts, dimensionless.
-        mass_ratio: Factor on the masses (rotary coordinates: inertias) of all coordinates, dimensionless.
-
-    Returns:
-        Copy of the machine with the changed parameters.
+        mass_ratio: Factor on the masses of all coordinates, dimensionless.
     """
     factors = {"EA": stiffness_ratio, "mass": mass_ratio}
     values = machine.parameters.items()

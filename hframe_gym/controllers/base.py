@@ -20,15 +20,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import override
 
+from ..arrays import Actions, Array, KeyedObservation, Mask, PreviewedGoals, TravelStates, Volts
 from ..errors import InputError
 from ..machine import Machine
 from ..registry import Registry
 from .motion_model import MotionModel
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Feedback = Literal["state", "estimated_state", "observation"]
 
 
@@ -39,16 +38,13 @@ SIMULATION_STEP_S = 5e-4
 
 
 def check_period(period: float) -> float:
-    """Check that a control period lies between 1e-5 s and 10 s, the limits of the controllers' design.
+    """Check that a control period lies between 1e-5 s and 10 s, the limits of the design, and return it, s.
 
     Args:
         period: Control period, s.
 
-    Returns:
-        The period as a float, s.
-
     Raises:
-        InputError: If the period lies outside these limits.
+        InputError: If it is not.
     """
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
@@ -89,42 +85,25 @@ class Controller(ABC):
         self.period = check_period(period)
 
     @abstractmethod
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Compute the actions for the control period that starts now; call it once per period.
-
-        Args:
-            observation: Arrays by key, for B machines. `observation`, shape (B, entries): positions of the tool's axes
-                and the driven coordinates, then their velocities, in m, rad, m/s and rad/s, if the full state is
-                observed; otherwise the sensor measurements. `desired_goal`: present tool goal, m, shape (B, axes). For
-                a moving goal also `preview`, m, shape (B, axes * P): goals at the ends of the next P periods.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
-        """
+    def act(self, observation: KeyedObservation) -> Actions:
+        """Compute the actions for the control period that starts now; call it once per period."""
 
     def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
         """Clear the memory of the machines that start a new episode with their next observation.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
+            mask: The machines to reset. None: all; their number may then change.
         """
 
     def concern(self) -> str | None:
-        """Return a warning if this controller cannot be expected to work on its machine at its control period.
-
-        Returns:
-            One sentence, which `make_controller` issues as a warning; None if there is no reason for one.
-        """
+        """Return a sentence for a warning if this controller cannot be expected to work on its machine."""
         return None
 
-    def replace_last_action(self, actions: Array) -> None:  # noqa: B027  (optional)
+    def replace_last_action(self, actions: Actions) -> None:  # noqa: B027  (optional)
         """Replace the stored actions of this control period with the actions that were actually applied.
 
         Call it after `act` if something changes the actions, for example a learned policy that corrects them: observers
         and the compensation of a dead time need the applied voltages.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
         """
 
 
@@ -143,9 +122,6 @@ _ADVICE = (
 def check_keys(observation: Any) -> None:
     """Check that an observation consists of arrays by key, for a batch of machines.
 
-    Args:
-        observation: Argument of `Controller.act`: arrays by key, shape (B, entries of the key) for B machines.
-
     Raises:
         InputError: If it is one array, as with the environment option `flat`, or lacks the batch axis.
     """
@@ -158,15 +134,13 @@ def check_keys(observation: Any) -> None:
         )
 
 
-def check_state_units(observation: Mapping[str, NDArray[Any]], model: MotionModel) -> None:
+def check_state_units(observation: KeyedObservation, model: MotionModel) -> None:
     """Check that a full-state observation is not normalized: its angles fit the tool position.
 
     Where the tool is more than `LARGEST_STRETCH` of belt travel away from the place where all angles are zero, at least
     one pulley has turned by more than `LARGEST_NORMALIZED`, unless angles and positions are fractions of their ranges.
 
-    Args:
-        observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
-            which have `achieved_goal`, are checked.
+    Only observations of environments, which have `achieved_goal`, are checked.
 
     Raises:
         InputError: If they do not fit; the message names the values.
@@ -196,12 +170,10 @@ def check_state_units(observation: Mapping[str, NDArray[Any]], model: MotionMode
         )
 
 
-def check_goal_units(observation: Mapping[str, NDArray[Any]], machine: Machine) -> None:
+def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
     """Check that the goals of an environment's observation lie in a machine's workspace, as those in meters do.
 
-    Args:
-        observation: Arrays by key, shape (B, entries of the key) for B machines. Only observations of environments,
-            which have `achieved_goal`, are checked.
+    Only observations of environments, which have `achieved_goal`, are checked.
 
     Raises:
         InputError: If a goal is outside.
@@ -233,11 +205,8 @@ class UnitCheck:
             with contextlib.suppress(InputError):
                 self._model = MotionModel(machine)
 
-    def __call__(self, observation: Mapping[str, NDArray[Any]]) -> None:
+    def __call__(self, observation: KeyedObservation) -> None:
         """Check an observation.
-
-        Args:
-            observation: Arrays by key, shape (B, entries of the key) for B machines.
 
         Raises:
             InputError: If it is one array, lacks the batch axis or is normalized.
@@ -250,10 +219,10 @@ class UnitCheck:
 
 
 class EpisodeStarts:
-    """Record which of B simulated machines start a new episode with their next observation.
+    """Record which machines start a new episode with their next observation.
 
     Attributes:
-        mask: True for these machines, shape (B,). Empty before the first call of `resize`.
+        mask: These machines; empty before the first call of `resize`.
     """
 
     def __init__(self) -> None:
@@ -263,8 +232,7 @@ class EpisodeStarts:
         """Mark machines as starting a new episode with their next observation; machines marked earlier stay marked.
 
         Args:
-            mask: True for the machines to mark, shape (B,) for B machines. None: all; the next `resize` may then change
-                their number.
+            mask: The machines to mark. None: all; the next `resize` may then change their number.
         """
         if mask is None:
             self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
@@ -273,9 +241,6 @@ class EpisodeStarts:
 
     def resize(self, count: int) -> bool:
         """Set the number of machines; if it changes, mark all machines as starting a new episode.
-
-        Args:
-            count: Number of machines.
 
         Returns:
             True if the number has changed; the caller must then reallocate its arrays that have one row per machine.
@@ -311,25 +276,13 @@ class FullStateController(Controller):
         self.model = MotionModel(machine)
         self._starts = EpisodeStarts()
 
+    @override
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the memory of the machines that start a new episode with their next observation.
-
-        Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
-        """
         self._starts.reset(mask)
 
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+    @override
+    def act(self, observation: KeyedObservation) -> Actions:
         """Compute the actions for the control period that starts now; call it once per period.
-
-        Args:
-            observation: Arrays by key, for B machines. `observation`: positions of the tool's axes and the driven
-                coordinates, then their velocities, m, rad, m/s and rad/s, shape (B, 2 n) for n coordinates.
-                `desired_goal`: present tool goal, m, shape (B, axes). For a moving goal also `preview`, m, shape
-                (B, axes * P): goals at the ends of the next P periods.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
 
         Raises:
             InputError: If the observation does not fit the machine or is normalized, or the preview is too short for
@@ -344,17 +297,8 @@ class FullStateController(Controller):
         return self.act_on_state(state, np.concatenate(goals, axis=1))
 
     @abstractmethod
-    def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
-
-        Args:
-            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
-                and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
-                periods. P = 0 means that the goal does not move.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+    def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
+        """Compute the actions for the control period that starts now from states and goals.
 
         Raises:
             InputError: If the preview is too short for the controller.
@@ -362,7 +306,7 @@ class FullStateController(Controller):
 
 
 class Estimator(Protocol):
-    """Interface of a state estimator for a batch of B simulated machines; `StateEstimator` implements it.
+    """Interface of a state estimator for a batch of machines; `StateEstimator` implements it.
 
     In every control period, call `update` with the measurements, then `send` with the voltages.
 
@@ -377,37 +321,20 @@ class Estimator(Protocol):
     channels: int
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of the machines that start a new episode with their next measurements.
+        """Discard the estimates of the machines in the mask (None: all), which start a new episode."""
 
-        Args:
-            mask: True for the machines to reset, shape (B,) for B machines. Default: all.
-        """
-
-    def update(self, measurements: Array) -> Array:
+    def update(self, measurements: Array) -> TravelStates:
         """Estimate the state at the time of new measurements.
 
         Args:
-            measurements: One measurement per sensor, m or rad, shape (B, channels) for B simulated
-                machines.
-
-        Returns:
-            Estimated belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n
-            coordinates, m, then its velocity, m/s, shape (B, 2 n).
+            measurements: One measurement per sensor, m or rad, shape (B, channels).
         """
 
-    def send(self, volts: Array) -> None:
-        """Record the commanded voltages of the control period that starts now, from which the next `update` predicts.
+    def send(self, volts: Volts) -> None:
+        """Record the commanded voltages of the period that starts now, from which `update` predicts."""
 
-        Args:
-            volts: Commanded voltages, V, shape (B, drives) for B simulated machines.
-        """
-
-    def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that `send` stored last with the voltages that were actually applied.
-
-        Args:
-            volts: Applied voltages, V, shape (B, drives) for B simulated machines.
-        """
+    def replace_last(self, volts: Volts) -> None:
+        """Replace the voltages that `send` stored last with the voltages that were actually applied."""
 
 
 class OutputFeedbackController(Controller):
@@ -432,26 +359,16 @@ class OutputFeedbackController(Controller):
         super().__init__(estimator.model.machine, estimator.period)
         self.controller, self.estimator = controller, estimator
 
+    @override
     def reset(self, mask: Mask | None = None) -> None:
-        """Reset controller and estimator for the machines that start a new episode with their next observation.
-
-        Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
-        """
         self.controller.reset(mask)
         self.estimator.reset(mask)
 
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
+    @override
+    def act(self, observation: KeyedObservation) -> Actions:
         """Estimate the state from the measurements and compute the actions for the control period that starts now.
 
-        Args:
-            observation: Arrays by key, for B simulated machines. `observation`: one measurement per sensor, in the
-                sensor's unit, shape (B, channels or more); further columns are ignored. `desired_goal`: tool goal, m,
-                shape (B, axes). For a moving goal also `preview`, m, shape (B, axes * P): goals at the ends of the next
-                P periods.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+        Columns of `observation` beyond the estimator's channels are ignored.
 
         Raises:
             InputError: If a measurement is not finite, or the observation is normalized or one array.
@@ -466,11 +383,7 @@ class OutputFeedbackController(Controller):
         self.estimator.send(np.clip(actions, -1.0, 1.0) * model.rated)
         return actions
 
-    def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored actions of this control period with the actions that were actually applied.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
-        """
+    @override
+    def replace_last_action(self, actions: Actions) -> None:
         self.controller.replace_last_action(actions)
         self.estimator.replace_last(actions * self.estimator.model.rated)

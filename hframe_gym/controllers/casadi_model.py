@@ -27,11 +27,11 @@ SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, 
 class SymbolicModel:
     """A machine's equations of motion as CasADi expressions, with its parameters and the start as symbols.
 
-    States are the belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its rate, m/s, shape
-    (2 n,). An action is the motor voltage on a scale on which -1 is the lowest and 1 the highest possible voltage.
+    States are the belt travel of n coordinates, m, and its rate, m/s, shape (2 n,). An action is the motor voltage of
+    each drive on a scale on which -1 is the lowest and 1 the highest possible voltage, shape (drives,).
 
     Args:
-        machine: Machine with its effects (deviations from the nominal model).
+        machine: Machine with its effects.
         parameters: CasADi symbols of all P parameters in the order of `Machine.parameters`, shape (P,).
         start: CasADi symbols of the state at the start, m and m/s, shape (2 n,).
         reversal_speed: Speed v0 of the smoothed Coulomb friction F tanh(v / v0), m/s.
@@ -64,24 +64,17 @@ class SymbolicModel:
         return [0.5 * (low + high) + 0.5 * (high - low) * u for low, high, u in parts]
 
     def rate(self, state: Any, action: Any, time: Any) -> Any:
-        """Return the equations of motion as a CasADi expression: the time derivative of the state.
+        """Return the equations of motion as a CasADi expression: the time derivative of the state, shape (2 n,).
 
         Args:
-            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, shape (2 n,).
-            action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
+            state: State, m and m/s.
+            action: Action, dimensionless.
             time: Time since the start, s.
-
-        Returns:
-            Expression of velocities and accelerations, m/s and m/s^2, shape (2 n,).
         """
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
         """Return constraints (expressions that must be <= 0) that keep the motor currents within their limits.
-
-        Args:
-            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, shape (2 n,).
-            action: Motor voltages, scaled so that -1 is the lowest possible one and 1 the highest, shape (drives,).
 
         Returns:
             Expression (current / limit)^2 - 1, dimensionless, of each drive whose current the machine limits.
@@ -94,16 +87,10 @@ class SymbolicModel:
         """Return constraints (expressions that must be <= 0) under which the machine can stay at rest in a position.
 
         A linear coordinate on which no drive acts, such as a carriage between stretched belts, is at rest only if its
-        static friction is not less than the other forces on it.
-
-        Args:
-            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, shape (2 n,). The rate is taken
-                as zero.
-            time: Time since the start, s.
+        static friction is not less than the other forces on it. The rates in the state are taken as zero.
 
         Returns:
-            Two expressions, N, for each linear coordinate without a drive: f - F and -f - F, with the force f on it and
-            its Coulomb friction F. The list is empty if every linear coordinate has a drive.
+            Two expressions, N, for each such coordinate: f - F and -f - F, with the force f on it and its friction F.
         """
         equations = self._equations
         at_rest = ca.vertcat(state[: self._count], ca.SX.zeros(self._count))
@@ -126,15 +113,9 @@ class SymbolicModel:
 
 
 def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
-    """Compute the motor voltages that result from commands of minus and plus the rated voltage.
+    """Compute the motor voltages, V, that result from commands of minus and plus the rated voltage, one list each.
 
     They differ from the commands if the machine has effects on its drives, such as an offset or a dead band.
-
-    Args:
-        equations: Equations of the machine with its effects on the drives.
-
-    Returns:
-        Two lists with one entry per drive: voltages at the commands of minus and of plus the rated voltage, V.
     """
     rated = [d.rated_voltage for d in equations.machine.drives]
     return equations.motor_voltages([-volts for volts in rated]), equations.motor_voltages(rated)
@@ -142,9 +123,6 @@ def voltage_limits(equations: Equations) -> tuple[list[Any], list[Any]]:
 
 def check_supported(machine: Machine) -> None:
     """Check that time-optimal motions of a machine can be computed.
-
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
 
     Raises:
         InputError: If the bridge yaws (the tool position then contains a product of coordinates), or if an effect is

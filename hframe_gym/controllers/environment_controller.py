@@ -7,18 +7,17 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from .base import Controller, Feedback, Mask
+from ..arrays import Mask
+from .base import Controller, Feedback
 
 
 class Format(Protocol):
     """Form of an environment's observations; `ObservationFormat` of hframe_gym.envs implements it."""
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
-        """Convert observations of n environments to arrays by key in SI units.
-
-        Args:
-            observation: Observations as the environments return them, with n rows.
+        """Convert observations of n environments, as these return them, to arrays by key in SI units.
 
         Returns:
             Arrays by key, m, rad, m/s and rad/s, shape (n, entries of the key).
@@ -44,12 +43,13 @@ class EnvironmentController(Controller):
         super().__init__(controller.machine, controller.period)
         self.controller, self._form = controller, form
 
+    @override
     def act(self, observation: Any) -> NDArray[Any]:
         """Compute the actions for the control period that starts now; call it once per period.
 
         Args:
-            observation: Observation as the environment returns it: arrays by key or, with `flat`, one array. Of a
-                single environment without, of a vector with a first axis of B environments.
+            observation: Observation as the environment returns it: arrays by key or, with `flat`, one array;
+                with a first axis of B environments if it is of a vector.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], float32, shape (drives,) or (B, drives).
@@ -67,18 +67,10 @@ class EnvironmentController(Controller):
         limited = np.clip(actions, -1.0, 1.0).astype(np.float32)
         return limited[0] if single else limited
 
+    @override
     def reset(self, mask: Mask | None = None) -> None:
-        """Clear the memory of the machines that start a new episode with their next observation.
-
-        Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
-        """
         self.controller.reset(mask)
 
+    @override
     def replace_last_action(self, actions: NDArray[Any]) -> None:
-        """Replace the stored actions of this control period with the actions that were actually applied.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
-        """
         self.controller.replace_last_action(actions)

@@ -6,15 +6,14 @@ import dataclasses
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import override
 
+from ..arrays import Array, Mask, ParameterRows
 from ..dynamics import Equations
 from ..errors import InputError
 from ..machine import Machine
-from .base import Mask
 from .motion_model import MotionModel
 
-Array = NDArray[np.float64]
 # Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is measured,
 # masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not estimated beside it.
 PARAMETER_STD = {"mass": 0.1, "coulomb": 0.4, "viscous": 0.2, "EA": 0.1, "Kt": 0.05, "Ke": 0.05}
@@ -42,16 +41,14 @@ class ParameterRatios:
         self._columns = np.array([all_names.index(name) for name in self.names], np.intp)
         self._declared = np.array(list(machine.parameters.values()))
 
-    def parameters(self, logarithms: Array) -> Array:
+    def parameters(self, logarithms: Array) -> ParameterRows:
         """Compute parameter values from the logarithms of their ratios to the declared values.
 
         Args:
-            logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
-                machines.
+            logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k).
 
         Returns:
-            All P parameters in the order and units of `Machine.parameters`, shape (B, P). Parameters that are not
-            estimated keep their declared values.
+            All parameters; those that are not estimated keep their declared values.
         """
         values = np.tile(self._declared, (len(logarithms), 1))
         values[:, self._columns] *= np.exp(logarithms)
@@ -83,48 +80,31 @@ class AugmentedParameters(ParameterRatios):
         self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
 
     def ratios(self, logarithms: Array) -> Array:
-        """Compute the ratios of estimated to declared parameter values from their natural logarithms.
+        """Compute the ratios of estimated to declared values, limited to [1/4, 4] (`LARGEST_RATIO`), shape (B, k).
 
         Args:
-            logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
-
-        Returns:
-            Ratios, dimensionless, limited to [1/4, 4] (`LARGEST_RATIO`), shape (B, k).
+            logarithms: Natural logarithms of the ratios, shape (B, k).
         """
         return np.exp(self.clip(logarithms))
 
     def clip(self, logarithms: Array) -> Array:
-        """Limit the logarithms of parameter ratios to [-log 4, log 4] (`LARGEST_RATIO`).
+        """Limit the logarithms of parameter ratios, shape (B, k), to [-log 4, log 4] (`LARGEST_RATIO`).
 
         Args:
-            logarithms: Natural logarithms of the ratios, shape (B, k) for B simulated machines and k parameters.
-
-        Returns:
-            Limited logarithms, shape (B, k).
+            logarithms: Natural logarithms of the ratios, shape (B, k).
         """
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
-    def parameters(self, logarithms: Array) -> Array:
-        """Compute parameter values from the logarithms of their ratios to the declared values.
-
-        The ratios are limited to [1/4, 4] (`LARGEST_RATIO`).
-
-        Args:
-            logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k) for B simulated
-                machines.
-
-        Returns:
-            All P parameters in the order and units of `Machine.parameters`, shape (B, P). Parameters that are not
-            estimated keep their declared values.
-        """
+    @override
+    def parameters(self, logarithms: Array) -> ParameterRows:
+        """Compute parameter values; the ratios to the declared ones are limited to [1/4, 4] (`LARGEST_RATIO`)."""
         return super().parameters(self.clip(logarithms))
 
 
 class MeasurementModel:
     """Linear measurement equation z = H s of a machine's declared sensors, scaled to meters of belt travel.
 
-    The state s holds the belt travel (radius * angle of a rotary coordinate) of the n coordinates, m, and its velocity,
-    m/s.
+    The state s holds the belt travel of the n coordinates, m, and its velocity, m/s.
 
     Args:
         model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
@@ -167,25 +147,19 @@ class MeasurementModel:
             )
 
     def to_travel(self, measurements: Array) -> Array:
-        """Scale measurements to meters of belt travel (radius * angle), the unit of the measurement equation.
+        """Scale measurements to meters of belt travel, the unit of the measurement equation, shape (B, channels).
 
         Args:
-            measurements: Measurements of B simulated machines, m or rad, shape (B, channels).
-
-        Returns:
-            Scaled measurements, m, shape (B, channels).
+            measurements: Measurements, m or rad, shape (B, channels).
         """
         return measurements * self._unit
 
     def in_range(self, measurements: Array) -> Mask:
-        """Test which measurements lie strictly inside the ranges of their sensors.
+        """Test which measurements lie strictly inside the ranges of their sensors, shape (B, channels).
 
         At an end of its range, a sensor does not follow the position; such a measurement must not correct an estimate.
 
         Args:
-            measurements: Measurements of B simulated machines, m or rad, shape (B, channels).
-
-        Returns:
-            True for each measurement inside the range, shape (B, channels); always for sensors without a range.
+            measurements: Measurements, m or rad, shape (B, channels).
         """
         return (measurements > self._low) & (measurements < self._high)

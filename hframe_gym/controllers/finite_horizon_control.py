@@ -35,12 +35,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array, ElapsedTimes, Mask, ToolPositions, TravelStates, Volts
 from ..dynamics import mode_frequencies
 from .base import check_period
 from .linear_motion import reachability, scaled_matrices, state_scale
 from .motion_model import MotionModel, OperatingPointGrid
 
-Array = NDArray[np.float64]
 # Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more accurately than a
 # model has it.
 SHORTEST_MODE_PERIODS = 0.6
@@ -137,23 +137,21 @@ class MinimumEnergyTransfers:
         return np.stack(gains, axis=1)
 
     def select(
-        self, error: Array, goal: Array, limits: tuple[Array, Array], at_least: NDArray[np.intp]
+        self, error: TravelStates, goal: ToolPositions, limits: tuple[Array, Array], at_least: NDArray[np.intp]
     ) -> TransferSelection:
-        """Select for each of B machines the shortest motion to rest at its goal whose voltages stay within the limits.
+        """Select for each machine the shortest motion to rest at its goal whose voltages stay within the limits.
 
-        The limits are checked in the first period and in the last 7 periods of a motion.
+        The limits are checked in the first period and in the last 7 periods of a motion. Where no motion
+        stays within them, the longest one is selected, which exceeds them.
 
         Args:
-            error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
-                its velocity, m and m/s, shape (B, 2 n).
-            goal: Tool position at the goal, m, shape (B, axes).
+            error: State minus goal state.
+            goal: Tool position at the goal.
             limits: Lowest voltages and highest voltages, V, shape (B, drives) each.
-            at_least: Minimum number of control periods until rest, between the attributes `shortest` and `longest`,
-                shape (B,).
+            at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
 
         Returns:
             Number of control periods until rest, shape (B,), and voltages of the first period, V, shape (B, drives).
-            Where no motion stays within the limits, both describe the longest motion, which exceeds the limits.
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits
@@ -205,8 +203,7 @@ class MinimumEnergyTransfers:
 class PreviewGains:
     """Gains of preview control: they give the first voltage of the least-squares plan at each operating point.
 
-    An operating point is a tool position at which the machine is linearized. The state holds the belt travel (radius *
-    angle of a rotary coordinate) of n coordinates and its velocity.
+    An operating point is a tool position at which the machine is linearized. The state is that of `TravelStates`.
 
     Args:
         model: Model of the machine.
@@ -261,7 +258,7 @@ class PreviewGains:
 
 
 class PreviewTracker:
-    """Preview control of the tool position of B simulated machines, with a disturbance observer.
+    """Preview control of the tool position, with a disturbance observer.
 
     Args:
         model: Model of the machine.
@@ -284,7 +281,7 @@ class PreviewTracker:
         self._force_from_residual = np.linalg.pinv(self.gains.E)
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
-    def update_disturbance(self, before: Array, after: Array, volts: Array, starts: NDArray[np.bool_]) -> None:
+    def update_disturbance(self, before: TravelStates, after: TravelStates, volts: Volts, starts: Mask) -> None:
         """Update the estimated disturbance with the states before and after the last period.
 
         The disturbance is the force on each coordinate, in addition to the modeled forces, that explains the measured
@@ -292,11 +289,10 @@ class PreviewTracker:
         integrator.
 
         Args:
-            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
-                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
-            after: States at the end of the period, m and m/s, shape (B, 2 n).
-            volts: Voltages at the motors in the period, V, shape (B, drives).
-            starts: True for machines whose episode starts with `after`, shape (B,); their estimate is set to zero.
+            before: States at the start of the period.
+            after: States at its end.
+            volts: Voltages at the motors in the period.
+            starts: Machines whose episode starts with `after`; their estimate is set to zero.
         """
         if len(self._disturbance) != len(after):
             self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))
@@ -306,19 +302,15 @@ class PreviewTracker:
         residual = _matvec(self._force_from_residual[points], after - predicted) - self._planned_force
         self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
 
-    def command(self, state: Array, goals: Array, last: Array, elapsed_s: Array) -> Array:
-        """Compute the motor voltages that follow the previewed goals, for the control period that starts now.
+    def command(self, state: TravelStates, goals: Array, last: Volts, elapsed_s: ElapsedTimes) -> Volts:
+        """Compute the motor voltages, within the rated ones, that follow the previewed goals from now on.
 
         Args:
-            state: Present states: belt travel (radius * angle of a rotary coordinate) of the n coordinates of B
-                machines and its velocity, m and m/s, shape (B, 2 n).
+            state: Present states.
             goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes) for H =
                 `horizon`; further goals are ignored.
-            last: Motor voltages of the previous period, V, shape (B, drives). The plan penalizes changes from them.
-            elapsed_s: Time since the start of the episode, s, shape (B,).
-
-        Returns:
-            Motor voltages, limited to the rated voltages, V, shape (B, drives).
+            last: Motor voltages of the previous period. The plan penalizes changes from them.
+            elapsed_s: Time since the start of the episode.
         """
         model, H = self.model, self.horizon
         goals = goals[:, : H + 1]

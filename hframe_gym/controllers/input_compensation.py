@@ -6,13 +6,12 @@ import dataclasses
 import importlib
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array, Mask, ParameterRows, TravelStates, Volts
 from ..dynamics import Equations, rollout
 from ..errors import InputError
 from ..machine import Machine
 
-Array = NDArray[np.float64]
 TABLE_POINTS = 8001  # points of a drive's characteristic between the rated voltages; 3 mV apart at 12 V
 # Slope added to a characteristic so that it can be inverted where it is flat; 0 V then maps to the middle of a dead
 # band.
@@ -20,10 +19,10 @@ MINIMUM_SLOPE = 1e-9
 
 
 class DeadTime:
-    """Delay line of the voltages commanded to B simulated machines, and prediction of the state over the dead time.
+    """Delay line of the commanded voltages, and prediction of the state over the dead time.
 
     Args:
-        machine: Machine; its effects (deviations from the nominal model) may delay the voltages of its drives.
+        machine: Machine; its effects may delay the voltages of its drives.
         period: Control period, s.
 
     Attributes:
@@ -46,31 +45,23 @@ class DeadTime:
             importlib.import_module("scipy.interpolate")
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
+    def reset(self, mask: Mask) -> None:
         """Set all voltages in the delay lines of the machines that start an episode to 0 V.
 
         Args:
-            mask: True for the machines that start an episode, shape (B,) for B machines. If B differs from that of the
-                previous call, the delay lines of all machines are set to 0 V.
+            mask: These machines. If their number differs from that of the previous call, all delay lines are
+                set to 0 V.
         """
         if len(self._sent) != len(mask):
             self._sent = np.zeros((len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives)))
         self._sent[mask] = 0.0
 
-    def send(self, volts: Array) -> None:
-        """Put the voltages of the control period that starts now into the delay line, and drop the oldest ones.
-
-        Args:
-            volts: Commanded voltages of B simulated machines, V, shape (B, drives).
-        """
+    def send(self, volts: Volts) -> None:
+        """Put the voltages of the control period that starts now into the delay line, and drop the oldest ones."""
         self._sent = np.concatenate([volts[:, None], self._sent[:, :-1]], axis=1)
 
-    def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that `send` stored last with the voltages that were actually applied.
-
-        Args:
-            volts: Applied voltages of B simulated machines, V, shape (B, drives).
-        """
+    def replace_last(self, volts: Volts) -> None:
+        """Replace the voltages that `send` stored last with the voltages that were actually applied."""
         self._sent[:, 0] = volts
 
     @property
@@ -78,12 +69,8 @@ class DeadTime:
         """Latest commanded or applied voltages (`send`, `replace_last`), V, shape (B, drives) for B machines."""
         return self._sent[:, 0]
 
-    def mean_arrived(self) -> Array:
-        """Compute the mean voltages that reached the drives, after the dead time, during the last period.
-
-        Returns:
-            Mean voltages, V, shape (B, drives) for B simulated machines.
-        """
+    def mean_arrived(self) -> Volts:
+        """Compute the mean voltages that reached the drives, after the dead time, during the last period."""
         times, volts = self.arrived_history()
         return np.einsum("k,bkd->bd", np.diff(times) / self.period, volts[:, :-1])
 
@@ -107,8 +94,7 @@ class DeadTime:
         """Shift the preview of goals by the dead time, because new voltages act only after it.
 
         Args:
-            goals: Tool goals of B simulated machines now and at the ends of the next P - 1 periods, m, shape
-                (B, P, axes).
+            goals: Tool goals now and at the ends of the next P - 1 periods, m, shape (B, P, axes).
 
         Returns:
             Goals at the dead time T from now and at the ends of the next Q - 1 periods after it, m, shape (B, Q, axes),
@@ -131,19 +117,15 @@ class DeadTime:
         periods = np.arange(goals.shape[1], dtype=np.float64)
         return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
-    def predict(self, state: Array, parameters: Array | None = None, offset: Array | None = None) -> Array:
+    def predict(
+        self, state: TravelStates, parameters: ParameterRows | None = None, offset: Volts | None = None
+    ) -> TravelStates:
         """Predict the state at the end of the dead time by simulation with the voltages in the delay line.
 
         Args:
-            state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates of B machines and its
-                velocity, m and m/s, shape (B, 2 n).
-            parameters: Parameters in the order of `machine_without_delay.parameters`, SI, shape (B, P). Default: those
-                of this machine.
-            offset: Voltages added to those in the delay line, V, shape (B, drives), for example for an estimated
-                disturbance. Default: none.
-
-        Returns:
-            Predicted belt travel and velocity, m and m/s, shape (B, 2 n); `state` itself without a dead time.
+            state: Present state.
+            parameters: Parameters of `machine_without_delay`. Default: its declared ones.
+            offset: Voltages added to those in the delay line, for example for an estimated disturbance.
         """
         if self.delay_s == 0.0:
             return state
@@ -160,9 +142,6 @@ class DeadTime:
 
 class InputInversion:
     """Tables of the drives' static characteristics (dead band, offset, gain) and of their inverses.
-
-    Args:
-        machine: Machine whose effects (deviations from the nominal model) may change the voltage of its drives.
 
     Attributes:
         rated: Rated voltages, V, shape (drives,).
@@ -185,28 +164,18 @@ class InputInversion:
                     )
                 self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
 
-    def motor_voltage(self, command: Array) -> Array:
+    def motor_voltage(self, command: Volts) -> Volts:
         """Compute the voltages at the motors that commands give after dead band, offset and gain of the drives.
 
         Args:
-            command: Commanded voltages of B simulated machines, at most the rated ones in magnitude, V, shape (B,
-                drives).
-
-        Returns:
-            Voltages at the motors, V, shape (B, drives).
+            command: Commanded voltages, at most the rated ones in magnitude.
         """
         return self._mapped(command, inverse=False)
 
-    def command(self, motor_voltage: Array) -> Array:
-        """Compute the commands with which given voltages reach the motors in spite of dead band, offset and gain.
+    def command(self, motor_voltage: Volts) -> Volts:
+        """Compute the commands, limited to the rated voltages, with which given voltages reach the motors.
 
         This is the inverse of the method `motor_voltage`.
-
-        Args:
-            motor_voltage: Desired voltages at the motors of B simulated machines, V, shape (B, drives).
-
-        Returns:
-            Commanded voltages, limited to the rated voltages, V, shape (B, drives).
         """
         return np.clip(self._mapped(motor_voltage, inverse=True), -self.rated, self.rated)
 

@@ -26,13 +26,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates, Volts
 from ..dynamics import Equations, MotionPoint, rollout
 from ..errors import InputError
 from .motion_model import FRICTION_COMPENSATION_SPEED, MotionModel
 
-Array = NDArray[np.float64]
 TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
 VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
 FRICTION_TRAVEL = 1e-3  # m, position error over which the expected direction of friction changes
@@ -46,9 +45,7 @@ FINAL_ERROR = 1e-6
 
 
 class LinearMotion:
-    """Discrete-time linear models of B machines with different parameters, for voltages that are held over a period.
-
-    The state is belt travel (radius * angle of a rotary coordinate) of n coordinates and its velocity.
+    """Discrete-time linear models of machines with different parameters, for voltages that are held over a period.
 
     Args:
         model: Model of the machine with its declared parameters.
@@ -67,16 +64,15 @@ class LinearMotion:
         self._coulomb_unit = np.where(declared, declared, model.machine.travel_per_unit)
         self._force_of_unit = np.where(declared, model.coulomb, 1.0)
 
-    def matrices(self, parameters: Array, position: Array) -> tuple[Array, Array, Array]:
+    def matrices(self, parameters: ParameterRows, position: ToolPositions) -> tuple[Array, Array, Array]:
         """Linearize the machines without Coulomb friction and effects, and discretize them with zero-order hold.
 
-        The state is belt travel (radius * angle of a rotary coordinate) of n coordinates, m, and its velocity, m/s.
-        Viscous friction and motor constants are taken from the declared machine.
+        Viscous friction and motor constants are taken from the declared machine; masses, belts and radii from
+        `parameters`.
 
         Args:
-            parameters: Parameters of B machines in the order of `Machine.parameters`, SI, shape (B, P); masses, belts
-                and radii are used.
-            position: Tool positions of the linearization, m, shape (B, axes).
+            parameters: Parameters of the machines.
+            position: Tool positions of the linearization.
 
         Returns:
             A: System matrices, shape (B, 2 n, 2 n).
@@ -99,20 +95,18 @@ class LinearMotion:
         discrete = _exponential(rates * self._period)[:, : 2 * n]
         return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
 
-    def opposing_friction(self, state: Array, error: Array, parameters: Array) -> Array:
+    def opposing_friction(
+        self, state: TravelStates, error: TravelStates, parameters: ParameterRows
+    ) -> CoordinateForces:
         """Predict the Coulomb friction during the motion to the goal, as one constant force per coordinate.
 
         Constant forces allow a plan with a linear model. At speeds far above 20 mm/s, the force opposes the present
         motion. At speeds far below, it opposes the motion towards the goal, and is smaller within about 1 mm of it.
 
         Args:
-            state: Belt travel (radius * angle) of the n coordinates of B machines and its velocity, m and m/s, shape
-                (B, 2 n).
-            error: State minus goal state, m and m/s, shape (B, 2 n).
-            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
-
-        Returns:
-            Friction force on each coordinate, N, positive in the direction of increasing travel, shape (B, n).
+            state: Present state.
+            error: State minus goal state.
+            parameters: Parameters of the machines.
         """
         n = len(self._model.mass)
         level = self._force_of_unit * (parameters[:, self._coulomb_columns] / self._coulomb_unit)
@@ -136,15 +130,15 @@ def _exponential(matrices: Array) -> Array:
 
 
 def state_scale(states: int) -> Array:
-    """Return the units of positions and velocities in which the reachability Gramian is well conditioned.
+    """Return the units that condition the reachability Gramian well: 1 m for travel, 100 m/s for velocity.
 
     Scaled state = state / units. In a scaled state an error of 1 mm is as large as one of 0.1 m/s.
 
     Args:
-        states: Number of states, 2 n: belt travel of n coordinates and its velocity.
+        states: Number of states, 2 n.
 
     Returns:
-        1 m for each belt travel, then 1 / VELOCITY_SCALE_S = 100 m/s for each velocity, shape (2 n,).
+        Units, m and m/s, shape (2 n,).
     """
     return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)
 
@@ -189,12 +183,11 @@ def reachability(A: Array, B: Array, longest: int) -> Iterator[tuple[Array, Arra
 
 
 class PlannedTransfers(NamedTuple):
-    """First voltages of K transfers (motions to rest at the goal) of each of B machines with n coordinates.
+    """First voltages of K transfers (motions to rest at the goal) of each machine.
 
     Attributes:
         volts: Voltages of the first period, V, not limited, shape (B, K, drives).
-        gains: Derivatives of `volts` with respect to the state (belt travel of n coordinates and its velocity), V/m
-            and Vs/m, shape (B, K, drives, 2 n).
+        gains: Derivatives of `volts` with respect to the state, V/m and Vs/m, shape (B, K, drives, 2 n).
     """
 
     volts: Array
@@ -227,18 +220,18 @@ class SimulatedTransfers:
         if self._delayed:  # the simulation delays what is applied from the first sample on
             self._time_s = np.insert(self._time_s, 1, SWITCHING_S)
 
-    def plan(self, state: Array, goal: Array, parameters: Array, last_volts: Array) -> PlannedTransfers:
+    def plan(
+        self, state: TravelStates, goal: ToolPositions, parameters: ParameterRows, last_volts: Volts
+    ) -> PlannedTransfers:
         """Plan motions from the present states to rest at the goals, one for each of the planner's K durations.
 
         Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their effects.
 
         Args:
-            state: Belt travel (radius * angle of a rotary coordinate) of the n coordinates of B machines and its
-                velocity, m and m/s, shape (B, 2 n).
-            goal: Tool positions of the goals, m, shape (B, axes).
-            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
-            last_volts: Voltages of the previous period, V, shape (B, drives). They still act during the dead time of
-                the drives; without a dead time they are not used.
+            state: Present state.
+            goal: Tool positions of the goals.
+            parameters: Parameters of the machines.
+            last_volts: Voltages of the previous period. They still act during the dead time of the drives.
 
         Returns:
             volts: Voltages of the first period of each motion, V, not limited, shape (B, K, drives).

@@ -27,13 +27,14 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
+from ..arrays import Actions, Array, PreviewedGoals, TravelStates
 from ..machine import Machine
 from .base import CONTROLLERS, Feedback, FullStateController
 from .finite_horizon_control import MinimumEnergyTransfers, PreviewTracker
 from .input_compensation import DeadTime, InputInversion
 
-Array = NDArray[np.float64]
 # The following constants are tuned on randomized H-frames ("default").
 # Largest difference between observed and modeled force, in multiples of the nominal Coulomb friction; larger values are
 # errors of the momentum balance during hard braking.
@@ -89,17 +90,9 @@ class ModelBasedController(FullStateController):
         # episode.
         self._settling = self._moving = self._elapsed = np.zeros(0, np.intp)
 
-    def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
-
-        Args:
-            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
-                and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
-                periods. P = 0 means that the goal does not move.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+    @override
+    def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
+        """Compute the actions for the control period that starts now.
 
         Raises:
             InputError: If the preview ends within the dead time of the drives.
@@ -114,12 +107,8 @@ class ModelBasedController(FullStateController):
         self._starts.clear()
         return volts / self.model.rated
 
-    def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored actions of this control period with the actions that were actually applied.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
-        """
+    @override
+    def replace_last_action(self, actions: Actions) -> None:
         self._dead_time.replace_last(actions * self.model.rated)
 
     def _begin_period(self, state: Array) -> None:

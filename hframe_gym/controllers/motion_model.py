@@ -7,17 +7,17 @@ y and the motors have the same scale. In a *rigid motion* the belts do not stret
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array, CoordinateForces, ElapsedTimes, KeyedObservation, ToolPositions, TravelStates, Volts
 from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine, argument_names, observed_coordinates, rest_state
 
-Array = NDArray[np.float64]
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
 # m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of a move,
 # and far above what remains at its end, so that the voltage does not chatter with the sign of noise.
@@ -48,23 +48,14 @@ class OperatingPointGrid:
         self.points: Array = np.stack(np.meshgrid(*self._lines, indexing="ij"), axis=-1).reshape(-1, len(axes))
         self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
 
-    def nearest(self, position: Array) -> NDArray[np.intp]:
-        """Find the operating point of the grid that is nearest to each of B tool positions.
-
-        Args:
-            position: Tool positions, m, shape (B, axes).
-
-        Returns:
-            Indices into `points`, shape (B,).
-        """
+    def nearest(self, position: ToolPositions) -> NDArray[np.intp]:
+        """Find the operating point that is nearest to each tool position, as an index into `points`, shape (B,)."""
         lines = [np.abs(position[:, k : k + 1] - line).argmin(axis=1) for k, line in enumerate(self._lines)]
         return np.asarray(np.ravel_multi_index(tuple(lines), self._shape), np.intp)
 
 
 class MotionModel:
     """Model for the design of controllers: a machine with n coordinates and one drive per axis, in belt travel.
-
-    Belt travel is radius * angle of a rotary coordinate and the position of a linear one. B is a number of machines.
 
     Args:
         machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives.
@@ -124,15 +115,8 @@ class MotionModel:
         self._order = np.concatenate([order, n + order])
         self._scale = np.tile(units, 2)
 
-    def state(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Convert a full-state observation to a state in belt travel (radius * angle of a rotary coordinate).
-
-        Args:
-            observation: Arrays by key. `observation`: positions in the order of `observed`, then their velocities, m,
-                rad, m/s and rad/s, shape (B, 2 n) for B machines with n coordinates. Other keys are ignored.
-
-        Returns:
-            States: belt travel in the machine's order of coordinates and its velocity, m and m/s, shape (B, 2 n).
+    def state(self, observation: KeyedObservation) -> TravelStates:
+        """Convert a full-state observation to a state; other keys than `observation` are ignored.
 
         Raises:
             InputError: If the observation has another number of entries.
@@ -142,37 +126,31 @@ class MotionModel:
             raise InputError(f"observation has shape {values.shape}, it must be (B, {len(self._order)})")
         return values[:, self._order] * self._scale
 
-    def observation(self, state: Array) -> Array:
-        """Convert states in belt travel to full-state observations, the inverse of the method `state`.
+    def observation(self, state: TravelStates) -> Array:
+        """Convert states to full-state observations, the inverse of the method `state`.
 
         Args:
-            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
+            state: States.
 
         Returns:
             Positions in the order of `observed`, then their velocities, m, rad, m/s and rad/s, shape (B, 2 n).
         """
         return (state / self._scale)[:, np.argsort(self._order)]
 
-    def goal_state(self, goal: NDArray[Any]) -> Array:
+    def goal_state(self, goal: NDArray[Any]) -> TravelStates:
         """Compute the states at rest with unstretched belts at given tool positions.
 
         Args:
-            goal: B tool positions, m, shape (B, axes).
-
-        Returns:
-            Belt travel (radius * angle) of n coordinates, m, then its velocity, zero, m/s, shape (B, 2 n).
+            goal: Tool positions, m, shape (B, axes).
         """
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
-    def tool_position(self, travel: Array) -> Array:
+    def tool_position(self, travel: Array) -> ToolPositions:
         """Select the tool position from the belt travel of all coordinates.
 
         Args:
-            travel: Belt travel (radius * angle) of n coordinates, m, shape (B, n). States, (B, 2 n), are accepted too.
-
-        Returns:
-            Tool positions, m, shape (B, axes).
+            travel: Belt travel, m, shape (B, n), or states, shape (B, 2 n).
         """
         return travel[:, self.tool]
 
@@ -180,8 +158,7 @@ class MotionModel:
         """Compute how much belt stretch displaces each coordinate from its position with unstretched belts.
 
         Args:
-            travel: Belt travel (radius * angle) of the n coordinates of B machines, m, shape (B, n); velocities in
-                further columns are ignored.
+            travel: Belt travel, m, shape (B, n), or states, shape (B, 2 n).
 
         Returns:
             Belt travel minus its value with unstretched belts at this tool position, m, shape (B, n); 0 for tool axes.
@@ -196,8 +173,7 @@ class MotionModel:
             period: Control period, s.
 
         Returns:
-            A: System matrix of the state, which is the belt travel (radius * angle of a rotary coordinate) of n
-                coordinates, m, and its velocity, m/s; shape (2 n, 2 n).
+            A: System matrix of the state (`TravelStates`), shape (2 n, 2 n).
             B: Input matrix of the voltages, m/V and m/(Vs), shape (2 n, drives).
             E: Input matrix of a force on each coordinate, m/N and m/(Ns), shape (2 n, n).
         """
@@ -211,50 +187,28 @@ class MotionModel:
         first, second = len(A), len(A) + B.shape[1]
         return discrete[:, :first], discrete[:, first:second], discrete[:, second:]
 
-    def effect_force(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute the forces of the machine's effects (deviations from the nominal model) other than friction.
+    def effect_force(self, state: TravelStates, elapsed_s: ElapsedTimes) -> CoordinateForces:
+        """Compute the forces of the machine's effects other than friction.
 
         Not included: effects with a memory or a lookup table, and effects on belts, drives and sensors.
-
-        Args:
-            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
-            elapsed_s: Time since the start of the episode, s, shape (B,).
-
-        Returns:
-            Forces on each coordinate, N, positive in the direction of increasing travel, shape (B, n).
         """
         if not self._with_effects.machine.effects:
             return np.zeros((len(state), len(self.mass)))
         return _stack(self._balance(state, elapsed_s).forces, state)
 
-    def friction_force(self, state: Array, elapsed_s: Array) -> Array:
+    def friction_force(self, state: TravelStates, elapsed_s: ElapsedTimes) -> CoordinateForces:
         """Compute the friction force -F tanh(v / (20 mm/s)) and the friction that the machine's effects add to it.
 
-        Effects are deviations from the nominal model. Not included: viscous friction of the nominal model, effects with
-        a memory or a lookup table, and effects by which friction grows with the drive force.
-
-        Args:
-            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
-            elapsed_s: Time since the start of the episode, s, shape (B,).
-
-        Returns:
-            Forces on each coordinate, N, negative for motion in positive direction, shape (B, n).
+        Not included: viscous friction of the nominal model, effects with a memory or a lookup table, and
+        effects by which friction grows with the drive force.
         """
         if not self._with_effects.machine.effects:
             return -self.coulomb * self._direction(state)
         level = _stack(self._balance(state, elapsed_s).coulomb, state)
         return self._effect_viscous_force(state) - level * self._direction(state)
 
-    def effect_friction(self, state: Array, elapsed_s: Array) -> Array:
-        """Compute the friction that effects (deviations from the nominal model) add to the Coulomb friction.
-
-        Args:
-            state: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, for B machines, shape (B, 2 n).
-            elapsed_s: Time since the start of the episode, s, shape (B,).
-
-        Returns:
-            Additional friction force on each coordinate, N, negative where it brakes positive motion, shape (B, n).
-        """
+    def effect_friction(self, state: TravelStates, elapsed_s: ElapsedTimes) -> CoordinateForces:
+        """Compute the friction that effects add to the Coulomb friction, negative where it brakes positive motion."""
         return self.friction_force(state, elapsed_s) + self.coulomb * self._direction(state)
 
     def _balance(self, state: Array, elapsed_s: Array) -> ForceBalance:
@@ -274,15 +228,15 @@ class MotionModel:
         """Return the smoothed direction of motion of each coordinate (B, n), within [-1, 1]."""
         return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
-    def static_stretch(self, force: Array, goal: Array) -> Array:
+    def static_stretch(self, force: CoordinateForces, goal: ToolPositions) -> Array:
         """Compute how far the motors must turn to stretch the belts until they balance a force on the resting tool.
 
         Args:
-            force: Force on each of the n coordinates of B machines, N, shape (B, n). Only those on the tool are used.
-            goal: Tool positions, m, shape (B, axes).
+            force: Force on each coordinate; only those on the tool are used.
+            goal: Tool positions.
 
         Returns:
-            Belt travel (radius * angle) of the motors beyond unstretched belts, m, shape (B, n); 0 for the tool axes.
+            Belt travel of the motors beyond unstretched belts, m, shape (B, n); 0 for the tool axes.
         """
         tool = self.tool
         motors = [i for i in range(len(self.mass)) if i not in tool]
@@ -297,26 +251,23 @@ class MotionModel:
             stretch[:, motors] = np.linalg.solve(coupling, force[:, tool, None])[..., 0]
         return stretch
 
-    def voltage(self, force: Array) -> Array:
-        """Compute the voltages that produce given forces along the axes, at zero speed and with rigid belts.
+    def voltage(self, force: Array) -> Volts:
+        """Compute the voltages, not limited, for given forces along the axes, at zero speed and with rigid belts.
 
         Args:
-            force: Forces along the tool's axes on each of B machines, N, shape (B, axes).
-
-        Returns:
-            Voltages of the drives, V, not limited, shape (B, drives).
+            force: Forces along the tool's axes, N, shape (B, axes).
         """
         return force @ self._volts_per_force.T
 
-    def disturbance_force(self, before: Array, after: Array, volts: Array, period: float) -> Array:
+    def disturbance_force(self, before: TravelStates, after: TravelStates, volts: Volts, period: float) -> Array:
         """Compute the mean disturbance force over a period from the momentum balance of the rigid motion.
 
         Force = change of momentum / period + viscous friction - drive force. Belt forces are internal and cancel.
 
         Args:
-            before: Belt travel (radius * angle) of n coordinates, m, and its rate, m/s, at the start, shape (B, 2 n).
-            after: Belt travel, m, and its rate, m/s, at the end of the period, shape (B, 2 n).
-            volts: Voltages at the motors in the period, V, shape (B, drives).
+            before: States at the start of the period.
+            after: States at its end.
+            volts: Voltages at the motors in the period.
             period: Control period, s.
 
         Returns:
@@ -328,10 +279,9 @@ class MotionModel:
         return (viscous_impulse + momentum_change) @ self.rigid / period - volts @ self.force_per_volt.T
 
     def top_speed(self) -> Array:
-        """Compute the steady speed along each axis when only this axis moves, at the rated voltage of all drives.
+        """Compute the steady speed along each axis, m/s, shape (axes,), if only it moves, at the rated voltages.
 
-        Returns:
-            Speeds along the axes, m/s, shape (axes,); zero where Coulomb friction exceeds the drive force.
+        It is zero where Coulomb friction exceeds the drive force.
         """
         drive_force = np.abs(self.force_per_volt) @ self.rated
         friction = np.abs(self.rigid.T) @ self.coulomb

@@ -26,12 +26,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array, Mask, ParameterRows, TravelStates
 from ..dynamics import rollout
-from .base import SIMULATION_STEP_S, Mask
+from .base import SIMULATION_STEP_S
 from .estimation_model import ParameterRatios
 from .motion_model import MotionModel
 
-Array = NDArray[np.float64]
 LARGEST = 1.2  # limit of the logarithms: a ratio of 3.3, or the inverse
 # Of `ParameterWindow`:
 WINDOW = 6  # periods
@@ -94,21 +94,16 @@ class ParameterEstimator(ABC):
         self._levels = len(self._time_s) - 1  # voltages that follow each other in a period
         self.estimates = np.zeros((0, self.size))
 
-    def update(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
+    def update(self, before: TravelStates, after: TravelStates, actions: Array, starts: Mask) -> None:
         """Update the attribute `estimates` with the measured states of the control period that has ended.
 
-        `estimates` holds ln(actual / declared value) of each kind of parameter in `prior_std`: Coulomb friction and
-        masses of coordinates, stiffnesses EA and lengths of belts. If `prior_offset_std` is not None, one missing
-        voltage per drive follows: the voltage that the simulation lacks, as a fraction of the rated voltage.
-
         Args:
-            before: States at the start of the period: belt travel (radius * angle of a rotary coordinate) of the n
-                coordinates of B machines and its velocity, m and m/s, shape (B, 2 n).
-            after: States at the end of the period, m and m/s, shape (B, 2 n).
+            before: States at the start of the period.
+            after: States at its end.
             actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives). With a dead
                 time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period, shape (B, 2, drives).
-            starts: True for machines whose episode starts with `after`, shape (B,). Their estimates become zero: all
-                parameters have their declared values, because ln(1) = 0, and no voltage is missing.
+            starts: Machines whose episode starts with `after`. Their estimates become zero: all parameters have their
+                declared values, because ln(1) = 0, and no voltage is missing.
         """
         if len(self.estimates) != len(starts):
             self._resize(len(starts))
@@ -116,16 +111,14 @@ class ParameterEstimator(ABC):
             self._correct(before, after, actions, starts)
         self._restart(starts)
 
-    def parameters(self, estimates: Array) -> Array:
+    def parameters(self, estimates: Array) -> ParameterRows:
         """Convert estimates to the values of all parameters of the machines, with which they can be simulated.
 
         Args:
-            estimates: Values as in the attribute `estimates`, shape (B, size): natural logarithms of the ratios of
-                estimated to declared values, then voltages that the simulation lacks. These voltages are ignored.
+            estimates: Values as in the attribute `estimates`, shape (B, size); missing voltages are ignored.
 
         Returns:
-            All P parameters in the order of `Machine.parameters`, SI, shape (B, P). Parameters that are not estimated
-            keep their declared values.
+            All parameters; those that are not estimated keep their declared values.
         """
         return self._ratios.parameters(estimates[:, : self._offsets.start])
 
@@ -166,17 +159,11 @@ class ParameterEstimator(ABC):
 
 
 class ParameterFilter(ParameterEstimator):
-    """Extended Kalman filter of Coulomb friction, masses and belt stiffnesses of B machines.
-
-    Args:
-        model: Model of the machine with its declared parameters, n coordinates and b belts.
-        period: Control period, s.
-        switch_s: Time from the start of a period at which the voltages change (by a dead time), s; 0: start.
+    """Extended Kalman filter of Coulomb friction, masses and belt stiffnesses.
 
     Attributes:
         size: Number of estimates, 2 n + b.
-        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, shape
-            (B, size): n Coulomb friction forces, n masses, b axial stiffnesses EA. Zero at the start of an episode.
+        estimates: n Coulomb friction forces, n masses, b axial stiffnesses EA, as `ParameterEstimator` states them.
     """
 
     # About the standard deviations of the randomization "default"; the belts' lengths enter by EA.
@@ -209,22 +196,16 @@ class ParameterFilter(ParameterEstimator):
 
 
 class ParameterWindow(ParameterEstimator):
-    """Moving-horizon estimator of Coulomb friction, masses and belts of B machines from their states and voltages.
+    """Moving-horizon estimator of Coulomb friction, masses and belts.
 
     The estimates minimize the squares of the differences between measured and simulated states over the last periods
     (Gauss-Newton) and of the deviations from what earlier periods and the prior say (arrival cost).
 
-    Args:
-        model: Model of the machine with its declared parameters, n coordinates and b belts.
-        period: Control period, s.
-        switch_s: Time from the start of a period at which the voltages change (by a dead time), s; 0: start.
-
     Attributes:
         size: Number of estimates, 2 n + 2 b + drives.
-        estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, shape
-            (B, size): n Coulomb friction forces, n masses, b axial stiffnesses EA, b lengths; then for each drive the
-            missing voltage, as a fraction of the rated voltage. Zero at the start of an episode. Only the ratio of EA
-            to length, the stiffness of a belt, can be determined.
+        estimates: n Coulomb friction forces, n masses, b axial stiffnesses EA, b lengths, and for each drive
+            the missing voltage, as `ParameterEstimator` states them. Only the ratio of EA to length, the
+            stiffness of a belt, can be determined.
         noise_ratio: Estimated noise of the states in multiples of the smallest assumed one, at least 1, shape (B,).
     """
 

@@ -23,9 +23,11 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
+from ..arrays import Actions, Array, Mask, PreviewedGoals, TravelStates
 from ..machine import Machine
-from .base import CONTROLLERS, Feedback, FullStateController, Mask
+from .base import CONTROLLERS, Feedback, FullStateController
 from .finite_horizon_control import HORIZON_S, longest_transfer_s
 from .input_compensation import DeadTime, InputInversion
 from .linear_motion import LinearMotion
@@ -33,7 +35,6 @@ from .motion_model import MotionModel, OperatingPointGrid
 from .parameter_estimators import ParameterWindow
 from .predictive_plans import ArrivalPlanner, PlanSimulation
 
-Array = NDArray[np.float64]
 LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on the way
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
 DELAYS = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
@@ -46,10 +47,6 @@ ESTIMATES_CHANGED = 2e-3  # change of an estimate after which linear models are 
 @CONTROLLERS.register("predictive")
 class PredictiveController(FullStateController):
     """Model-predictive controller that identifies friction, masses and belts during the episode.
-
-    Args:
-        machine: Machine model with its declared parameters.
-        period: Control period, s.
 
     Attributes:
         estimator: Estimator of the parameters.
@@ -95,17 +92,9 @@ class PredictiveController(FullStateController):
         self._refined[starts] = np.nan
         self._elapsed[starts] = 0
 
-    def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
-
-        Args:
-            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
-                and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
-                periods. P = 0 means that the goal does not move.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
+    @override
+    def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
+        """Compute the actions for the control period that starts now.
 
         Raises:
             InputError: If the preview ends within the dead time of the drives.
@@ -125,12 +114,8 @@ class PredictiveController(FullStateController):
         self._starts.clear()
         return volts / self.model.rated
 
-    def replace_last_action(self, actions: Array) -> None:
-        """Replace the stored actions of this control period with the actions that were actually applied.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (B, drives) for B machines.
-        """
+    @override
+    def replace_last_action(self, actions: Actions) -> None:
         self._dead_time.replace_last(actions * self.model.rated)
 
     @property
@@ -148,10 +133,10 @@ class PredictiveController(FullStateController):
         """Compute the derivative, with respect to the state, of the voltages that the last call of `act` returned.
 
         It is the derivative of the plan with the linear model; corrections of the plan by simulations are ignored. The
-        analytic policy gradient needs it to train a policy that corrects this controller. Call `act` before.
+        analytic policy gradient needs it to train a policy that corrects this controller.
 
         Returns:
-            Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n).
+            Gains, V/m and Vs/m, shape (B, drives, 2 n).
         """
         if self._follows_path and self._path_planner is not None:
             return self._path_planner.gain()

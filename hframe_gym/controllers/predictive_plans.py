@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates
 from ..dynamics import mode_frequencies, rollout
 from .base import SIMULATION_STEP_S
 from .linear_motion import scaled_matrices, state_scale
 from .motion_model import MotionModel
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 # Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
 # fractions of their limits. The tool's error counts most.
@@ -66,7 +66,7 @@ class ArrivalPlanner:
         self._hold = max(3, int(np.ceil(rest_s / period - 0.3)))  # planned periods after the arrival
         self._scale = state_scale(2 * len(model.mass))
 
-    def predict(self, matrices: tuple[Array, Array, Array], error: Array, force: Array) -> None:
+    def predict(self, matrices: tuple[Array, Array, Array], error: TravelStates, force: CoordinateForces) -> None:
         """Predict the motion at 0 V and the response to voltages, and store both for `plan` and `gain`.
 
         Call it in every control period before `plan` and `gain`. The prediction covers the longest plan.
@@ -74,9 +74,8 @@ class ArrivalPlanner:
         Args:
             matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N, of the
                 shapes (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n); `LinearMotion.matrices` computes them.
-            error: State minus goal state: belt travel (radius * angle of a rotary coordinate) of the n coordinates and
-                its velocity, m and m/s, shape (B, 2 n).
-            force: Force on each coordinate until the tool arrives, for example friction, N, shape (B, n).
+            error: State minus goal state.
+            force: Force on each coordinate until the tool arrives, for example friction.
         """
         A, pulse, force_response = scaled_matrices(*matrices)
         push, state = np.einsum("bij,bj->bi", force_response, force), error / self._scale
@@ -123,8 +122,7 @@ class ArrivalPlanner:
             arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
 
         Returns:
-            Gains on belt travel (radius * angle) and velocity of n coordinates, V/m and Vs/m, shape (B, drives, 2 n);
-            0 for a voltage at its limit.
+            Gains, V/m and Vs/m, shape (B, drives, 2 n); 0 for a voltage at its limit.
         """
         R, c = self._residuals(arrival)
         free = np.abs(_least_squares_within_limits(R, c)) < 1.0  # voltages that are not at their limits
@@ -212,17 +210,17 @@ class PlanSimulation:
         self._model, self.periods = model, periods
         self._time_s = np.linspace(0.0, period * periods, periods * SAMPLES + 1)
 
-    def tool_positions(self, state: Array, parameters: Array, volts: Array) -> Array:
+    def tool_positions(self, state: TravelStates, parameters: ParameterRows, volts: Array) -> Array:
         """Simulate the machines with given voltages and return the positions of their tools.
 
         Args:
-            state: Belt travel (radius * angle) of n coordinates and its velocity, m and m/s, shape (B, 2 n).
-            parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            state: States at the start.
+            parameters: Parameters of the machines.
             volts: Commanded voltages of each period, V, shape (B, periods, drives).
 
         Returns:
-            Tool positions at equidistant times, m, shape (B, samples, axes). There are SAMPLES = 4 times per period,
-            so that samples = 4 * periods; the fourth time of a period is its end.
+            Tool positions at SAMPLES = 4 equidistant times per period, the fourth at its end, m, shape (B, 4
+            * periods, axes).
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
         positions = rollout(
@@ -237,7 +235,13 @@ class PlanSimulation:
         return np.asarray(positions[:, 1:, self._model.tool])
 
     def improve(
-        self, state: Array, parameters: Array, goal: Array, plans: list[Array], arrival: Indices, count: int
+        self,
+        state: TravelStates,
+        parameters: ParameterRows,
+        goal: ToolPositions,
+        plans: list[Array],
+        arrival: Indices,
+        count: int,
     ) -> Array:
         """Choose the best of several plans by simulation, and improve it.
 
@@ -246,10 +250,9 @@ class PlanSimulation:
         by finite differences, reduce the cost.
 
         Args:
-            state: Belt travel (radius * angle) of n coordinates of B machines and its velocity, m and m/s, shape
-                (B, 2 n).
-            parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
-            goal: Tool goals, m, shape (B, axes).
+            state: States at the start.
+            parameters: Parameters of the machines.
+            goal: Tool goals.
             plans: One array per plan, at least one: commanded voltages of each period, V, shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
             count: Number of periods since the start of the episode. It selects the finite-difference steps, whose size

@@ -21,17 +21,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array, Mask, TravelStates, Volts
 from ..dynamics import rollout
 from ..errors import InputError
 from ..machine import Machine
-from .base import SIMULATION_STEP_S, EpisodeStarts, Mask, check_period
+from .base import SIMULATION_STEP_S, EpisodeStarts, check_period
 from .estimation_model import AugmentedParameters, MeasurementModel
 from .input_compensation import DeadTime
 from .motion_model import MotionModel
 
-Array = NDArray[np.float64]
 SIGMA_SQUARED = 3.0  # squared distance of the points in standard deviations: the kurtosis of a normal distribution
 ROUNDING = 1e-9  # relative growth of variances that keeps a covariance positive definite in double precision
 
@@ -49,18 +48,9 @@ SMALLEST_STD = (1e-8, 1e-6, 1e-5)
 
 
 class StateEstimator:
-    """Kalman filter that estimates the states and parameters of B machines from their declared sensors.
-
-    In every control period, call `update` with the measurements, then `send` with the voltages.
-
-    Args:
-        machine: Machine whose `sensors` supply the measurements.
-        period: Control period, s.
+    """Kalman filter that estimates states and parameters from the declared sensors; see `Estimator`.
 
     Attributes:
-        model: Model of the machine.
-        period: As given, s.
-        channels: Number of sensors.
         measurements: Linear measurement equation of the sensors.
         augmented: Names and prior covariance of the k estimated parameters (masses, friction, belts, motors).
 
@@ -108,36 +98,23 @@ class StateEstimator:
         Their new estimates start from a machine at rest with the declared parameters.
 
         Args:
-            mask: True for the machines to reset, shape (B,) for B machines. None: all; their number may then change.
+            mask: These machines. None: all; their number may then change.
         """
         self._starts.reset(mask)
 
-    def send(self, volts: Array) -> None:
-        """Record the commanded voltages of the control period that starts now, from which the next `update` predicts.
-
-        Args:
-            volts: Commanded voltages of the drives, V, shape (B, drives) for B simulated machines.
-        """
+    def send(self, volts: Volts) -> None:
+        """Record the commanded voltages of the period that starts now, from which `update` predicts."""
         self._dead_time.send(volts)
 
-    def replace_last(self, volts: Array) -> None:
-        """Replace the voltages that `send` stored last with the voltages that were actually applied.
-
-        Args:
-            volts: Applied voltages of the drives, V, shape (B, drives) for B simulated machines.
-        """
+    def replace_last(self, volts: Volts) -> None:
+        """Replace the voltages that `send` stored last with the voltages that were actually applied."""
         self._dead_time.replace_last(volts)
 
-    def update(self, measurements: Array) -> Array:
+    def update(self, measurements: Array) -> TravelStates:
         """Predict the state over the last control period and correct it with new measurements.
 
         Args:
-            measurements: One measurement per sensor, m or rad, shape (B, channels) for B simulated
-                machines.
-
-        Returns:
-            Estimated belt travel (radius * angle of a rotary coordinate) of the n coordinates and its velocity, m and
-            m/s, shape (B, 2 n).
+            measurements: One measurement per sensor, m or rad, shape (B, channels).
 
         Raises:
             InputError: If a measurement is not finite.

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import override
 
+from ..arrays import Actions, PreviewedGoals, TravelStates
 from ..dynamics import mode_frequencies
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
 from .motion_model import OperatingPointGrid
 
-Array = NDArray[np.float64]
 # Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
 # usual rule of thumb.
 FREQUENCY_MARGIN = 5.0
@@ -26,10 +26,6 @@ class TextbookPID(FullStateController):
     gains put all three closed-loop poles at -w, where w is the frequency of the slowest vibration mode of the belts (or
     half the sampling frequency, if that is lower) divided by FREQUENCY_MARGIN. The derivative acts on the measured
     velocity; for a moving goal, on the difference to the goal's velocity.
-
-    Args:
-        machine: Machine model from which the gains are computed.
-        period: Control period, s.
 
     Attributes:
         model: Model of the machine.
@@ -61,13 +57,11 @@ class TextbookPID(FullStateController):
         self._integral_force = np.zeros((0, len(mass)))  # N
         self._axes = np.array(self.model.tool)
 
+    @override
     def concern(self) -> str | None:
         """Return a warning if the sampled linear closed loop is unstable somewhere in the workspace.
 
         Saturation, Coulomb friction and dead time are ignored.
-
-        Returns:
-            One sentence if an eigenvalue lies outside the unit circle at a point of `OperatingPointGrid`; else None.
         """
         n, axes = len(self.model.mass), len(self._axes)
         position, velocity = (np.eye(2 * n)[self._axes + shift] for shift in (0, n))  # select the tool from the state
@@ -88,18 +82,9 @@ class TextbookPID(FullStateController):
             f"(largest eigenvalue of the closed loop {largest:.2f}): its one-mass model ignores that the belts stretch"
         )
 
-    def act_on_state(self, state: Array, goals: Array) -> Array:
-        """Compute the actions for the control period that starts now from the states and goals of B simulated machines.
-
-        Args:
-            state: Belt travel (radius * angle of a rotary coordinate, position of a linear one) of the n coordinates
-                and its velocity, m and m/s, shape (B, 2 n).
-            goals: Tool goals, m, shape (B, 1 + P, axes): the present goal, then those at the ends of the next P
-                periods, of which the first gives the goal's velocity. P = 0 means that the goal does not move.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (B, drives).
-        """
+    @override
+    def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
+        """Compute the actions; the first previewed goal gives the velocity of the goal."""
         if self._starts.resize(len(state)):
             self._integral_force = np.zeros((len(state), len(self._axes)))
         self._integral_force = np.where(self._starts.mask[:, None], 0.0, self._integral_force)

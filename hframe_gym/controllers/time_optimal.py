@@ -22,8 +22,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..dynamics import Equations
 from ..machine import Machine, rest_state
 from .casadi_model import SymbolicModel, check_supported, voltage_limits
@@ -34,7 +35,6 @@ try:
 except ImportError as error:
     raise ImportError("time-optimal motions need CasADi: pip install 'hframe_gym[bound]'") from error
 
-Array = NDArray[np.float64]
 HOLD_S = 0.04  # s, in which the tool comes to rest within the band; twice as long changes T by less than 1 us
 DEGREE = 2  # Radau points per interval: third order, and L-stable, which steep friction needs
 SMOOTHED_REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 0.5 to 1 m/s
@@ -183,10 +183,9 @@ class TimeOptimalReach:
         """Compute the time-optimal motion from rest with unstretched belts into the band (`band`) around the goal.
 
         Args:
-            start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
-            goal: Positions of the linear coordinates at the goal, m, shape (axes,).
-            parameters: All P parameters in the order and units of `Machine.parameters`, shape (P,). Default: the
-                machine's.
+            start: Tool position at the start, m, shape (axes,).
+            goal: Tool position of the goal, m, shape (axes,).
+            parameters: All parameters in the order of `Machine.parameters`, SI, shape (P,). Default: the machine's.
             guesses: Initial guesses of the duration T of the motion, as multiples of the estimated time with rigid
                 belts, tried in this order; at least one.
 
@@ -272,10 +271,9 @@ class HeldVoltageReach:
         """Compute the time-optimal motion into the band around the goal, with voltages held over each control period.
 
         Args:
-            start: Positions of the linear coordinates (usually x, y) at the start, m, shape (axes,).
-            goal: Positions of the linear coordinates at the goal, m, shape (axes,).
-            parameters: All P parameters in the order and units of `Machine.parameters`, shape (P,), or None for the
-                machine's.
+            start: Tool position at the start, m, shape (axes,).
+            goal: Tool position of the goal, m, shape (axes,).
+            parameters: All parameters in the order of `Machine.parameters`, SI, shape (P,), or None for the machine's.
             free_s: Duration of the time-optimal motion whose voltages may change at any time, s, as computed by
                 `TimeOptimalReach`. The search starts in the control period in which this motion ends.
 

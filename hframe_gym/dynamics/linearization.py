@@ -13,13 +13,13 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..distributed import single_threaded_linear_algebra
 from ..machine import Machine
 from .equations import Equations
 
-Array = NDArray[np.float64]
 _MAX_PHASE = 0.75  # rad per integration step; the 20th-order H-frame has 0.73 at 0.5 ms
 _STEP = 1e-40  # complex step; its square vanishes beside every number of interest, and its products do not underflow
 _RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes

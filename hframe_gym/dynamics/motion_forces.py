@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..machine import AppliedEffect, Machine, argument_names
 from .belts import BeltState
 from .equations import Equations
 from .parameterized_machine import MotionPoint
 
-Array = NDArray[np.float64]
 # The flow of a bristle state over a distance without turning point is exact, so few steps suffice.
 _BRISTLE_STATE_STRIDE = 5
 

@@ -10,8 +10,9 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..machine import Machine, Trajectory, rest_state
 from ..operating_system import cores
 from .effect_instances import instances_with_state
@@ -24,7 +25,6 @@ LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (
 
 _DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
 
-Array = NDArray[np.float64]
 _NO_SERIES = np.zeros((0, 0, 0))
 
 

@@ -29,13 +29,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(_REGISTERED)
 
 
 def register_effect(effect: Effect) -> Effect:
-    """Add an effect to `EFFECTS`, so that machine.json, environments and identification can use it.
-
-    Args:
-        effect: Definition of the effect.
-
-    Returns:
-        The same definition.
+    """Add an effect to `EFFECTS`, so that machine.json, environments and identification can use it, and return it.
 
     Raises:
         ValueError: If a different effect is registered under the same name.
@@ -49,9 +43,6 @@ def register_effect(effect: Effect) -> Effect:
 def unregister_effect(name: str) -> None:
     """Remove an effect from `EFFECTS` until the end of the process.
 
-    Args:
-        name: Name of the effect.
-
     Raises:
         KeyError: If no effect of this name is registered.
     """
@@ -63,9 +54,6 @@ def get_effect(name: str) -> Effect:
 
     Args:
         name: A name in `EFFECTS`, or that of a tabulated effect such as "smooth_force[position of y]".
-
-    Returns:
-        Definition of the effect.
 
     Raises:
         KeyError: If neither the library, nor a plugin, nor the tabulated effects have the name.

@@ -7,16 +7,7 @@ from ..machine import Effect, EffectParameter
 
 
 def viscous(b, direction, a):  # type: ignore[no-untyped-def]
-    """Compute the viscous coefficient b (1 + a sign v).
-
-    Args:
-        b: Viscous coefficient of the coordinate, Ns/m or Nms.
-        direction: Sign of the speed v, +1 or -1.
-        a: Relative difference between the directions, -1 to 1.
-
-    Returns:
-        Viscous coefficient in this direction, Ns/m or Nms.
-    """
+    """Return the viscous coefficient b (1 + a sign v), Ns/m or Nms; direction: sign v, a: from -1 to 1."""
     return b * (1.0 + direction * a)
 
 

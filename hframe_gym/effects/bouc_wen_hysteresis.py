@@ -11,15 +11,9 @@ from .dahl_hysteresis import PARAMETERS, force, initial_spread
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Compute the state after a motion without reversal: the exact solution of dz/dt over the distance dq.
+    """Return the state, -1 to 1, after a motion dq without reversal: the exact solution of dz/dt over the distance.
 
-    Args:
-        z: State before the motion, from -1 to 1.
-        dq: Distance moved, with sign, m or rad.
-        L: Characteristic distance, m or rad.
-
-    Returns:
-        State after the motion, from -1 to 1.
+    L is the characteristic distance, m or rad, as dq.
     """
     direction = copysign(1.0, dq)
     against, distance = z * direction, absolute(dq) / L  # `against` is negative after a reversal

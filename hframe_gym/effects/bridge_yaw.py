@@ -24,12 +24,9 @@ def _sides(machine: Machine) -> dict[str, float]:
 
 
 def fits(machine: Machine) -> bool:
-    """Check whether a machine can have this effect: belts on both sides of the bridge and no coordinate `yaw` yet.
+    """Return whether a machine can have this effect: belts on both sides of the bridge and no coordinate `yaw` yet.
 
     The bridge must move along the first axis, which then has the larger mass, because the bridge carries the cart.
-
-    Returns:
-        True if the effect can be added.
     """
     if len(machine.tool_axes) != 2 or "yaw" in machine.coordinate_names:
         return False
@@ -40,11 +37,7 @@ def fits(machine: Machine) -> bool:
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     """Add the coordinate `yaw`, its part in the extension of the belts, and the product y yaw to sensors that read x.
 
-    Args:
-        effect: This effect with the parameters J, kg m^2, k, Nm/rad, c, Nms, and w, m.
-
-    Returns:
-        The machine with the coordinate, whose mass, viscous friction and radius are tied to J, c and w.
+    The mass, viscous friction and radius of the coordinate are tied to J, kg m^2, c, Nms, and w, m; k is in Nm/rad.
     """
     values = effect.parameters
     yaw = Coordinate("yaw", values["J"], values["c"], kind="rotary", radius=values["w"])

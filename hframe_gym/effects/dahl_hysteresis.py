@@ -10,15 +10,9 @@ from ..machine import Effect, EffectParameter
 
 
 def next_state(z, dq, L):  # type: ignore[no-untyped-def]
-    """Compute the state after a motion without reversal, s + (z - s) exp(-|dq|/L) with the direction s = sign(dq).
+    """Return the state, -1 to 1, after a motion dq without reversal, s + (z - s) exp(-|dq|/L) with s = sign(dq).
 
-    Args:
-        z: State before the motion, from -1 to 1.
-        dq: Distance moved, with sign, m or rad.
-        L: Characteristic distance, m or rad.
-
-    Returns:
-        State after the motion, from -1 to 1.
+    L is the characteristic distance, m or rad, as dq.
     """
     final = copysign(1.0, dq)
     return final + (z - final) * exp(-absolute(dq) / L)

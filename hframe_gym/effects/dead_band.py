@@ -10,15 +10,9 @@ from ..machine import Effect, EffectParameter
 
 
 def voltage(V, Vd, drop):  # type: ignore[no-untyped-def]
-    """Return the output voltage of the amplifier.
+    """Return the output voltage of the amplifier, V: 0 for |V| < Vd, else V - drop * Vd * sign(V).
 
-    Args:
-        V: Commanded voltage, V.
-        Vd: Threshold, V.
-        drop: Fraction of the threshold by which the output is reduced above it, from 0 to 1.
-
-    Returns:
-        Output voltage, V: 0 for |V| < Vd, else V - drop * Vd * sign(V).
+    Vd is the threshold, V, and drop the fraction of it by which the output is reduced above it, from 0 to 1.
     """
     return where(absolute(V) < Vd, 0.0, V - copysign(drop * Vd, V))
 

@@ -9,47 +9,23 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def next_state(z, dq):  # type: ignore[no-untyped-def]
-    """Advance the state of the effect, the pulley's rotation since the start of the run: z + dq.
-
-    Args:
-        z: Rotation before the step, rad.
-        dq: Rotation in the step, rad.
-
-    Returns:
-        Rotation after the step, rad.
-    """
+    """Advance the state of the effect, the pulley's rotation since the start of the run, rad: z + dq."""
     return z + dq
 
 
 def rest_angle_offset(q, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Compute the angle e sin(phi + p) / r by which the pulley lags behind a round one at the start of a run.
+    """Return the angle e sin(phi + p) / r, rad, by which the pulley lags behind a round one at the start of a run.
 
-    Args:
-        q: Angle phi of a round pulley with the same belt travel, rad.
-        e: Eccentricity, m.
-        p: Angle of the eccentricity at phi = 0, rad.
-        per_radius: 1/r, the inverse radius of the pulley, 1/m.
-
-    Returns:
-        Lag, rad.
+    q is the angle phi of a round pulley with the same belt travel, rad; e the eccentricity, m; p its angle at phi = 0,
+    rad; per_radius is 1/r, 1/m.
     """
     return e * sin(q + p) * per_radius
 
 
 def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Compute the belt travel that the eccentricity adds, e (sin(phi + p - lag) - sin(phi_0 + p - lag)).
+    """Return the belt travel that the eccentricity adds, m: e (sin(phi + p - lag) - sin(phi_0 + p - lag)).
 
-    phi_0 is the angle at the start of the run, and lag = e sin(phi_0 + p) / r (`rest_angle_offset`).
-
-    Args:
-        q: Angle phi of the pulley, rad.
-        z: Rotation since the start of the run, rad; phi_0 = q - z is the angle at the start.
-        e: Eccentricity, m.
-        p: Angle of the eccentricity at phi = 0, rad.
-        per_radius: 1/r, the inverse radius of the pulley, 1/m.
-
-    Returns:
-        Added belt travel since the start of the run, m.
+    phi_0 = q - z is the angle at the start of the run, and lag = e sin(phi_0 + p) / r; see `rest_angle_offset`.
     """
     start = q - z
     lag = rest_angle_offset(start, e, p, per_radius)
@@ -57,29 +33,12 @@ def belt_travel(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
 
 
 def lever_arm(q, z, e, p, per_radius):  # type: ignore[no-untyped-def]
-    """Compute the lever arm that the eccentricity adds, e cos(phi + p - lag).
-
-    lag = e sin(phi_0 + p) / r (`rest_angle_offset`), with the angle phi_0 at the start of the run.
-
-    Args:
-        q: Angle phi of the pulley, rad.
-        z: Rotation since the start of the run, rad.
-        e: Eccentricity, m.
-        p: Angle of the eccentricity at phi = 0, rad.
-        per_radius: 1/r, the inverse radius of the pulley, 1/m.
-
-    Returns:
-        Added lever arm, m/rad.
-    """
+    """Return the lever arm that the eccentricity adds, m/rad: e cos(phi + p - lag), with the lag of `belt_travel`."""
     return e * cos(q + p - rest_angle_offset(q - z, e, p, per_radius))
 
 
 def fits(machine: Machine) -> bool:
-    """Check whether a machine can have this effect: it needs belts.
-
-    Returns:
-        True if the machine has belts.
-    """
+    """Return whether a machine can have this effect: it needs belts."""
     return bool(machine.belts)
 
 

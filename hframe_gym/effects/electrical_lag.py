@@ -7,16 +7,9 @@ _SHORTEST_LAG = 1e-9  # s; avoids a division by zero for tau = 0
 
 
 def next_state(z, i, dt, tau):  # type: ignore[no-untyped-def]
-    """Compute the motor current after the time dt, i + (z - i) exp(-dt/tau).
+    """Return the motor current, A, after the time dt, s: i + (z - i) exp(-dt/tau).
 
-    Args:
-        z: Current before, A.
-        i: Current without inductance, (V - Ke N w)/R, A.
-        dt: Time, s.
-        tau: Time constant L/R of the winding, s.
-
-    Returns:
-        Current after, A.
+    i is the current without inductance, (V - Ke N w)/R, A, and tau = L/R the time constant of the winding, s.
     """
     return i + (z - i) * exp(-dt / maximum(tau, _SHORTEST_LAG))
 

@@ -14,55 +14,31 @@ from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machin
 
 
 def force(q, v, m, net, friction, f0, zeta, r, s):  # type: ignore[no-untyped-def]
-    """Compute the force on the frame, referred to the mass of the carriage.
+    """Return the force m f'' = -m (w^2 f + 2 zeta w f') - r (m x'' + s friction), N, with w = 2 pi f0.
 
-    Args:
-        q: Displacement f of the frame, m.
-        v: Speed f' of the frame, m/s.
-        m: Mass of the carriage, kg.
-        net: Net force on the carriage, its mass times its acceleration x'', N.
-        friction: Friction force on the carriage, N, positive against positive motion.
-        f0: Natural frequency of the frame, Hz.
-        zeta: Damping ratio of the frame.
-        r: Mass of the carriage / mass of the frame; negative for a sensor on the frame, positive for one beside it.
-        s: Fraction of the friction that the ground bears, 0 to 1.
-
-    Returns:
-        Force m f'' = -m (w^2 f + 2 zeta w f') - r (m x'' + s friction) with w = 2 pi f0, N.
+    q, v: displacement f and speed f' of the frame; m: mass of the carriage; net: its mass times its
+    acceleration x''; friction: that on the carriage, positive against positive motion; f0: natural frequency,
+    Hz; zeta: damping ratio; r: mass of the carriage / mass of the frame, negative for a sensor on the frame,
+    positive for one beside it; s: fraction of the friction that the ground bears, 0 to 1.
     """
     w = 2.0 * math.pi * f0
     return -m * w * (w * q + 2.0 * zeta * v) - r * (net + s * friction)
 
 
 def fits(machine: Machine) -> bool:
-    """Check whether a machine can have this effect: it has no coordinate `frame` yet.
-
-    Returns:
-        True if the effect can be added.
-    """
+    """Return whether a machine can have this effect: it has no coordinate `frame` yet."""
     return "frame" not in machine.coordinate_names
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Check whether the effect can act along a coordinate: a linear one that a sensor measures.
-
-    Args:
-        site: Name of the coordinate.
-
-    Returns:
-        True if the effect can act along the coordinate.
-    """
+    """Return whether the effect can act along a coordinate: a linear one that a sensor measures."""
     return machine.coordinate(site).kind == "linear" and any(s.coordinate == site for s in machine.sensors)
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     """Add the coordinate of the frame, and its displacement to the readings of the sensors of the carriage.
 
-    Args:
-        effect: This effect; its site is the coordinate of the carriage.
-
-    Returns:
-        The machine with the coordinate, whose mass is tied to that of the carriage and which has no friction.
+    The mass of the coordinate is tied to that of the carriage, the effect's site; it has no friction.
     """
     carriage = machine.coordinate(effect.site)
     frame = Coordinate("frame", carriage.mass, kind="rotary", radius=1.0)

@@ -56,11 +56,7 @@ def _roles(machine: Machine) -> dict[str, str]:
 
 
 def fits(machine: Machine) -> bool:
-    """Check whether a machine can have this effect: the belts of the 8th-order model, no ties, and no name in use.
-
-    Returns:
-        True if the effect can be added.
-    """
+    """Return whether a machine can have this effect: belts of the 8th-order model, no ties, no name in use."""
     roles = _roles(machine)
     if not roles or machine.ties:
         return False
@@ -72,13 +68,9 @@ def fits(machine: Machine) -> bool:
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     """Add the idlers phi3..phi8, split each belt in three, and subtract the idlers from motors and cart.
 
-    Args:
-        machine: Machine with the belts of the 8th-order model.
-        effect: This effect with the inertia of one idler, J_left and J_right, kg m^2, and its viscous friction, B_left
-            and B_right, Nms.
-
-    Returns:
-        The machine of 20th order; the parameters of idlers and sections are tied to the effect and the belts.
+    The result is the machine of 20th order. Parameters of idlers and sections are tied to the effect, the
+    inertias of one idler, J_left and J_right, kg m^2, and its viscous friction, B_left and B_right, Nms, and
+    to the belts.
     """
     roles = _roles(machine)
     radius = machine.coordinate(roles["phi1"]).radius

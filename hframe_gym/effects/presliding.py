@@ -11,16 +11,10 @@ _LOWEST_LEVEL = 1e-12  # N or Nm; avoids a division by zero without Coulomb fric
 
 
 def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
-    """Compute the deflection after a motion at constant speed, e + (z - e) exp(-|dq| s0/F) with e = sign(dq) F/s0.
+    """Return the deflection after a motion at constant speed, e + (z - e) exp(-|dq| s0/F) with e = sign(dq) F/s0.
 
-    Args:
-        z: Deflection of the bristle before the motion, m or rad.
-        dq: Distance moved, with sign, m or rad.
-        level: Coulomb friction force F, including the Stribeck effect, N or Nm.
-        s0: Stiffness of the bristle, N/m or Nm/rad.
-
-    Returns:
-        Deflection of the bristle after the motion, m or rad.
+    z: deflection of the bristle, m or rad, as the distance dq; level: friction force F with the Stribeck
+    effect, N or Nm; s0: stiffness of the bristle, N/m or Nm/rad.
     """
     limit = maximum(level, _LOWEST_LEVEL) / s0
     final = copysign(limit, dq)
@@ -28,31 +22,12 @@ def next_state(z, dq, level, s0):  # type: ignore[no-untyped-def]
 
 
 def friction(z, v, level, s0, s1):  # type: ignore[no-untyped-def]
-    """Compute the friction force s0 z + s1 dz/dt with dz/dt = v - s0 |v| z/F.
-
-    Args:
-        z: Deflection of the bristle, m or rad.
-        v: Speed, m/s or rad/s.
-        level: Coulomb friction force F, including the Stribeck effect, N or Nm.
-        s0: Stiffness of the bristle, N/m or Nm/rad.
-        s1: Damping of the bristle, Ns/m or Nms.
-
-    Returns:
-        Friction force, N or Nm.
-    """
+    """Return the friction force, N or Nm: s0 z + s1 dz/dt with dz/dt = v - s0 |v| z/F; s1: damping, Ns/m or Nms."""
     return s0 * z + s1 * (v - s0 * absolute(v) * z / maximum(level, _LOWEST_LEVEL))
 
 
 def initial_spread(level, s0):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of the deflection z after unrecorded motion: a quarter of its limit F/s0, m or rad.
-
-    Args:
-        level: Coulomb friction force F, including the Stribeck effect, N or Nm.
-        s0: Stiffness of the bristle, N/m or Nm/rad.
-
-    Returns:
-        Standard deviation, m or rad.
-    """
+    """Return the standard deviation of z after unrecorded motion: a quarter of its limit F/s0, m or rad."""
     return 0.25 * level / s0
 
 

@@ -8,16 +8,7 @@ from ..machine import Effect, EffectParameter
 
 
 def measurement(r, low, high):  # type: ignore[no-untyped-def]
-    """Return the measurement of a sensor with a limited range.
-
-    Args:
-        r: What the sensor would measure without a limit, m or rad.
-        low: Lower end of the range, m or rad.
-        high: Upper end of the range, m or rad.
-
-    Returns:
-        r, limited to the range from low to high, m or rad.
-    """
+    """Return the measurement of a sensor, m or rad: r, limited to the range from low to high."""
     return minimum(maximum(r, low), high)
 
 

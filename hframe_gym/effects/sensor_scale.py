@@ -12,13 +12,10 @@ def measurement(r, g):  # type: ignore[no-untyped-def]
 
 
 def fits(machine: Machine) -> bool:
-    """Check whether a scale error can be identified on a machine.
+    """Return whether a scale error can be identified on a machine, which needs more sensors than rigid-body motions.
 
-    The machine needs redundant sensors: more than it has rigid-body motions. If a single sensor measures an axis, a
-    scale error cannot be distinguished from masses and forces that are wrong by the same factor.
-
-    Returns:
-        True if there are more sensors than rigid-body motions.
+    If a single sensor measures an axis, a scale error cannot be distinguished from masses and forces that are wrong by
+    the same factor.
     """
     return len(machine.sensors) > max(1, len(rigid_motions(machine)))
 

@@ -9,14 +9,7 @@ def measurement(r, across, a):  # type: ignore[no-untyped-def]
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Check whether the effect can act on a sensor: it must measure one of exactly two linear coordinates.
-
-    Args:
-        site: Channel of the sensor, for example x_m.
-
-    Returns:
-        True if the effect can act on the sensor.
-    """
+    """Return whether the effect can act on a sensor (channel): it must measure one of two linear coordinates."""
     coordinate = machine.coordinate(machine.sensor(site).coordinate)
     return coordinate.kind == "linear" and machine.other_axis(coordinate.name) is not None
 

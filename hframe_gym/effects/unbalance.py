@@ -5,14 +5,7 @@ from ..machine import Effect, EffectParameter, Machine
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Check whether the effect can act on a coordinate: it must have an angle.
-
-    Args:
-        site: Name of the coordinate.
-
-    Returns:
-        True for a rotary coordinate.
-    """
+    """Return whether the effect can act on a coordinate, given by its name: it must be rotary."""
     return machine.coordinate(site).kind == "rotary"
 
 

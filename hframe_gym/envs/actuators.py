@@ -18,15 +18,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..dynamics import LANES
 from ..dynamics.blocks import read_block
 from ..dynamics.compiled import compiled
 from ..effects import EFFECTS
 from ..errors import InputError, is_integer, is_number
 from ..machine import Machine
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
 from ..dynamics.compiled import compiled
 from ..errors import InputError
@@ -23,9 +24,6 @@ from .actuators import ActuatorModel
 from .machine_sampler import ParameterSpace
 from .measurements import DelayLine
 from .workspace import EndStops, tool_terms, write_tool_positions
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 def _parameter_values(machine: Machine, name: str, values: Array) -> Array:

@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import InputError
 from ..machine import Machine
 from .actuators import ActuatorsLike
@@ -20,7 +21,6 @@ from .rewards import RewardLike
 from .sensors import SensorsLike
 from .tasks import Task, TaskLike, check_point
 
-Array = NDArray[np.float64]
 MachineLike: TypeAlias = Machine | str | Path
 Ends = Literal["stops", "terminate"]
 

@@ -20,13 +20,12 @@ from fnmatch import fnmatchcase
 from typing import Any, Literal, Protocol, TypeAlias, cast, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import exp10, ndtri
 
+from ..arrays import Array
 from ..errors import InputError, is_number
 from ..registry import Registry
 
-Array = NDArray[np.float64]
 How = Literal["scale", "add", "set"]
 When = Literal["reset", "startup"]
 

@@ -18,6 +18,7 @@ import numpy as np
 from gymnasium import error
 from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError, is_integer
 from .actuators import check_actions, with_actuators
@@ -33,8 +34,6 @@ from .tasks import as_task
 from .tasks.base import ReferenceTrajectories
 from .workspace import outside_workspace, workspace_of
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 # With fewer environments, one thread finishes before a second one has started.
 _COUNT_FOR_THREADS = 512

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..errors import InputError
 from ..machine import Machine
 from .domain_randomization import (
@@ -26,8 +27,6 @@ from .domain_randomization import (
 from .random_numbers import LARGEST_UNIFORM, SMALLEST_UNIFORM, CorrelatedSampler, episode_keys, reset_uniforms
 from .workspace import effect_and_belt_limits
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Keys = NDArray[np.uint64]
 Range = tuple[Array, Array]  # smallest and largest values
 ParameterValues = Mapping[str, float]

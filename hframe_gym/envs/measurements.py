@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..dynamics import LANES
 from ..dynamics.compiled import compiled
 from ..dynamics.lane_program import LaneProgram
@@ -22,8 +23,6 @@ from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
 from .random_numbers import normal_pair, normal_pairs
 from .sensors import sensor_range_names
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 # First channel of the random numbers of sensor kinds whose formula is not the default one.
 _FIRST_CUSTOM_CHANNEL = 1 << 20
 

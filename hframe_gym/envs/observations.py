@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..dynamics import LANES
 from ..dynamics.blocks import write_block
 from ..dynamics.compiled import compiled
@@ -26,8 +27,6 @@ from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
 from .workspace import tool_product, workspace_of
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Observation = dict[str, NDArray[np.float32]]
 _FLOAT32 = np.dtype(np.float32)  # saves its construction in every step
 

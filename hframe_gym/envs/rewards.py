@@ -18,12 +18,12 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics.compiled import compiled
 from ..errors import InputError
 from ..registry import Registry
 from .workspace import outside_workspace
 
-Array: TypeAlias = NDArray[np.float64]
 Positions: TypeAlias = NDArray[np.float32]
 Reward: TypeAlias = Callable[[Positions, Positions], Array]
 # The last arguments of `evaluate_rows`: kind and band of a built-in reward, and the arrays for distances and rewards.

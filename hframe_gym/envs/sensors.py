@@ -14,14 +14,11 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..effects import EFFECTS
 from ..errors import InputError, is_number
 from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import Array
 from ..dynamics.compiled import compiled
 from ..errors import InputError
 from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .workspace import workspace_of
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.05  # m, distance by which the bounds of positions exceed the workspace, because the end stops yield
 SPEED_FACTOR = 3.0  # bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast

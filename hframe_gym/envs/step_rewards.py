@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics.compiled import compiled
 from ..errors import InputError
 from .rewards import (
     PROGRESS,
     REWARDS,
-    Array,
     BuiltinReward,
     Evaluation,
     PenalizedReward,

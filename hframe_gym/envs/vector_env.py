@@ -12,16 +12,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from ..arrays import Array, Index
 from ..errors import InputError, is_integer
 from ..machine import Machine
 from .actuators import action_space
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
-from .environment_batch import EnvironmentBatch, Flags, Index, StepResult
+from .environment_batch import EnvironmentBatch, Flags, StepResult
 from .hframe_env import BatchProperties, require_path
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 
-Array = NDArray[np.float64]
 _KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode")
 
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import LANES
 from ..dynamics.compiled import compiled
 from ..dynamics.elementwise import absolute, copysign, maximum
 from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine
 
-Array = NDArray[np.float64]
 # Rubber buffers at the ends of x and y.
 BUFFER_STIFFNESS = 2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz
 BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed

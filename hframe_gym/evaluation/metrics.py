@@ -14,10 +14,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..registry import Registry
 from .scenario import EpisodeConditions, Episodes, Scenario, episode_conditions
 
-Array = NDArray[np.float64]
 BANDS = {"1mm": 1e-3, "0.2mm": 2e-4, "0.05mm": 5e-5}  # m, settling bands
 BOUND_BAND = "0.2mm"  # settling band of the time-optimal bounds
 SATURATED = 1.0 - 1e-6  # fraction of the rated voltage from which a drive counts as saturated

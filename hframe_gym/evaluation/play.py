@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..atomic_files import atomic_file
 from ..controllers import Controller, MotionModel
 from ..envs import HFrameEnv
@@ -18,7 +19,6 @@ from ..envs.rendering import HEIGHT, TRAIL_LENGTH, WIDTH, Renderer, Scene
 from ..errors import InputError
 from .scenario import Scenario, make_controller
 
-Array = NDArray[np.float64]
 FRAMES_PER_S = 50
 STRIP_HEIGHT = 74  # pixels below a stage, for its name, its result and its voltages
 HELP_HEIGHT = 30  # pixels below the stages, for the keys

@@ -21,16 +21,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ..arrays import Array
 from ..atomic_files import write_text
 from ..errors import InputError
 from .metrics import BANDS, BOUND_BAND, ratio_of_means, stored_bounds
 from .protocols import Draws, Entry, Protocol, get_protocol
 from .runner import SAMPLES_PER_PERIOD
 
-Array = NDArray[np.float64]
 SCHEMA = 2
 BOOTSTRAP_SEED = 0
 PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3")

@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
 from ..envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine, observed_machine
 from ..envs.actuators import ACTUATOR_PRESETS
@@ -44,7 +45,6 @@ from .runner import rollout
 from .scenario import CONTROLLER_SOURCES, Episodes, Scenario, episode_conditions, make_controller
 from .undeclared_effects import effect_rules, with_absent_effects
 
-Array = NDArray[np.float64]
 Draws = dict[str, list[float | None]]
 DECIMALS = 6  # of the values in results, s and mm: hides differences between processors, far below any effect
 SEED_OF_RESULTS, SEED_OF_HARD = 1000, 71_000  # draws of these seeds decide nothing: no tuning, no selection of agents

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..atomic_files import write_text
 from ..controllers import Controller, EnvironmentController
 from ..dynamics import Equations, MotionPoint, NotFiniteError
@@ -24,7 +24,6 @@ from ..machine import Machine
 from .metrics import score_episodes, stored_bounds
 from .scenario import Episodes, Scenario, environments_of, make_controller, period_concern
 
-Array = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 10
 MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes
 MANY_PERIODS = 10_000  # control periods of an episode from which a warning says that the evaluation takes long

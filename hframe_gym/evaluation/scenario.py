@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..controllers import (
     CONTROLLERS,
     Controller,
@@ -41,7 +41,6 @@ from ..errors import InputError
 from ..machine import Machine
 from ..registry import Registry, load_plugins, names_module
 
-Array = NDArray[np.float64]
 LONGEST_EPISODE = 3600.0  # s
 SAMPLES_PER_MODE = 4.0  # control periods per period of the slowest belt mode that a warning suggests
 

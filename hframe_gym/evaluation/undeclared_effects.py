@@ -21,14 +21,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..effects import EFFECTS
 from ..envs import DISTRIBUTIONS, Distribution, LogUniform, RandomizeParameter, Uniform
 from ..errors import InputError
 from ..machine import Machine
 
-Array = NDArray[np.float64]
 EXPECTED_EFFECTS = 2.0  # mean number of effects in an episode
 SMALLEST_SIZE = 0.2  # of the full size
 NO_SLACK_N = 1e5  # N, a pretension that no belt force reaches

@@ -6,14 +6,13 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import Equations, MotionPoint
 from ..machine import AppliedEffect, Machine, argument_names, motion_limits, rest_state, rigid_motions
 from .base import EXPORTERS, Files, MachineExporter, axis_range, commented, option, plain
 from .uncertainty import standard_deviations
 
-Array = NDArray[np.float64]
 # Speeds over the highest one. Stribeck curves bend at a hundredth to a tenth of it.
 _SPEEDS = np.geomspace(1e-4, 1.0, 41)
 _POINTS = 49  # positions over the range of a smooth dependence

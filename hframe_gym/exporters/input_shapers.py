@@ -24,15 +24,14 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import InputError
 from ..machine import Machine
 from .base import MachineExporter, operating_point, option
 from .linear_model import axis_modes
 from .uncertainty import standard_deviations
 
-Array = NDArray[np.float64]
 Shaper = Literal["zv", "mzv", "ei"]
 SHAPERS: tuple[Shaper, ...] = ("zv", "mzv", "ei")
 _TOLERATED_VIBRATION = 0.05  # V of `ei`, as Klipper has it

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import Equations, MotionPoint
 from ..dynamics.elementwise import sign
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine, argument_names, rest_positions_per_axis
 
-Array = NDArray[np.float64]
 Values = Mapping[str, Any] | None
 BISECTIONS = 64  # halvings of the range of a command: the result is exact to rounding
 _ROUNDING = 1e-9  # relative; coefficients of the kinematics closer to an integer than this are integers

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import Equations, linearize
 from ..machine import AppliedEffect, Machine
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 # Steps of the central differences: m of belt travel, m/s, V. Forces are linear to 1e-9 over them, and rounding errors
 # are of the same size.

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..controllers import TextbookPID
 from ..dynamics.elementwise import absolute, maximum, minimum, where
 from ..dynamics.expressions import Expression
@@ -26,7 +26,6 @@ from .base import axis_range, plain
 from .formula_source import Formula, Parameter, Signal, parameters_of, trace_formula
 from .inverse_dynamics import InverseDynamics
 
-Array = NDArray[np.float64]
 _DEFAULT_SPEED = 1.0  # m/s, where the machine states no highest speed
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}", re.ASCII)
 

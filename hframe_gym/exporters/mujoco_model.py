@@ -12,14 +12,13 @@ from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import belt_states
 from ..errors import InputError
 from ..machine import Coordinate, Machine
 from .base import axis_range
 
-Array = NDArray[np.float64]
 # MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
 # ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as
 # close to dry friction as MuJoCo allows: the smallest permitted time constant, two steps, and an impedance near one.

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine
 
-Array = NDArray[np.float64]
 _STEP_IN_STD = (
     1e-2  # step of the differences, in standard deviations: there a quantity is linear, and rounding is small
 )

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..registry import Registry
 
-Array = NDArray[np.float64]
 Row = Mapping[str, float]
 CoordinateKind = Literal["linear", "rotary"]
 

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .components import FIXED_UNITS, UNITS, Array, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
+from ..arrays import Array
+from .components import FIXED_UNITS, UNITS, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
 from .effect import AppliedEffect, SiteKind
 from .motion import SIMULATORS, Trajectory
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..arrays import Array
 from ..registry import Registry
-from .components import Array
 
 if TYPE_CHECKING:
     from .machine import Machine

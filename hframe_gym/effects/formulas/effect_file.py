@@ -54,11 +54,7 @@ class FormulaEffect:
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Check the name.
-
-        Raises:
-            ValueError: If the name is not a Python identifier in lower case.
-        """
+        """Check the name; a ValueError says that it is no Python identifier in lower case."""
         if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name) or keyword.iskeyword(self.name):
             raise ValueError(f"effect name {self.name!r}: use lower-case letters, digits and underscores only")
 
@@ -74,32 +70,20 @@ class FormulaEffect:
         return {parameter.name: value for parameter, value in self._parameters()}
 
     def definition(self) -> Effect:
-        """Create the effect's definition by executing the generated source, without registering it.
-
-        Returns:
-            Definition of the effect, the same as in the file that `write_effect_file` writes.
-        """
+        """Return the effect's definition, the same as in the file of `write_effect_file`, without registering it."""
         namespace: dict[str, Any] = {"__name__": f"hframe_formula_{self.name}"}
         exec(compile(self._definition_source(), f"<effect {self.name}>", "exec"), namespace)
         return namespace["EFFECT"]
 
     def applied(self) -> AppliedEffect:
-        """Create the effect at the coordinate of the table, with the fitted parameters clipped to their bounds.
-
-        Returns:
-            Effect with its parameters, which can take the place of the table in the machine.
-        """
+        """Return the effect that takes the place of the table, with fitted parameters clipped to their bounds."""
         definition = self.definition()
         bounds = {p.name: (p.lower, p.upper) for p in definition.parameters}
         values = {name: float(np.clip(value, *bounds[name])) for name, value in self.values.items()}
         return definition.at(self.table.site, **values)
 
     def source(self) -> str:
-        """Return the complete text of the Python file that defines and registers the effect.
-
-        Returns:
-            Source of a module that registers the effect when it is imported.
-        """
+        """Return the source of a Python module that defines the effect, and registers it when it is imported."""
         text = self._definition_source()
         imports = "from hframe_gym.effects import register_effect\nfrom hframe_gym.machine import"
         return text.replace("from hframe_gym.machine import", imports, 1) + _REGISTRATION
@@ -301,11 +285,7 @@ class FormulaEffect:
 
 
 def write_effect_file(effect: FormulaEffect, path: Path) -> None:
-    """Write the Python file that defines and registers an effect.
-
-    Args:
-        effect: Formula and name of the effect.
-        path: Python file; it must not exist.
+    """Write the Python file that defines and registers an effect; it must not exist.
 
     Raises:
         InputError: If the file exists or cannot be written.

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from ...arrays import Array
 from .terms import Term
 
-Array = NDArray[np.float64]
 _FINE_POINTS = 16  # Points between two knots where a formula is compared with the straight pieces of the table.
 _ERROR_FLOOR = 0.02  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
 _ABSORBED = 30.0  # Standard deviation, relative to the curve's, of what other parameters can represent.
@@ -40,7 +40,7 @@ _CLEAR_GAIN = 0.85  # A formula with more parameters must reduce the error of th
 
 @dataclass(frozen=True)
 class Curve:
-    """Ordinates of a table (force interpolated between k knots of one variable) with their uncertainty.
+    """Ordinates of a table at k knots of one variable, with their uncertainty.
 
     Attributes:
         knots: Increasing values of the variable, shape (k,).
@@ -97,13 +97,12 @@ class Curve:
         return np.asarray(self.projection @ function(self.fine))
 
     def whitening(self, rows: NDArray[np.bool_]) -> Array:
-        """Return the matrix that makes the errors of some ordinates independent with variance 1.
+        """Return the matrix that makes the errors of some ordinates independent with variance 1, shape (r, r).
+
+        It is the inverse of the lower Cholesky factor of their covariance.
 
         Args:
             rows: Mask of the r ordinates among all k, shape (k,).
-
-        Returns:
-            Inverse of the lower Cholesky factor of their covariance, shape (r, r).
         """
         factor = np.linalg.cholesky(self.error_covariance[np.ix_(rows, rows)])
         return np.asarray(np.linalg.inv(factor))
@@ -137,14 +136,11 @@ class Formula:
         return sum(term.complexity for term in self.terms)
 
     def with_values(self, values: Iterable[float]) -> Formula:
-        """Return a copy with other parameters.
+        """Return a copy with other parameters and the same error.
 
         Args:
             values: Parameters, SI, term by term: for each term in `terms`, first its amplitudes, then its shape
                 parameters (centers, widths, periods).
-
-        Returns:
-            The formula with these parameters and the same error.
         """
         remaining = iter(values)
         amplitudes: list[float] = []
@@ -155,14 +151,7 @@ class Formula:
         return dataclasses.replace(self, amplitudes=tuple(amplitudes), shapes=tuple(shapes))
 
     def __call__(self, u: Array) -> Array:
-        """Evaluate the formula.
-
-        Args:
-            u: Values of the variable (position, velocity, path or time), SI, shape (n,).
-
-        Returns:
-            Force or friction level, N or Nm, shape (n,).
-        """
+        """Return the force or friction level, N or Nm, at values `u` of the variable, SI, shape (n,) each."""
         columns = [term.values(u, np.array(shape)) for term, shape in zip(self.terms, self.shapes, strict=True)]
         return np.asarray(np.concatenate(columns, axis=1) @ np.array(self.amplitudes))
 

@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import AppliedEffect, Machine
 from ..smooth_table import KNOTS
 from .regression import Curve
 from .terms import Term, terms_of
 
-Array = NDArray[np.float64]
-
 
 def terms_of_table(table: AppliedEffect) -> tuple[Term, ...]:
-    """Return the terms that a formula for a table (force or friction level over one variable) may contain.
-
-    Returns:
-        Terms for the table's variable, see `terms_of`.
-    """
+    """Return the terms that a formula for a table may contain, see `terms_of`."""
     variable = table.definition.against.partition(" of ")[0]
     return tuple(terms_of(variable, force=table.name.startswith("smooth_force")))
 
 
 def curve_of_table(table: AppliedEffect, machine: Machine) -> Curve:
-    """Return the values of a table (force or friction level over one variable) with their covariance.
-
-    Args:
-        machine: Machine with the table, and with the uncertainty of its parameters where it is known.
+    """Return the values of a table with their covariance, which is zero if the machine states none.
 
     Returns:
-        Ordinates at the k knots, N or Nm, shape (k,), and their covariance, shape (k, k), which is zero if the machine
-        has no uncertainty for them.
+        Ordinates at the k knots, N or Nm, shape (k,), and their covariance, shape (k, k).
     """
     knots = np.array([table.parameters[f"k{i:02d}"] for i in range(KNOTS)])
     values = np.array([table.parameters[f"f{i:02d}"] for i in range(KNOTS)])

@@ -15,11 +15,10 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...dynamics.elementwise import absolute, cos, exp, maximum, sin, sqrt
 
-Array = NDArray[np.float64]
 ShapeRole = Literal["center", "width", "period"]
 _HARMONICS = 3
 
@@ -161,28 +160,23 @@ class Term:
         return len(self.columns) + len(self.shapes)
 
     def values(self, u: Array, shapes: Array) -> Array:
-        """Evaluate the term's functions (columns) of the variable at amplitude 1.
+        """Return the value of each function (column) at amplitude 1, shape (n, columns).
 
         Args:
             u: Values of the variable (position, velocity, path or time), SI, shape (n,).
-            shapes: Shape parameters (center, width, period) in the order of the attribute `shapes`, in the unit of the
-                variable.
-
-        Returns:
-            Value of each function, shape (n, columns).
+            shapes: Shape parameters in the order of the attribute `shapes`, shape (parameters,), in the unit
+                of the variable.
         """
         return np.stack([np.asarray(column(u, *shapes), float) for column in self.columns], axis=1)
 
     def grid(self, low: float, high: float) -> list[tuple[float, ...]]:
         """Return starting values for a search of the shape parameters: all combinations of centers, widths, periods.
 
+        A term without shape parameters has a single empty one.
+
         Args:
             low: Smallest value of the variable in the data, SI.
             high: Largest value of the variable in the data, SI.
-
-        Returns:
-            Sets of shape parameters, one tuple of len(shapes) values each, in the unit of the variable; a single empty
-            one for a term without shape parameters.
         """
         span = high - low
         sets: list[tuple[float, ...]] = [()]

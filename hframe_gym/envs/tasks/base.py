@@ -9,11 +9,10 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array, Index
 from ...errors import InputError
 from ...registry import Registry
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Metrics = Literal["reach", "track"]
 
 

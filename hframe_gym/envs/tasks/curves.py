@@ -11,12 +11,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...dynamics.compiled import compiled, helper
 from ..random_numbers import cos_sin_of_turns
 
-Array = NDArray[np.float64]
 # Segments of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.
 SEGMENTS = 8192
 COARSE_VERTICES = 128  # vertices that a wide search for the nearest point tries first

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...arrays import Array
 from ...errors import InputError, is_number
-from .base import TASKS, Array, Task, check_point
+from .base import TASKS, Task, check_point
 
 
 @TASKS.register("reach")

@@ -12,10 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...dynamics.compiled import compiled
 from ...errors import InputError, is_integer, is_number
 from ...recordings import read_path
-from .base import TASKS, Array, Metrics, Task
+from .base import TASKS, Metrics, Task
 from .curves import SHAPES, Curve, Polyline, point_at, traveled, write_distances
 
 # Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
