@@ -7,7 +7,6 @@ from pathlib import Path
 
 from ...errors import InputError
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _AS_CSV = "export its signals as CSV"
 # By the bytes with which a file begins: what it is, and what to do.
 _BY_START: tuple[tuple[bytes, str, str], ...] = (
@@ -22,8 +21,8 @@ _BY_START: tuple[tuple[bytes, str, str], ...] = (
 )
 # Endings of files in a folder that are probably logs but are not read, by the same kinds.
 FOREIGN_SUFFIXES = (
-    *(".xlsx", ".xls", ".xlsm", ".ods", ".mcap", ".bag", ".db3", ".ulg", ".tdms", ".mf4", ".mdf", ".hdf5"),
-    *(".h5", ".json", ".jsonl"),
+    *(".xlsx", ".xls", ".xlsm", ".ods", ".mcap", ".bag", ".db3", ".ulg", ".tdms", ".mf4", ".mdf"),
+    *(".json", ".jsonl"),
 )
 # An object, or a list of texts, lists, objects or numbers; a row of units begins with "[-]" or "[1]".
 _JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\"\[{]|-?\d[\d.eE+-]*\s*,))")
@@ -39,9 +38,6 @@ def refuse_foreign_file(path: Path, start: bytes) -> None:
     Raises:
         InputError: If it is of such a kind. The message names it and says how to export the data.
     """
-    if start.startswith(_HDF5) or b"MATLAB 7.3" in start:
-        advice = "save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7'), or export it as CSV"
-        raise InputError(f"{path}: is an HDF5 file (MATLAB version 7.3), which is not read; {advice}")
     for beginning, problem, advice in _BY_START:
         if start.startswith(beginning):
             raise InputError(f"{path}: {problem}; {advice}")

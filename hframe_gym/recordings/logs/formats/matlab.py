@@ -1,7 +1,11 @@
-"""MATLAB files up to version 7; columns are their vectors and the columns of their matrices, also in structs."""
+"""MATLAB and HDF5 files; columns are their vectors and the columns of their matrices, also in structs.
+
+MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`).
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -14,11 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....errors import InputError
-from ....file_limits import refuse_expansion
+from ....file_limits import expansion_limit, refuse_expansion
 from ...text_reader import Progress
 from ..log import Log, LogColumn, log_columns
 from .base import LOG_FORMATS, LogFormat
 
+_HDF5 = b"\x89HDF\r\n\x1a\n"  # at the beginning of the file, or after 512 bytes that MATLAB writes before it
+_MATLAB_BLOCK = 512
 _MAT_HEADER = 128  # bytes before the first variable in MATLAB files of version 5 to 7
 _MAT_COMPRESSED = 15  # type of a compressed variable
 # Compressed bytes per step. A byte expands to 1032 at most, a step to 64 MB; the size is checked after each step.
@@ -27,13 +33,13 @@ _MAT_BLOCK = 1 << 16
 
 @LOG_FORMATS.register("matlab")
 class MatlabLogs(LogFormat):
-    """MATLAB files."""
+    """MATLAB files of all versions and other HDF5 files."""
 
-    suffixes = (".mat",)
+    suffixes = (".mat", ".h5", ".hdf5")
 
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize the header, or the name of files of version 4, which have none."""
-        return start.startswith(b"MATLAB") or path.suffix.lower() == ".mat"
+        """Recognize the headers, or the name of files of version 4, which have none."""
+        return start.startswith((b"MATLAB", _HDF5)) or (path.suffix.lower() == ".mat" and path.is_file())
 
     def open(self, path: Path) -> list[Log]:
         """Read all arrays, as columns of the shape (rows,)."""
@@ -41,8 +47,15 @@ class MatlabLogs(LogFormat):
 
 
 def _open_mat(path: Path) -> Log:
-    """Open a MATLAB file up to version 7; columns are its vectors and the columns of its matrices, also in structs."""
-    _refuse_large_variables(path)
+    """Open a file whose vectors all are read at once."""
+    with open(path, "rb") as file:
+        start = file.read(_MATLAB_BLOCK + len(_HDF5))
+    is_hdf5 = _HDF5 in (start[: len(_HDF5)], start[_MATLAB_BLOCK:])
+    if is_hdf5 and importlib.util.find_spec("h5py") is None:
+        advice = "or save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7')"
+        raise InputError(f"{path}: reading HDF5 files (MATLAB 7.3) needs pip install 'hframe_gym[hdf5]'; {advice}")
+    if not is_hdf5:
+        _refuse_large_variables(path)
     vectors = _mat_vectors(path)
     if not vectors:
         advice = (
@@ -62,22 +75,23 @@ def _open_mat(path: Path) -> Log:
             progress(path.stat().st_size)
         return [vectors[index][1] for index in indices], []
 
-    return Log(path, columns, ("it is a MATLAB file",), read)
+    return Log(path, columns, ("it is an HDF5 file" if is_hdf5 else "it is a MATLAB file",), read)
 
 
 def _mat_vectors(path: Path) -> list[tuple[str, NDArray[np.float64]]]:
-    """Return the names and values of all vectors of a MATLAB file, which a process of its own reads.
+    """Return the names and values of all vectors of a file, which a separate process reads.
 
-    SciPy's reader can end the process on damaged files (segmentation fault), which no exception handler sees.
+    The readers can end the process on damaged files (segmentation fault), which no exception handler sees.
     """
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "vectors.npz")
         # -P keeps the script's folder off sys.path, so that its modules cannot shadow others.
         command = [sys.executable, "-P", str(Path(__file__).with_name("matlab_vectors.py")), str(path), str(target)]
+        command.append(str(expansion_limit(path)))
         run = subprocess.run(command, check=False, capture_output=True, text=True)
         if run.returncode:
             reason = run.stderr.strip().rpartition("\n")[2] if run.returncode > 0 else "it is damaged"
-            raise InputError(f"{path}: cannot be read as a MATLAB file: {reason}")
+            raise InputError(f"{path}: cannot be read as a MATLAB or HDF5 file: {reason}")
         with np.load(target, allow_pickle=False) as content:
             return [(str(name), content[f"arr_{k}"]) for k, name in enumerate(content["names"])]
 

@@ -1,9 +1,9 @@
-"""Read the vectors of a MATLAB file; run as a program of its own, because damaged files can crash SciPy's reader.
+"""Read the vectors of a MATLAB or HDF5 file; run as a separate program, because damaged files can crash the readers.
 
-    python matlab_vectors.py LOG.mat VECTORS.npz
+    python matlab_vectors.py LOG.mat VECTORS.npz LIMIT
 
-The program imports nothing of this package, so that it starts quickly. It ends with exit code 2 and one line on
-standard error if the file cannot be read.
+LIMIT is the largest accepted size of the arrays in an HDF5 file, bytes. The program imports nothing of this package, so
+that it starts quickly. It ends with exit code 2 and one line on standard error if the file cannot be read.
 """
 
 import sys
@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import io
+
+_DEEPEST = 32  # structures in structures
 
 
 def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
@@ -45,16 +46,77 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
                 yield f"{name}.{number}", column.astype(float)
 
 
-def main() -> None:
-    """Read a MATLAB file and write its vectors and their names to an .npz file.
+def hdf5_content(path: str, limit: int) -> dict[str, Any]:
+    """Read an HDF5 file, which MATLAB files of version 7.3 are.
 
-    The command line gives the two paths. The program runs in a process of its own, because SciPy's reader can crash on
-    a damaged file. If the file cannot be read, the process ends with exit code 2.
+    Args:
+        path: File to read.
+        limit: Largest accepted size of all arrays together, bytes.
+
+    Returns:
+        Variables by name, as SciPy returns those of older files: arrays of any shape, dictionaries for structures,
+        lists for cells, texts. Tables, timetables and other objects are left out.
+
+    Raises:
+        ValueError: If the arrays are larger than the limit, or structures are nested too deeply.
     """
-    source, target = sys.argv[1:]
+    import h5py
+
+    remaining = limit
+
+    def is_reference(item: Any) -> bool:
+        """Return whether a member points to others and is no cell array."""
+        is_pointer = isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is not None
+        return is_pointer and "MATLAB_class" not in item.attrs
+
+    def convert(item: Any, depth: int) -> Any:
+        nonlocal remaining
+        if depth > _DEEPEST:
+            raise ValueError("structures are nested too deeply")
+        if isinstance(item, h5py.Group):
+            fields = {name: convert(member, depth + 1) for name, member in item.items()}
+            if fields and all(map(is_reference, item.values())):  # an array of structures
+                lists = [value if isinstance(value, list) else [value] for value in fields.values()]
+                return [dict(zip(fields, element, strict=True)) for element in zip(*lists, strict=True)]
+            return fields
+        if not isinstance(item, h5py.Dataset) or "MATLAB_object_decode" in item.attrs or item.shape is None:
+            return None
+        remaining -= item.size * item.dtype.itemsize
+        if remaining < 0:
+            raise ValueError(f"its arrays have more than {limit} bytes, which no recording has")
+        kind = item.attrs.get("MATLAB_class", b"")
+        if "MATLAB_empty" in item.attrs:
+            return None
+        if h5py.check_ref_dtype(item.dtype) is not None:
+            members = [convert(item.file[reference], depth + 1) for reference in item[()].ravel() if reference]
+            return members[0] if len(members) == 1 else members
+        if kind == b"char":
+            return "".join(map(chr, item[()].ravel()))
+        if item.dtype.kind not in "fiub":
+            return None
+        values = item[()]
+        return np.squeeze(values.T if kind else values)  # MATLAB stores arrays column by column
+
+    with h5py.File(path, "r") as file:
+        return {name: convert(member, 0) for name, member in file.items() if not name.startswith("#")}
+
+
+def main() -> None:
+    """Read a MATLAB or HDF5 file and write its vectors and their names to an .npz file.
+
+    The command line gives the two paths and the limit. If the file cannot be read, the process ends with exit code 2.
+    """
+    source, target, limit = sys.argv[1:]
     try:
-        content = io.loadmat(source, simplify_cells=True)
-    except Exception as error:  # SciPy raises many types for damaged files
+        with open(source, "rb") as file:
+            start = file.read(520)
+        if b"\x89HDF\r\n\x1a\n" in (start[:8], start[512:]):
+            content = hdf5_content(source, int(limit))
+        else:
+            from scipy import io
+
+            content = io.loadmat(source, simplify_cells=True)
+    except Exception as error:  # the readers raise many types for damaged files
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(2)
     pairs = [pair for key, value in content.items() if not key.startswith("__") for pair in vectors(key, value)]

@@ -1,0 +1,123 @@
+"""MATLAB files of version 7.3 and other HDF5 files are read: arrays, structures, cells, but no objects."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
+from hframe_gym.recordings.logs.log_files import open_logs
+
+COUNT = 50
+TIME = np.arange(COUNT) * 1e-3
+POSITION = 0.01 * TIME
+
+
+def add(group: h5py.Group, name: str, value: Any, references: h5py.Group) -> None:
+    """Store a value as MATLAB does: the axes of arrays reversed, cells and structure arrays as references."""
+    if isinstance(value, dict):
+        member = group.create_group(name)
+        member.attrs["MATLAB_class"] = np.bytes_("struct")
+        for key, content in value.items():
+            add(member, key, content, references)
+    elif isinstance(value, list) and isinstance(value[0], dict):
+        member = group.create_group(name)
+        member.attrs["MATLAB_class"] = np.bytes_("struct")
+        for key in value[0]:
+            pointers = [stored(element[key], references) for element in value]
+            member.create_dataset(key, data=np.array([pointers], dtype=h5py.ref_dtype))
+    elif isinstance(value, list):
+        pointers = [stored(element, references) for element in value]
+        member = group.create_dataset(name, data=np.array([pointers], dtype=h5py.ref_dtype))
+        member.attrs["MATLAB_class"] = np.bytes_("cell")
+    elif isinstance(value, str):
+        member = group.create_dataset(name, data=np.array([[ord(c)] for c in value], dtype=np.uint16))
+        member.attrs["MATLAB_class"] = np.bytes_("char")
+    else:
+        member = group.create_dataset(name, data=np.atleast_2d(np.asarray(value).T), compression="gzip")
+        member.attrs["MATLAB_class"] = np.bytes_("double")
+
+
+def stored(value: Any, references: h5py.Group) -> h5py.Reference:
+    """Store a value among the references of the file and return the reference."""
+    name = f"r{len(references)}"
+    add(references, name, value, references)
+    return references[name].ref
+
+
+def write_matlab(path: Path, **variables: Any) -> None:
+    """Write a file of MATLAB version 7.3, with the block of text that MATLAB writes before the HDF5 file."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        references = file.create_group("#refs#")
+        for name, value in variables.items():
+            add(file, name, value, references)
+        table = file.create_dataset("results", data=np.arange(12, dtype=np.uint32).reshape(1, 12))
+        table.attrs["MATLAB_class"] = np.bytes_("table")
+        table.attrs["MATLAB_object_decode"] = 3
+    with open(path, "r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def test_arrays_structures_and_cells_are_columns(tmp_path: Path) -> None:
+    matrix = np.column_stack([TIME, POSITION])
+    signals = [{"values": TIME, "label": "u"}, {"values": POSITION, "label": "x"}]
+    content = {"t": TIME, "log": {"x": POSITION, "n": 3.0}, "data": matrix, "sim": {"signals": signals}}
+    write_matlab(tmp_path / "log.mat", **content, cell=[TIME, POSITION], name="motor 1")
+    (log,) = open_logs(tmp_path / "log.mat")
+    headers = [column.header for column in log.columns]
+    assert headers == ["cell.1", "cell.2", "data.1", "data.2", "log.x", "u", "x", "t"]
+    values = dict(zip(headers, log.read(log.columns)[0], strict=True))
+    for header in ("cell.1", "data.1", "u", "t"):
+        np.testing.assert_array_equal(values[header], TIME)
+    for header in ("cell.2", "data.2", "log.x", "x"):
+        np.testing.assert_array_equal(values[header], POSITION)
+
+
+def test_a_file_becomes_a_recording(tmp_path: Path) -> None:
+    axis = BUILTIN_MACHINES["axis"]()
+    voltage = np.where(TIME < 0.01, 0.0, 5.0)
+    write_matlab(tmp_path / "bench.mat", t=TIME, U=voltage, pos=POSITION)
+    columns = dict.fromkeys(axis.output_channels, "none")
+    columns |= {axis.input_channels[0]: "U", axis.output_channels[0]: "pos"}
+    settings = ImportSettings(MappingOptions(columns))
+    import_logs(tmp_path / "bench.mat", tmp_path / "runs", axis, settings, lambda line: None)
+    (run,) = load_recordings(tmp_path / "runs", axis)
+    np.testing.assert_array_equal(run.time_s, TIME)
+    np.testing.assert_array_equal(run.inputs[:, 0], voltage)
+    np.testing.assert_array_equal(run.outputs[:, 0], POSITION)
+
+
+def test_another_hdf5_file_keeps_its_axes(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["motor/state"] = np.column_stack([TIME, POSITION])
+        file["motor/name"] = "left"
+    (log,) = open_logs(tmp_path / "run.h5")
+    assert [column.header for column in log.columns] == ["motor.state.1", "motor.state.2"]
+    np.testing.assert_array_equal(log.read(log.columns)[0][1], POSITION)
+
+
+def test_objects_alone_are_refused_with_advice(tmp_path: Path) -> None:
+    write_matlab(tmp_path / "log.mat")
+    with pytest.raises(InputError, match=r"log.mat: has no arrays of numbers; .*timetables and timeseries"):
+        open_logs(tmp_path / "log.mat")
+
+
+def test_arrays_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file.create_dataset("x", shape=(10**9,), dtype="f8", chunks=(10**6,))
+    with pytest.raises(InputError, match=r"run.h5: .*its arrays have more than 67108864 bytes"):
+        open_logs(tmp_path / "run.h5")
+
+
+def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_matlab(tmp_path / "log.mat", t=TIME)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"log.mat: .*needs pip install 'hframe_gym\[hdf5\]'; or save it as version 7"):
+        open_logs(tmp_path / "log.mat")
