@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....errors import InputError
+from ....file_limits import refuse_expansion
 from ...table_file import open_parquet, parquet_numbers, read_parquet_column
 from ...text_reader import Progress
-from ..log import Log, log_columns
+from ..log import Log, LogColumn, log_columns
 from .base import LOG_FORMATS, LogFormat
+from .tables import signal_columns
+
+_MOST_ITEMS = 64  # of a list; longer ones are images and the like, not signals
 
 
 @LOG_FORMATS.register("parquet")
@@ -28,40 +32,117 @@ class ParquetLogs(LogFormat):
 
     def open(self, path: Path) -> list[Log]:
         """Read the schema; columns have the shape (rows,)."""
-        return [_open_parquet(path)]
+        table = ParquetTable(path)
+
+        def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+            return table.read(indices, progress), []
+
+        return [Log(path, table.columns, ("it is a Parquet file",), read)]
 
 
-def _open_parquet(path: Path) -> Log:
-    """Open a Parquet file with pyarrow, an optional dependency."""
-    file = open_parquet(path)
-    import pyarrow as arrow
+class ParquetTable:
+    """Columns of a Parquet file; a column of lists gives one for each item, as "state[0]", "state[1]"."""
 
-    fields = list(file.schema_arrow)
+    def __init__(self, path: Path, item_names: Mapping[str, Sequence[str]] | None = None) -> None:
+        """Open a file and determine its columns.
 
-    def kind(data: Any) -> str:
-        types = arrow.types
-        if types.is_timestamp(data) or types.is_time(data) or types.is_date(data):
-            return "stamp"
-        numeric = types.is_integer(data) or types.is_floating(data) or types.is_decimal(data) or types.is_null(data)
-        return "number" if numeric or types.is_boolean(data) else "text"
+        Args:
+            path: The file.
+            item_names: Names of the items of lists by column, which are used if their number fits: "state.elbow".
 
-    kinds = [kind(field.type) for field in fields]
+        Raises:
+            InputError: If pyarrow is missing, or the file is damaged or too large.
+        """
+        self.path = path
+        self._file = open_parquet(path)
+        self._sources: list[tuple[str, int | None]] = []  # name of the column in the file, and item of its lists
+        columns: list[LogColumn] = []
+        rows = self._file.metadata.num_rows
+        for field in self._file.schema_arrow:
+            items = self._number_of_items(field)
+            refuse_expansion(path, 8 * rows * (items or 1))
+            if not items:
+                self._sources.append((field.name, None))
+                columns += log_columns([field.name], [""], [_kind(field.type)])
+                continue
+            self._sources += [(field.name, item) for item in range(items)]
+            known = (item_names or {}).get(field.name, ())
+            if len(known) == items:
+                columns += log_columns([f"{field.name}.{name}" for name in known], [""] * items, ["number"] * items)
+            else:
+                columns += signal_columns([f"{field.name}[{item}]" for item in range(items)])
+        self.columns = tuple(columns)
 
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+    def read(self, indices: Sequence[int], progress: Progress | None = None) -> list[NDArray[Any]]:
+        """Read the values of columns.
+
+        Args:
+            indices: Indices of the columns in `columns`.
+            progress: Called with the number of bytes read since the last call.
+
+        Returns:
+            Numbers, or instants (datetime64[ns]), shape (rows,) each.
+
+        Raises:
+            InputError: If a column contains texts or is damaged.
+        """
+        lists: dict[str, NDArray[Any]] = {}
         values: list[NDArray[Any]] = []
         for index in indices:
-            name = fields[index].name
-            if kinds[index] == "text":
-                raise InputError(f"{path}, column {name}: contains {fields[index].type}, not numbers")
-            column = read_parquet_column(path, file, name)
-            values.append(
-                parquet_numbers(path, name, column) if kinds[index] == "number" else _stamps(path, name, column)
-            )
+            name, item = self._sources[index]
+            if item is not None:
+                if name not in lists:
+                    lists[name] = self._items(name)
+                values.append(np.ascontiguousarray(lists[name][:, item]))
+            elif self.columns[index].kind == "text":
+                kind = self._file.schema_arrow.field(name).type
+                raise InputError(f"{self.path}, column {name}: contains {kind}, not numbers")
+            else:
+                column = read_parquet_column(self.path, self._file, name)
+                is_stamp = self.columns[index].kind == "stamp"
+                values.append((_stamps if is_stamp else parquet_numbers)(self.path, name, column))
             if progress is not None:
-                progress(path.stat().st_size // len(indices))
-        return values, []
+                progress(self.path.stat().st_size // len(indices))
+        return values
 
-    return Log(path, log_columns([f.name for f in fields], [""] * len(fields), kinds), ("it is a Parquet file",), read)
+    def _number_of_items(self, field: Any) -> int:
+        """Return the number of items of a column of lists of numbers; 0 for other columns and for long lists."""
+        from pyarrow import compute, types
+
+        kind = field.type
+        is_list = types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
+        if not is_list or _kind(kind.value_type) != "number":
+            return 0
+        if types.is_fixed_size_list(kind):
+            items = kind.list_size
+        else:
+            first = read_parquet_column(self.path, self._file, field.name, max_rows=1)
+            items = (compute.list_value_length(first).to_pylist() or [0])[0] or 0
+        return items if items <= _MOST_ITEMS else 0
+
+    def _items(self, name: str) -> NDArray[np.float64]:
+        """Return the numbers of a column of lists, shape (rows, items); each row must have as many as the first."""
+        from pyarrow import compute
+
+        column = read_parquet_column(self.path, self._file, name)
+        lengths = compute.list_value_length(column).fill_null(0).to_numpy()
+        items = sum(source == name for source, _ in self._sources)
+        if np.any(lengths != items):
+            row = int(np.argmax(lengths != items))
+            problem = f"has a list of {lengths[row]} items, the first row one of {items}"
+            raise InputError(f"{self.path}, row {row + 1}, column {name}: {problem}")
+        flat = parquet_numbers(self.path, name, compute.list_flatten(column))
+        return flat.reshape(len(lengths), items)
+
+
+def _kind(data: Any) -> str:
+    """Return what a column of a type contains: "number", "stamp" or "text"."""
+    from pyarrow import types
+
+    if types.is_timestamp(data) or types.is_time(data) or types.is_date(data):
+        return "stamp"
+    numeric = types.is_integer(data) or types.is_floating(data) or types.is_decimal(data) or types.is_null(data)
+    return "number" if numeric or types.is_boolean(data) else "text"
 
 
 def _stamps(path: Path, name: str, column: Any) -> NDArray[np.datetime64]:
