@@ -1,0 +1,47 @@
+"""Measurements of Klipper's accelerometers: raw_data_*.csv and the like, with accelerations in mm/s^2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ....errors import InputError
+from ..log import Log
+from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
+from .text import open_text_table
+
+_START = 4096  # bytes; a line about lost samples may precede the header
+_HEADER = "#time,accel_x,accel_y,accel_z"
+_SPECTRUM = ("freq,psd_x,psd_y,psd_z", "#freq,psd_x,psd_y,psd_z")
+_UNITS = {"time": "s", **dict.fromkeys(("accel_x", "accel_y", "accel_z"), "mm/s^2")}
+
+
+@LOG_FORMATS.register("klipper_accelerometer")
+class KlipperAccelerometerLogs(LogFormat):
+    """Text files of ACCELEROMETER_MEASURE and of TEST_RESONANCES OUTPUT=raw_data; their spectra are refused."""
+
+    suffixes = ()
+    precedence = KNOWN_CONTENT
+
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the header."""
+        return start.startswith((b"#", b"freq,")) and _header(path) != ""
+
+    def open(self, path: Path) -> list[Log]:
+        """Open the table, whose columns of the shape (rows,) get their units."""
+        if _header(path) != _HEADER:
+            advice = "measure again with OUTPUT=raw_data and import raw_data_*.csv"
+            raise InputError(f"{path}: is a spectrum of Klipper's TEST_RESONANCES, without times; {advice}")
+        return [open_text_table(path, ("it is a measurement of Klipper's accelerometer",), _UNITS)]
+
+
+def _header(path: Path) -> str:
+    """Return the line that is the header of such a file, of a measurement or the beginning of a spectrum's; else ""."""
+    with open(path, "rb") as file:
+        lines = file.read(_START).decode("ascii", errors="replace").lower().splitlines()
+    for line in lines[:3]:
+        if line.strip() == _HEADER:
+            return _HEADER
+        for spectrum in _SPECTRUM:
+            if line.replace(" ", "").startswith(spectrum):
+                return spectrum
+    return ""
