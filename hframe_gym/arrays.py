@@ -52,6 +52,24 @@ ParameterRows: TypeAlias = NDArray[np.float64]
 Workspace: TypeAlias = NDArray[np.float64]
 """Workspace of the tool: one row per axis, columns low and high, m, shape (axes, 2)."""
 
+EnvironmentParameters: TypeAlias = NDArray[np.float64]
+"""Parameters of k environments in the order of `ParameterSpace.names` of `hframe_gym.envs`, SI, shape (k, N)."""
+
+EnvironmentCounts: TypeAlias = NDArray[np.int64]
+"""A count for each environment, such as its control periods since the reset, shape (environments,)."""
+
+EpisodeKeys: TypeAlias = NDArray[np.uint64]
+"""Key (seed) of each episode, from which all its random numbers follow, shape (k,)."""
+
+GoalPlans: TypeAlias = NDArray[np.float64]
+"""Plan of each episode: numbers, in the task's format, that define its goal at all times, shape (k, plan_size)."""
+
+LaneReadings: TypeAlias = NDArray[np.float64]
+"""Readings of all sensors without noise and quantization, m or rad, in lanes, shape (blocks, sensors, LANES).
+
+Machine b is lane b % LANES (8 or 16, `hframe_gym.dynamics.LANES`) of block b // LANES.
+"""
+
 KeyedObservation: TypeAlias = Mapping[str, NDArray[Any]]
 """Observation of B machines by key.
 

@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..arrays import Array, Index
+from ..arrays import EnvironmentCounts, EnvironmentParameters, Index
 from ..dynamics import LANES
 from ..dynamics.blocks import read_block
 from ..dynamics.compiled import compiled
@@ -62,13 +62,8 @@ class Actuators:
     def apply(self, machine: Machine) -> Machine:
         """Return a copy of a machine whose drives have this D/A converter, current limit and dead time.
 
-        Args:
-            machine: Machine to copy; it is not changed.
-
-        Returns:
-            Copy in which `bits` and `range_V` replace the converter of every drive (`bits` None: not quantized). If
-            `current_limit` is given, every drive has the effect `current_limit` with this value; a drive whose limit is
-            already smaller keeps it. If `delay` is not 0, the machine has the effect `input_delay`.
+        `bits` and `range_V` replace the converter of every drive. `current_limit` becomes the effect of this
+        name, unless a drive has a smaller limit already; `delay` becomes the effect `input_delay`.
 
         Raises:
             InputError: If the machine has an input delay already and `delay` is not 0.
@@ -111,16 +106,9 @@ ActuatorsLike: TypeAlias = Literal["ideal", "rig", "machine"] | Actuators
 
 
 def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
-    """Apply the environment option `drives` to a machine.
+    """Return a copy of a machine with the environment option `drives`; "machine": the machine itself.
 
-    Args:
-        machine: Machine to copy; it is not changed.
-        drives: "ideal" (voltages are not quantized), "rig" (12-bit D/A converters, current limit 12 A), "machine" (as
-            the machine declares), or `Actuators(...)`.
-
-    Returns:
-        Copy of the machine with converters, current limit and dead time of `drives`. The machine keeps a dead time that
-        it already has, and a current limit that is smaller than that of `drives`. For "machine": the machine itself.
+    The machine keeps a dead time that it already has, and a current limit that is smaller than that of `drives`.
 
     Raises:
         InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.
@@ -134,11 +122,7 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
 
 
 def action_space(machine: Machine) -> spaces.Box:
-    """Create the action space: the voltage of each drive as a fraction of its rated voltage.
-
-    Returns:
-        Box from -1 to 1, float32, shape (drives,).
-    """
+    """Create the action space: the voltage of each drive as a fraction of its rated voltage."""
     return spaces.Box(-1.0, 1.0, (len(machine.drives),), np.float32)
 
 
@@ -148,6 +132,7 @@ def check_actions(actions: Any, shape: tuple[int, int], machine: Machine) -> NDA
     Args:
         actions: Voltages as fractions of the rated voltages. They may exceed [-1, 1]; the actuators limit them.
         shape: Required shape, (environments, drives).
+        machine: Machine, for the message.
 
     Returns:
         Actions, float32 if they were float32, else float64, of the required shape.
@@ -180,9 +165,6 @@ def _all_finite(actions: Any) -> bool:
 class ActuatorModel:
     """Convert actions to the input voltages of the simulated motors, with D/A converters and dead times.
 
-    Voltages are stored in blocks of LANES environments for the compiled simulation: environment b is lane b % LANES of
-    block b // LANES.
-
     Args:
         machine: Machine with its drives and their converters.
         count: Number of environments.
@@ -193,8 +175,8 @@ class ActuatorModel:
         delayed: Whether any drive has a dead time.
 
     Attributes:
-        inputs: Input voltages of the simulation, V. Shape (blocks, drives, LANES), constant over a control period; if a
-            drive has a dead time, (blocks, steps * drives, LANES), one set of drives per integration step.
+        inputs: Input voltages of the simulation, V, in lanes. Shape (blocks, drives, LANES), constant over a control
+            period; if a drive has a dead time, (blocks, steps * drives, LANES), one set of drives per integration step.
         delays: Dead times, s, shape (blocks, drives, LANES). The simulator writes them at reset.
     """
 
@@ -217,15 +199,10 @@ class ActuatorModel:
         self._history = np.zeros((blocks, periods, drives, LANES))
         self._commanded = np.zeros((blocks, drives, LANES)) if delayed else None
 
-    def begin(self, index: Index, values: Array) -> None:
+    def begin(self, index: Index, values: EnvironmentParameters) -> None:
         """Begin new episodes of k environments: set their D/A converters, and all earlier voltages to 0 V.
 
-        The converter of a drive is given by its parameters `converter_bits` and `voltage_range` in `values`. A drive
-        with a dead time therefore applies 0 V until this time has passed.
-
-        Args:
-            index: Indices of the environments, shape (k,).
-            values: All N parameters of these environments in the order of `ParameterSpace.names`, SI, shape (k, N).
+        A drive with a dead time therefore applies 0 V until this time has passed.
         """
         self._quantized |= _set_converters(index, values, self._columns, self._converters)
         if self._commanded is not None:  # without dead time there is no history
@@ -240,18 +217,14 @@ class ActuatorModel:
         if self._commanded is not None:  # without dead time nothing reads the history
             self._history[:, 1:] = self._history[:, :-1]
 
-    def command(self, actions: NDArray[Any], first: int, last: int, clipped: NDArray[np.int64]) -> None:
-        """Convert actions to the motor voltages of one control period, for blocks first to last - 1.
-
-        The voltages, V, after quantization and dead time, are written to the attribute `inputs`: shape (blocks, drives,
-        LANES), or (blocks, steps * drives, LANES) with dead times, because they then differ between the integration
-        steps of a period. A block is LANES environments that are simulated at once.
+    def command(self, actions: NDArray[Any], first: int, last: int, clipped: EnvironmentCounts) -> None:
+        """Convert actions to the motor voltages of one control period, for blocks first to last - 1, in `inputs`.
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
-            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
+            first: Index of the first block.
             last: Index after the last block.
-            clipped: Number of action entries outside [-1, 1] since the reset, shape (environments,); increased here.
+            clipped: Number of action entries outside [-1, 1] since the reset; increased here.
         """
         commanded = self.inputs if self._commanded is None else self._commanded
         _convert(actions, self._rated, self._converters, self._quantized, first, last, commanded, clipped)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Index
+from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, Index
 from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
 from ..dynamics.compiled import compiled
 from ..errors import InputError
@@ -40,10 +40,8 @@ def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
 def units_per_travel(machine: Machine, values: Array) -> Array:
     """Compute the factors from belt travel (m) to the units of the coordinates (m or rad).
 
-    The simulator stores positions as belt travel: the coordinate itself if it is linear, radius * angle if it is the
-    angle of a pulley. Position in the unit of the coordinate = belt travel * factor.
-
     Args:
+        machine: Machine with its coordinates.
         values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order;
             further columns are ignored.
 
@@ -58,17 +56,9 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
 
 
 def block_ranges(index: Index) -> Iterator[tuple[int, int]]:
-    """Find the blocks that contain given machines, as ranges of consecutive blocks.
+    """Find the blocks of given machines, as ranges (first, index after the last) of consecutive blocks.
 
-    Compiled simulation functions process ranges of blocks. A block is LANES machines; machine b is in block b // LANES.
     Example: with LANES = 8, machines 0, 9 and 30 are in blocks 0, 1 and 3, which gives the ranges (0, 2) and (3, 4).
-
-    Args:
-        index: Indices of the machines, ascending, not empty, shape (k,).
-
-    Yields:
-        first: Index of the first block of a range.
-        last: Index after its last block.
     """
     if len(index) == (index[-1] - index[0] + 1):  # consecutive machines
         yield int(index[0]) // LANES, int(index[-1]) // LANES + 1
@@ -82,7 +72,7 @@ class BatchedSimulator:
     """Simulate many machines with the same equations and different parameters, one control period at a time.
 
     Machines are stored in blocks of LANES for the SIMD instructions of the processor: machine b is lane b % LANES of
-    block b // LANES. Belt travel is the coordinate itself (linear) or radius * angle (rotary), m.
+    block b // LANES.
 
     Args:
         machine: Machine model.
@@ -156,15 +146,15 @@ class BatchedSimulator:
         self.__dict__.update(state)
         self._kernel = kernel_for(self._stepped)
 
-    def reset(self, index: Index, position: Array, values: Array, motion: Array | None = None) -> None:
+    def reset(self, index: Index, position: Array, values: EnvironmentParameters, motion: Array | None = None) -> None:
         """Put k machines at rest with unstretched belts, or into a given motion, with new parameters.
 
         Their time, the internal states of their effects and their delayed voltages are set to zero.
 
         Args:
-            index: Indices of the machines, ascending, shape (k,).
+            index: The machines.
             position: Tool positions, m, shape (k, axes).
-            values: All N parameters in the order of `ParameterSpace.names`, SI, shape (k, N).
+            values: Parameters.
             motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in place of
                 `position`. Default: at rest.
         """
@@ -207,16 +197,16 @@ class BatchedSimulator:
         self.actuators.begin_period()
         self._steps_done += self.steps
 
-    def advance(self, actions: NDArray[Any], clipped: NDArray[np.int64], first: int, last: int) -> None:
+    def advance(self, actions: NDArray[Any], clipped: EnvironmentCounts, first: int, last: int) -> None:
         """Advance the machines in blocks first to last - 1 by the control period that `begin_period` began.
 
         Calls for different blocks may run in several threads at once.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, finite, shape (count, drives) for all `count`
-                machines; limited to [-1, 1] here.
-            clipped: Number of action entries outside [-1, 1] since the reset, shape (count,); increased here.
-            first: Index of the first block; block i holds machines i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
+            actions: Voltages as fractions of the rated voltages, finite, shape (count, drives); limited to
+                [-1, 1] here.
+            clipped: Number of action entries outside [-1, 1] since the reset; increased here.
+            first: Index of the first block.
             last: Index after the last block.
         """
         self.actuators.command(actions, first, last, clipped)
@@ -243,14 +233,11 @@ class BatchedSimulator:
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def tool_positions(self, first: int = 0, last: int | None = None) -> Array:
-        """Compute the true tool positions of the machines in blocks first to last - 1.
+        """Compute the true tool positions of the k machines in blocks first to last - 1, m, shape (k, axes).
 
         Args:
-            first: Index of the first block; block i holds machines i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
+            first: Index of the first block.
             last: Index after the last block. Default: all blocks from `first` on.
-
-        Returns:
-            Positions of the k machines in these blocks, m, float64, shape (k, axes).
         """
         last = self.blocks if last is None else last
         positions = np.empty((min(last * LANES, self.count) - first * LANES, len(self._tool_terms)))
@@ -258,27 +245,13 @@ class BatchedSimulator:
         return positions
 
     def positions(self, b: int) -> dict[str, float]:
-        """Compute the present positions of all coordinates of one machine, in their units.
-
-        Args:
-            b: Index of the machine, 0 to count - 1.
-
-        Returns:
-            Position by name of the coordinate, m (linear) or rad (rotary).
-        """
+        """Compute the present positions of all coordinates of machine b, m or rad, by name."""
         block, lane = divmod(b, LANES)
         values = self.state[block, : self._n, lane] * self.units_per_travel[block, :, lane]
         return dict(zip(self.machine.coordinate_names, values.tolist(), strict=True))
 
     def tensions(self, b: int) -> dict[str, float]:
-        """Compute the present belt tensions of one machine.
-
-        Args:
-            b: Index of the machine, 0 to count - 1.
-
-        Returns:
-            Tension minus pretension by name of the belt, N.
-        """
+        """Compute the present belt tensions of machine b minus the pretension, N, by name of the belt."""
         block, lane = divmod(b, LANES)
         state, parameters = self.state[block, :, lane], self.parameters[block, :, lane]
         equations = Equations(self.machine, dict(zip(self.machine.parameters, parameters.tolist(), strict=False)))

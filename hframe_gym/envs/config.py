@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Workspace
 from ..errors import InputError
 from ..machine import Machine
 from .actuators import ActuatorsLike
@@ -137,7 +137,7 @@ def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str,
 
     Args:
         constructor: Name of the environment's class, for the error message.
-        options: Keyword arguments of the constructor, except those in `others`; only the names are checked.
+        options: Keyword arguments of the constructor, except those in `others`.
         others: Keywords that the constructor accepts besides the options; the message lists them too.
 
     Raises:
@@ -155,14 +155,7 @@ def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str,
 
 
 def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    """Check that an environment supports a render mode.
-
-    Args:
-        mode: Render mode, or None for no rendering.
-        modes: Supported render modes.
-
-    Returns:
-        `mode`, unchanged.
+    """Return a render mode (None: no rendering) after checking that the environment supports it.
 
     Raises:
         InputError: If `mode` is neither None nor in `modes`.
@@ -173,14 +166,13 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
 
 
 def check_reset_options(
-    options: Any, workspace: NDArray[np.float64], count: int, others: Sequence[str] = ()
+    options: Any, workspace: Workspace, count: int, others: Sequence[str] = ()
 ) -> dict[str, NDArray[np.float64]]:
     """Check the argument `options` of an environment's `reset`.
 
     Args:
         options: Dict with the optional keys `start` and `target`: positions of the tool and of the goal, m, shape
             (axes,) for all environments or (count, axes). None: no options.
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
         count: Number of environments that are reset.
         others: Further keys that are accepted and not checked, for example `parameters` and `state`.
 
@@ -251,13 +243,12 @@ def check_reset_parameters(
     return parameters
 
 
-def check_reset_state(given: Any, machine: Machine, workspace: Array, count: int) -> NDArray[np.float64]:
+def check_reset_state(given: Any, machine: Machine, workspace: Workspace, count: int) -> NDArray[np.float64]:
     """Check the option `state` of an environment's `reset`.
 
     Args:
         given: Positions of the n coordinates, then their velocities, in the order of `machine.coordinate_names`, m or
             rad and m/s or rad/s, shape (2 n,) for all environments, or (count, 2 n).
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
         count: Number of environments that are reset.
 
     Returns:
@@ -288,14 +279,10 @@ def _numbers(label: str, given: Any, shapes: Sequence[tuple[int, ...]], needed: 
     return values
 
 
-def check_task(task: Task, workspace: NDArray[np.float64]) -> None:
+def check_task(task: Task, workspace: Workspace) -> None:
     """Check that a task fits into a workspace and that its methods return arrays of the right shapes.
 
     The methods are called for a few trial episodes with fixed random numbers.
-
-    Args:
-        task: Task with the methods `check`, `begin`, `goal` and, for metrics "track", `contour`.
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
 
     Raises:
         InputError: If the task does not fit into the workspace, or a method returns another shape, a number that is not
@@ -335,14 +322,7 @@ def _check_array(label: str, values: NDArray[Any], shape: tuple[int, ...]) -> No
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Convert the environment option `machine` (object, preset name or file) to a `Machine`.
-
-    Args:
-        machine: A `Machine`, which is returned unchanged; the name of a preset ("hframe", ...); or the path of a
-            machine.json.
-
-    Returns:
-        Machine model.
+    """Convert the environment option `machine` (object, preset name or path of a machine.json) to a `Machine`.
 
     Raises:
         InputError: If no preset or file has this name, or the file is invalid.

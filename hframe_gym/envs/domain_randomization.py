@@ -21,6 +21,7 @@ from typing import Any, Literal, Protocol, TypeAlias, cast, runtime_checkable
 
 import numpy as np
 from scipy.special import exp10, ndtri
+from typing_extensions import override
 
 from ..arrays import Array
 from ..errors import InputError, is_number
@@ -82,15 +83,8 @@ class Uniform(Distribution):
     def __post_init__(self) -> None:
         _check(self, "low <= high", lambda: self.low <= self.high)
 
+    @override
     def quantile(self, u: Array) -> Array:
-        """Compute the quantiles low + (high - low) u.
-
-        Args:
-            u: Probabilities in (0, 1), shape (k,).
-
-        Returns:
-            Quantiles, in the unit of `low` and `high`, shape (k,).
-        """
         return self.low + (self.high - self.low) * u
 
 
@@ -114,15 +108,8 @@ class LogUniform(Distribution):
     def __post_init__(self) -> None:
         _check(self, "0 < low <= high", lambda: 0.0 < self.low <= self.high)
 
+    @override
     def quantile(self, u: Array) -> Array:
-        """Compute the quantiles low (high / low)^u.
-
-        Args:
-            u: Probabilities in (0, 1), shape (k,).
-
-        Returns:
-            Quantiles, in the unit of `low` and `high`, shape (k,).
-        """
         # SciPy's exponential: that of NumPy may round differently for arrays of another size.
         values: Array = self.low * exp10(math.log10(self.high / self.low) * u)
         return values
@@ -148,15 +135,8 @@ class Normal(Distribution):
     def __post_init__(self) -> None:
         _check(self, "std >= 0", lambda: self.std >= 0.0)
 
+    @override
     def quantile(self, u: Array) -> Array:
-        """Compute the quantiles mean + std * (standard normal quantile of u).
-
-        Args:
-            u: Probabilities in (0, 1), shape (k,).
-
-        Returns:
-            Quantiles, in the unit of `mean` and `std`, shape (k,).
-        """
         return self.mean + self.std * np.asarray(ndtri(u))
 
 
@@ -210,15 +190,13 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles of the rule's distribution: samples are below quantile i with the probability u[i].
-
-        If u are uniform random numbers, the quantiles are random samples.
+        """Compute the quantiles of the rule's distribution for the probabilities u.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Quantiles, which `apply` takes as samples, shape (k,). They are dimensionless if `how` is "scale", else in
+            Quantiles, which `apply` takes as samples, shape (k,), dimensionless if `how` is "scale", else in
             the parameter's SI unit.
         """
         return self._distribution.quantile(u)
@@ -234,16 +212,13 @@ class RandomizeParameter:
         return cast("Distribution", self.distribution)
 
     def apply(self, value: Array, sample: Array) -> Array:
-        """Change a parameter of k environments by samples of the distribution, as the attribute `how` says.
+        """Change a parameter by samples of the distribution, as the attribute `how` says.
 
-        The result is value * sample for "scale", value + sample for "add", and the sample itself for "set".
+        The result is value * sample for "scale", value + sample for "add", and the sample itself for "set", shape (k,).
 
         Args:
             value: Parameter before the change, SI, shape (k,).
             sample: Samples of the distribution, shape (k,). Dimensionless if `how` is "scale", else SI.
-
-        Returns:
-            Parameter after the change, SI, shape (k,).
         """
         if self.how == "scale":
             return value * sample
@@ -302,8 +277,7 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
         names: Full names of all parameters that can be randomized, for example "x.mass".
 
     Returns:
-        Rules in the order of the preset or list. A rule of a preset that matches none of `names` is left out; a rule of
-        a list is kept.
+        Rules in the order of the preset or list, without those of a preset that match none of `names`.
 
     Raises:
         InputError: If the preset or a distribution is unknown, or an entry is not a rule or has an invalid argument.
@@ -335,13 +309,10 @@ def _as_rule(entry: object) -> Rule:
 
 
 def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
-    """Find the parameters that a rule changes: those whose names match its pattern.
+    """Find the parameters whose names match the pattern of a rule; return their indices, ascending.
 
     Args:
         names: Full names of parameters, for example "x.mass".
         rule: Rule whose `parameter` is a name or a pattern with *, ? and [...], as in file names; case-sensitive.
-
-    Returns:
-        Indices into `names`, ascending; empty if no name matches.
     """
     return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]

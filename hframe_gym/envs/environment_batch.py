@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium import error
 from numpy.typing import NDArray
 
-from ..arrays import Array, Index
+from ..arrays import Array, GoalPlans, Index
 from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError, is_integer
 from .actuators import check_actions, with_actuators
@@ -144,17 +144,16 @@ class EnvironmentBatch:
         self,
         index: Index,
         start: Array | None = None,
-        plan: Array | None = None,
+        plan: GoalPlans | None = None,
         parameters: Mapping[str, Array] | None = None,
         motion: Array | None = None,
     ) -> None:
         """Begin a new episode in k environments, with new parameters, start position and goal.
 
         Args:
-            index: Indices of the environments, ascending, shape (k,).
+            index: The environments.
             start: Tool positions at the start, m, shape (k, axes). Default: the task chooses them.
-            plan: Plans, shape (k, plan_size): numbers from which the task computes the goal at every time; `Task.begin`
-                and `Task.aim` return them. Default: the task chooses them.
+            plan: Plans of the goals. Default: the task chooses them.
             parameters: Values by full name, SI, shape (k,) each, in place of those that are sampled.
             motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in place of
                 `start` and rest.
@@ -180,14 +179,7 @@ class EnvironmentBatch:
         self._was_reset = True
 
     def randomized(self, index: Index) -> dict[str, Array]:
-        """Return the values of the randomized parameters in the running episodes.
-
-        Args:
-            index: Indices of k environments, shape (k,).
-
-        Returns:
-            Values by full name of the parameter, SI, shape (k,) each; empty without randomization.
-        """
+        """Return the values of the randomized parameters of k environments by full name, SI, shape (k,) each."""
         columns = zip(self.sampler.names, self.sampler.columns, strict=True)
         return {name: self.values[index, column] for name, column in columns}
 
@@ -197,7 +189,7 @@ class EnvironmentBatch:
         """Check that `reset` was called and that actions have the right shape and are finite; convert them to floats.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives) for `count` environments.
+            actions: Voltages as fractions of the rated voltages, shape (count, drives).
 
         Returns:
             Actions, float32 if they were float32, else float64, shape (count, drives).
@@ -211,24 +203,12 @@ class EnvironmentBatch:
         return check_actions(actions, self._expected_shape, self.machine)
 
     def require_reset(self, method: str) -> None:
-        """Check that `reset` was called.
-
-        Args:
-            method: Name of the method that needs it, for the message.
-
-        Raises:
-            gymnasium.error.ResetNeeded: If it was not.
-        """
+        """Raise gymnasium.error.ResetNeeded if `reset` was not called; the message names the method."""
         if not self._was_reset:
             raise error.ResetNeeded(f"call reset before {method}")
 
     def result(self) -> StepResult:
-        """Allocate the arrays into which `step` writes rewards, terminations and distances.
-
-        Returns:
-            New arrays, shape (count,) each: `terminated` is False, the others are not initialized. `contour` is None
-            for a task without a path.
-        """
+        """Allocate the arrays into which `step` writes, shape (count,); only `terminated` is initialized."""
         count = self.count
         contour = np.empty(count) if self._has_path else None
         return StepResult(np.empty(count), np.zeros(count, np.bool_), np.empty(count), contour)
@@ -237,13 +217,12 @@ class EnvironmentBatch:
         """Advance all environments by one control period.
 
         Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives), as `check_actions` returns
-                them; limited to [-1, 1].
+            actions: Voltages as fractions of the rated voltages, shape (count, drives), as `check_actions`
+                returns them.
             result: Output: rewards, terminations, and distances to goal and path; its arrays are overwritten.
 
         Returns:
-            Observations after the step: new arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...),
-            float32, SI, shape (count, entries of the key) for `count` environments.
+            Observations after the step: new arrays, SI, shape (count, entries of the key).
 
         Raises:
             NotFiniteError: If a position or velocity is not finite; the message names the environment.
@@ -315,7 +294,7 @@ class EnvironmentBatch:
         """Begin new episodes in k environments whose episodes ended, and write their first observations.
 
         Args:
-            index: Indices of the environments, ascending, shape (k,).
+            index: The environments.
             observation: Observation after the last `step`; rows `index` are overwritten.
             result: Result of the last `step`. In rows `index`, the distances to goal and path are overwritten with
                 those at the start of the new episodes. Rewards and terminations remain those of the step.
@@ -330,13 +309,10 @@ class EnvironmentBatch:
             result.contour[index] = self.contour(index)
 
     def observe(self) -> Observation:
-        """Compute the present observations of all environments.
+        """Compute the present observations of all environments: new arrays, SI, shape (count, entries of the key).
 
-        They contain the true states or, with the option `sensors`, the measurements of the last step or reset.
-
-        Returns:
-            New arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), float32, SI, shape (count, entries
-            of the key) for `count` environments. The options `normalize` and `flat` are not applied.
+        They contain the true states or, with the option `sensors`, the measurements of the last step or
+        reset. The options `normalize` and `flat` are not applied.
         """
         observation = self._blank()
         self._write_rows(np.arange(self.count), observation)
@@ -357,25 +333,11 @@ class EnvironmentBatch:
         return observation
 
     def contour(self, index: Index | slice) -> Array | None:
-        """Compute the contour error: the distance from the true tool position to the path on which the goal moves.
-
-        Args:
-            index: Indices of k environments, shape (k,), or a slice of them.
-
-        Returns:
-            Distances, m, shape (k,); None for a task without a path.
-        """
+        """Compute the contour errors of k environments, m, shape (k,); None for a task without a path."""
         return self.references.contour(index, self.simulator.tool_positions()[index]) if self._has_path else None
 
     def distance(self, index: Index) -> Array:
-        """Compute the distance from the true tool position to the present goal.
-
-        Args:
-            index: Indices of k environments, ascending, shape (k,).
-
-        Returns:
-            Distances, m, shape (k,).
-        """
+        """Compute the distances of the true tool positions of k environments to their goals, m, shape (k,)."""
         tool = np.empty((self.count, len(self.workspace)), np.float32)
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Unpack
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..errors import InputError
 from .actuators import action_space
@@ -215,6 +216,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         self._renderer: Renderer | None = None
         self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL_LENGTH)
 
+    @override
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -228,9 +230,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
                 units, shape (2 n,), in place of `start` and rest.
 
         Returns:
-            observation: Arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), shape (entries of the
-                key,), as Observation Space of the class describes them.
-            info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
+            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
+            info: See Episode End of the class.
 
         Raises:
             InputError: If an option or a parameter is unknown, a value has another shape, is not finite or outside its
@@ -251,6 +252,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             self._update_picture()
         return observation, info
 
+    @override
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply constant motor voltages for one control period.
 
@@ -298,10 +300,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the environment into a state that `get_state` returned, of this or of another one with the same options.
-
-        Args:
-            state: The state.
+        """Put the environment into a state of `get_state`, its own or of another one with the same options.
 
         Raises:
             InputError: If it is no state, or that of an environment with other options; nothing is changed then.
@@ -349,6 +348,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         if self.render_mode == "human":
             self.render()
 
+    @override
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """Draw the machine from above, with belts, goal and the past path of the tool.
 
@@ -403,9 +403,6 @@ class HFrameTrackEnv(HFrameEnv):
 
 def require_path(batch: EnvironmentBatch) -> None:
     """Check that the goal of the environments moves along a path, as `HFrameTrack-v0` requires.
-
-    Args:
-        batch: Environments with their task.
 
     Raises:
         InputError: If the task's attribute `metrics` is not "track"; "reach", for example, has a fixed goal.

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from ..arrays import Array, Index
+from ..arrays import Array, EnvironmentParameters, Index
 from ..errors import InputError
 from ..machine import Machine
 from .domain_randomization import (
@@ -61,11 +61,11 @@ class ParameterSpace:
           least 0.05 v at every position in the workspace;
         - all others, also those of the task: at least 0.05 v; no limits if v is negative.
 
-        Args:
-            task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
+        Arrays of the result have shape (N,).
 
-        Returns:
-            Names of all N parameters, and their nominal values, lower and upper limits, SI, shape (N,) each.
+        Args:
+            machine: Machine.
+            task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
         """
         task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
         values = {**machine.parameters, **machine.device_parameters, **task}
@@ -186,18 +186,17 @@ class RuleSampler:
         self.low[indices] = np.maximum(self.low[indices] - joint.reach, lower)
         self.high[indices] = np.minimum(self.high[indices] + joint.reach, upper)
 
-    def sample(self, base: Array, uniforms: Array) -> Array:
+    def sample(self, base: Array, uniforms: Array) -> EnvironmentParameters:
         """Sample the parameters of k environments by the rules.
 
         Args:
-            base: All N parameters before sampling, in the order of `ParameterSpace.names`, SI, shape (k, N), or (1, N)
-                if they are the same in all environments.
-            uniforms: Uniform random numbers in (0, 1), `draws` (attribute) of them per environment, shape (k, draws).
+            base: Parameters before sampling, SI, shape (k, N), or (1, N) if they are the same in all environments.
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws).
 
         Returns:
-            All parameters after sampling, SI, shape (k, N). Some are clipped to their limits: those that
-            `RandomizeIdentified` samples, the belt lengths in `ParameterSpace.clipped`, and, at 0, those with the lower
-            limit 0 (such as friction or noise) for which an unbounded distribution yields a negative value.
+            Parameters after sampling. Some are clipped to their limits: those that `RandomizeIdentified`
+            samples, the belt lengths in `ParameterSpace.clipped`, and, at 0, those with the lower limit 0
+            (such as friction or noise) for which an unbounded distribution yields a negative value.
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of another parameter.
@@ -282,21 +281,16 @@ class MachineSampler:
                 )
 
     def seed(self, b: int, generator: np.random.Generator) -> None:
-        """Seed one environment. Its next reset also samples the parameters whose rules have `when="startup"`.
+        """Seed environment b. Its next reset also samples the parameters whose rules have `when="startup"`.
 
-        Args:
-            b: Index of the environment, 0 to count - 1.
-            generator: Random generator; one 64-bit number is taken from it as the key of the environment.
+        One 64-bit number is taken from the generator as the key of the environment.
         """
         self._keys[b] = generator.bit_generator.random_raw()
         self._episodes[b] = 0
         self._seeded[b] = self._needs_startup[b] = True
 
-    def normalized(self, values: Array) -> Array:
+    def normalized(self, values: EnvironmentParameters) -> Array:
         """Divide the randomized parameters by their nominal values; a parameter with nominal value 0 is not divided.
-
-        Args:
-            values: All N parameters of k environments in the order of `space.names`, SI, shape (k, N).
 
         Returns:
             Randomized parameters in the order of the attribute `names`, dimensionless (SI if the nominal value is 0),
@@ -306,11 +300,9 @@ class MachineSampler:
         return values[:, self.columns] / np.where(nominal == 0.0, 1.0, nominal)
 
     def normalized_bounds(self) -> dict[str, tuple[float, float]]:
-        """Compute the smallest and the largest values that `normalized` can return.
+        """Compute the smallest and the largest values that `normalized` can return, by full name of the parameter.
 
-        Returns:
-            By full name of the parameter: smallest and largest value, divided by the nominal value, dimensionless (SI
-            if that is 0). They are always finite, because the uniform numbers exclude 0 and 1.
+        They are always finite, because the uniform numbers exclude 0 and 1.
         """
         edges = np.sort(self.normalized(np.stack([self.low, self.high])), axis=0)
         return {name: (low, high) for name, (low, high) in zip(self.names, edges.T.tolist(), strict=True)}
@@ -319,13 +311,13 @@ class MachineSampler:
         """Sample the parameters of k new episodes, and the random numbers that their task needs.
 
         Args:
-            index: Indices of the environments, shape (k,). One that was never seeded is now seeded at random.
+            index: The environments. One that was never seeded is now seeded at random.
             task_draws: Number n of uniform random numbers per episode that the task needs for start and goal.
 
         Returns:
-            keys: Keys of the episodes, from which all their random numbers follow, uint64, shape (k,).
+            keys: Keys of the episodes (`EpisodeKeys`), shape (k,).
             uniforms: Uniform random numbers in (0, 1) for the task, shape (k, n).
-            values: All N parameters in the order of `space.names`, SI, shape (k, N).
+            values: Parameters (`EnvironmentParameters`), SI, shape (k, N).
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Index
+from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index, LaneReadings
 from ..dynamics import LANES
 from ..dynamics.compiled import compiled
 from ..dynamics.lane_program import LaneProgram
@@ -30,9 +30,6 @@ _FIRST_CUSTOM_CHANNEL = 1 << 20
 class SensorArray:
     """Turn ideal readings into measurements with noise, quantization and range; store the last two of each sensor.
 
-    An ideal reading is the output of a sensor without noise and quantization, as the simulation computes it. Readings
-    are stored in blocks of LANES environments: environment b is lane b % LANES (8 or 16) of block b // LANES.
-
     Args:
         machine: Machine that declares the sensors.
         sensors: The n sensors to measure.
@@ -43,7 +40,7 @@ class SensorArray:
     Attributes:
         measurements: Last measurements (row 0) and those before (row 1), m or rad, shape (2, blocks, n, LANES).
         low: Lower end of each sensor's range, in the channels' units, -inf without a range, shape (blocks, n, LANES).
-        high: Upper end of each sensor's range, in the channels' units, inf without a range, shape (blocks, n, LANES).
+        high: Upper end, inf without a range, shape (blocks, n, LANES).
     """
 
     def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
@@ -64,14 +61,8 @@ class SensorArray:
         self._keys = np.zeros(count, np.uint64)
         self.measurements = np.zeros((2, *size))
 
-    def begin(self, index: Index, keys: NDArray[np.uint64], values: Array) -> None:
-        """Begin new episodes of k environments: set noise, resolution and range of their sensors, and the random keys.
-
-        Args:
-            index: Indices of the environments, shape (k,).
-            keys: Keys (seeds) of the episodes, from which their random numbers follow, uint64, shape (k,).
-            values: All N parameters of these environments in the order of `ParameterSpace.names`, SI, shape (k, N).
-        """
+    def begin(self, index: Index, keys: EpisodeKeys, values: EnvironmentParameters) -> None:
+        """Begin new episodes of k environments: set noise, resolution and range of sensors, and random keys."""
         self._keys[index] = keys
         block, lane = np.divmod(index, LANES)
         for j, (noise, resolution) in enumerate(self._device_columns):
@@ -80,35 +71,24 @@ class SensorArray:
             if limits is not None:
                 self.low[block, j, lane], self.high[block, j, lane] = values[:, limits[0]], values[:, limits[1]]
 
-    def measure(self, readings: Array, elapsed: NDArray[np.int64], first: int, last: int) -> None:
-        """Turn ideal readings of the environments in blocks first to last - 1 into measurements.
+    def measure(self, readings: LaneReadings, elapsed: EnvironmentCounts, first: int, last: int) -> None:
+        """Turn ideal readings, delays included, of the environments in blocks first to last - 1 into measurements.
 
-        They are stored in row 0 of the attribute `measurements`; the previous ones move to row 1.
-
-        Args:
-            readings: Ideal (noise-free) readings of all sensors of the machine, delays included, m or rad, shape
-                (blocks, sensors, LANES): environment b is lane b % LANES (8 or 16) of block b // LANES.
-            elapsed: Control periods since the reset of each of the `count` environments, shape (count,); they select
-                the random numbers.
-            first: Index of the first block.
-            last: Index after the last block.
+        They are stored in row 0 of the attribute `measurements`; the previous ones move to row 1. The number
+        of `elapsed` control periods since the reset selects the random numbers.
         """
         self._measure(readings, elapsed, first, last, *self.measurements)
 
     def measure_first(
-        self, readings: Array, elapsed: NDArray[np.int64], index: Index, block_ranges: Iterable[tuple[int, int]]
+        self, readings: LaneReadings, elapsed: EnvironmentCounts, index: Index, block_ranges: Iterable[tuple[int, int]]
     ) -> None:
         """Take the first measurements in new episodes of k environments, from which rates of change are zero.
 
-        The attribute `measurements` holds the last measurement in row 0 and the one before in row 1. Both are set to
-        the first measurement.
-
         Args:
-            readings: Ideal (noise-free) readings, as for `measure`, m or rad, shape (blocks, sensors, LANES).
-            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
-            index: Indices of the environments, shape (k,).
-            block_ranges: Ranges of blocks that contain these environments, as the function `block_ranges` of
-                `batched_simulator` yields them: index of the first block, index after the last block.
+            readings: Ideal readings, as for `measure`.
+            elapsed: Control periods since the reset.
+            index: The environments.
+            block_ranges: Ranges of their blocks, as the function `block_ranges` yields them.
         """
         measured, unused = np.empty_like(self.measurements)
         for first, last in block_ranges:
@@ -228,9 +208,6 @@ def _ideal_and_normal(
 class DelayLine:
     """Keep a history of ideal readings, one entry per integration step, for sensors with a delay.
 
-    An ideal reading is the output of a sensor without noise and quantization. Environment b is lane b % LANES of block
-    b // LANES of the arrays.
-
     Args:
         machine: Machine with its sensors and their delays, which are effects.
         blocks: Number of blocks of LANES environments.
@@ -247,29 +224,19 @@ class DelayLine:
         self._history = np.zeros((blocks, self._depth, sensors, LANES))
         self.delays = np.zeros((blocks, sensors, LANES))
 
-    def fill(self, index: Index, readings: Array) -> None:
-        """Fill the histories of k environments with their present readings, as if they had always been at rest.
-
-        Args:
-            index: Indices of the environments, ascending, shape (k,).
-            readings: Ideal (noise-free) readings at the start of the episode, without delay, m or rad, shape
-                (blocks, sensors, LANES): environment b is lane b % LANES (8 or 16) of block b // LANES.
-        """
+    def fill(self, index: Index, readings: LaneReadings) -> None:
+        """Fill the histories of k environments with their present readings, as if they had always been at rest."""
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
 
-    def record(self, readings: Array, step: int, first: int, last: int) -> None:
+    def record(self, readings: LaneReadings, step: int, first: int, last: int) -> None:
         """Store the readings of blocks first to last - 1 after an integration step; overwrite the oldest stored ones.
 
-        Args:
-            readings: Ideal (noise-free) readings without delay, m or rad, shape (blocks, sensors, LANES).
-            step: Number of the integration step, counted over all episodes and the same for all environments.
-            first: Index of the first block of LANES environments.
-            last: Index after the last block.
+        The number of the step is counted over all episodes and is the same for all environments.
         """
         self._history[first:last, step % self._depth] = readings[first:last]
 
-    def read(self, step: int, first: int, last: int, out: Array) -> None:
+    def read(self, step: int, first: int, last: int, out: LaneReadings) -> None:
         """Write the delayed readings of blocks first to last - 1 to `out`.
 
         The reading of a sensor with the delay T is that at the present time minus T, interpolated between the recorded
@@ -277,9 +244,9 @@ class DelayLine:
 
         Args:
             step: Number of the integration step that `record` stored last.
-            first: Index of the first block of LANES environments.
+            first: Index of the first block.
             last: Index after the last block.
-            out: Output, delayed noise-free readings, m or rad, shape (blocks, sensors, LANES).
+            out: Output.
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Index
+from ..arrays import EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
 from ..dynamics import LANES
 from ..dynamics.blocks import write_block
 from ..dynamics.compiled import compiled
@@ -130,21 +130,21 @@ class ObservationBuilder:
     def begin(
         self,
         index: Index,
-        keys: NDArray[np.uint64],
-        values: Array,
+        keys: EpisodeKeys,
+        values: EnvironmentParameters,
         sampler: MachineSampler,
-        elapsed: NDArray[np.int64],
+        elapsed: EnvironmentCounts,
     ) -> None:
         """Begin new episodes of k environments: store the randomized parameters and take the first measurements.
 
         Parameters are stored for the array `privileged`, measurements if sensors are observed.
 
         Args:
-            index: Indices of the environments, shape (k,).
-            keys: Keys (seeds) of the episodes, from which their random numbers follow, uint64, shape (k,).
-            values: All N parameters, SI, in the order of `sampler.space.names`, shape (k, N).
+            index: The environments.
+            keys: Keys of the episodes.
+            values: Parameters of the episodes.
             sampler: Sampler that returned `keys` and `values`.
-            elapsed: Control periods since the reset of each of the `count` environments, shape (count,).
+            elapsed: Control periods since the reset.
         """
         if self.privileged:
             self._parameters[index] = sampler.normalized(values)
@@ -152,41 +152,27 @@ class ObservationBuilder:
             self._sensors.begin(index, keys, values)
             self._sensors.measure_first(self._simulator.readings, elapsed, index, block_ranges(index))
 
-    def measure(self, first: int, last: int, elapsed: NDArray[np.int64]) -> None:
+    def measure(self, first: int, last: int, elapsed: EnvironmentCounts) -> None:
         """Measure with the sensors of blocks first to last - 1 at the end of a control period, and store the results.
 
-        Measurements are positions and angles with noise, quantization and limited range. `write` puts them and their
-        rates of change into observations. Nothing happens if the true state is observed.
-
-        Args:
-            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
-            last: Index after the last block.
-            elapsed: Control periods since the reset of each environment, shape (count,); it selects random numbers.
+        `write` puts the measurements and their rates of change into observations. Nothing happens if the true state is
+        observed. The number of `elapsed` control periods since the reset selects the random numbers.
         """
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, elapsed, first, last)
 
     def blank(self) -> Observation:
-        """Allocate the arrays of an observation, which `write` fills; they are not initialized.
-
-        Returns:
-            Arrays by key, float32, shape (count, entries of the key) for `count` environments: `observation`,
-            `achieved_goal` and, for a builder with the option `privileged`, `privileged`.
-        """
+        """Allocate the arrays of an observation without its goals, shape (count, entries of the key)."""
         observation: Observation = {}
         for key, shape in self._shapes:  # quicker than a comprehension, and every step does it
             observation[key] = np.empty(shape, _FLOAT32)
         return observation
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the array into which `write` is to put the true tool positions.
+        """Return the array into which `write` is to put the true tool positions, m, shape (count, axes).
 
-        Args:
-            observation: Arrays by key, among them `achieved_goal`, m, shape (count, axes).
-
-        Returns:
-            Array for positions, m, float32, shape (count, axes). If the true state is observed, it is the array
-            `achieved_goal`, which then holds the true positions; if sensors are observed, it is a new array.
+        If the true state is observed, it is `achieved_goal` of the observation; if sensors are observed, it
+        is a new array.
         """
         achieved = observation["achieved_goal"]
         return np.empty_like(achieved) if self.measured else achieved
@@ -205,9 +191,9 @@ class ObservationBuilder:
         written too.
 
         Args:
-            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
+            first: Index of the first block.
             last: Index after the last block.
-            observation: Output, arrays by key, shape (count, entries of the key); rows of other blocks are not changed.
+            observation: Output; rows of other blocks are not changed.
             tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
             evaluation: Kind of built-in reward (0 dense, 1 sparse), distance that counts as a success, m, and two
                 output arrays, shape (count,) each: distances, m, and rewards. Default: neither is computed.
@@ -268,10 +254,10 @@ class ObservationBuilder:
         )
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write the true tool positions, limited to their bounds, of the environments in blocks first to last - 1.
+        """Write the true tool positions of the environments in blocks first to last - 1, limited to their bounds.
 
         Args:
-            first: Index of the first block. Block i has environments i * LANES to (i + 1) * LANES - 1 (LANES: 8 or 16).
+            first: Index of the first block.
             last: Index after the last block.
             tool: Output, positions, m, shape (count, axes); other rows are not changed.
         """

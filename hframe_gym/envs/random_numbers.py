@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from ..arrays import Array
+from ..arrays import Array, EpisodeKeys
 from ..dynamics.compiled import compiled
 
 # Constants of SplitMix64, as uint64, so that the arithmetic stays in integers of 64 bits.
@@ -50,18 +50,16 @@ def _mix(z: Any) -> Any:
 
 @compiled
 def uniform(key: Any, step: Any, channel: Any) -> float:
-    """Generate one uniform random number as a hash of a key and two counters.
+    """Generate one uniform random number in (0, 1], dimensionless, as a hash of a key and two counters.
 
-    Equal arguments always give the same number; there is no internal state.
+    Equal arguments always give the same number; there is no internal state. The number is exactly 1 with probability
+    2^-53 only.
 
     Args:
         key: Key of the episode, which `episode_keys` derives from a seed, uint64.
         step: Number of the control period since the reset, from 0, integer; 2^62 (`RESET_STEP`) for the numbers that
             the reset itself uses.
         channel: Index of the random number within the step, from 0; integer.
-
-    Returns:
-        Number in (0, 1], dimensionless; it is exactly 1 with probability 2^-53 only.
     """
     z = _mix(np.uint64(key) + _GOLDEN)
     z = _mix(z + _GOLDEN * (np.uint64(step) + _ONE))
@@ -118,17 +116,9 @@ def cos_sin_of_turns(u: Any) -> Any:
 
 @compiled
 def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
-    """Generate two independent normal random numbers of mean 0 and variance 1 (Box and Muller 1958).
+    """Generate two independent normal random numbers of mean 0 and variance 1, dimensionless (Box and Muller 1958).
 
-    Args:
-        key: Key of the episode, which `episode_keys` derives from a seed, uint64.
-        step: Index of the control period since the reset, from 0; integer.
-        channel: Index of a random number within the step, integer. The pair is computed from the uniform random numbers
-            `channel` and `channel + 1` of the step.
-
-    Returns:
-        first: Normal number, dimensionless.
-        second: Normal number, dimensionless, independent of `first`.
+    They are computed from the uniform random numbers `channel` and `channel + 1` of the step, see `uniform`.
     """
     radius = math.sqrt(-2.0 * _log(uniform(key, step, channel)))
     cosine, sine = cos_sin_of_turns(uniform(key, step, channel + 1))
@@ -137,11 +127,11 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
 
 @compiled
 def normal_pairs(keys: Any, steps: Any, channel: Any, first: Any, second: Any) -> None:
-    """Generate two independent normal random numbers (mean 0, variance 1) for each of k episodes, in two arrays.
+    """Generate two independent normal random numbers for each of k episodes, as `normal_pair` does for one.
 
     Args:
         keys: Keys of the episodes, uint64, shape (k,).
-        steps: Index of the control period since the reset of each episode, from 0; int64, shape (k,).
+        steps: Number of the control period since the reset of each episode, int64, shape (k,).
         channel: Index of the first of two random numbers within the step, integer, the same for all episodes.
         first: Output, first number of each pair, dimensionless, shape (k,).
         second: Output, second number of each pair, dimensionless, shape (k,).
@@ -165,34 +155,23 @@ def _fill(keys: Any, out: Any) -> None:
             out[i, j] = min(uniform(keys[i], RESET_STEP, j), LARGEST_UNIFORM)
 
 
-def reset_uniforms(keys: NDArray[np.uint64], count: int) -> NDArray[np.float64]:
-    """Generate the uniform random numbers that the resets of k episodes use.
-
-    Args:
-        keys: Keys of the new episodes, which take the place of seeds, uint64, shape (k,).
-        count: Random numbers per episode.
-
-    Returns:
-        Random numbers in (0, 1), dimensionless, never exactly 0 or 1, shape (k, count).
-    """
+def reset_uniforms(keys: EpisodeKeys, count: int) -> NDArray[np.float64]:
+    """Generate `count` uniform random numbers in (0, 1) for the reset of each of k episodes, shape (k, count)."""
     out = np.empty((len(keys), count))
     _fill(keys, out)
     return out
 
 
-def episode_keys(keys: NDArray[np.uint64], episodes: NDArray[np.int64]) -> NDArray[np.uint64]:
+def episode_keys(keys: EpisodeKeys, episodes: NDArray[np.int64]) -> EpisodeKeys:
     """Derive the keys of new episodes in k environments; all random numbers of an episode follow from its key.
 
     The keys of successive episodes of an environment differ by a constant, as do the states of the generator SplitMix64
     (Steele, Lea and Flood 2014).
 
     Args:
-        keys: Keys of the environments, one 64-bit random number each, uint64, shape (k,).
+        keys: Keys of the environments, one 64-bit random number each.
         episodes: Number of the new episode of each environment since it was seeded, from 0, shape (k,); -1 gives the
             key for the parameters that are sampled once per seed.
-
-    Returns:
-        Keys of the episodes for `uniform` and `normal_pair`, uint64, shape (k,).
     """
     return keys + _GOLDEN * episodes.astype(np.uint64)
 
@@ -261,11 +240,7 @@ class CorrelatedSampler:
         self.reach: Array = np.abs(self._factor).sum(axis=1) * _LARGEST_NORMAL
 
     def deviations(self, uniforms: Array) -> Array:
-        """Convert uniform random numbers to correlated deviations of k parameters from their nominal values.
-
-        Each uniform number is converted to a standard normal number z[j] by the inverse normal distribution function.
-        The deviations are L z with the Cholesky factor L of the covariance. z[j] is truncated so that L[i, j] z[j]
-        alone keeps parameter i within its limits, for every i that gets more than half of its variance from z[j].
+        """Convert uniform random numbers to deviations of k parameters from their nominal values, see the class.
 
         Args:
             uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.

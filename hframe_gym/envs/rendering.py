@@ -59,16 +59,12 @@ class Scene:
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
-        """Collect the data for a picture of one environment.
+        """Collect the data for a picture of environment b; the path of a moving goal is that of the first 3 s.
 
         Args:
             batch: Batch of environments.
             b: Index of the environment, from 0.
             trail: Past tool positions (x, y), m, oldest first.
-
-        Returns:
-            Scene of the environment's present state. Positions and distances are in m, angles in rad (0 for a drive
-            that has no pulley), tensions in N. The path of a moving goal is that of the first 3 s of the episode.
         """
         index = np.array([b])
         position = batch.simulator.positions(b)
@@ -90,15 +86,9 @@ class Scene:
 
 
 def tool_point(batch: EnvironmentBatch, b: int) -> Point:
-    """Return the point at which a picture, seen from above, shows the tool of one environment.
+    """Return the point (x, y), m, at which a picture shows the tool of environment b; y is 0 with one axis.
 
-    Args:
-        batch: Batch of environments.
-        b: Index of the environment, from 0.
-
-    Returns:
-        Point (x, y), m: the coordinates of the tool's axes; y is 0 for a machine with one axis. If the bridge can yaw,
-        the small displacement of the tool by the yaw is not included.
+    If the bridge can yaw, the small displacement of the tool by the yaw is not included.
     """
     position = batch.simulator.positions(b)
     return _in_plane([position[name] for name in batch.machine.tool_axes])
@@ -115,9 +105,6 @@ def tension_color(tension: float | None) -> Color:
     Args:
         tension: Tension minus pretension, N. Beyond +-40 N the color does not change. None (unknown) or a value that is
             not finite gives a darker gray.
-
-    Returns:
-        Red, green and blue, 0 to 255.
     """
     if tension is None or not math.isfinite(tension):
         return UNKNOWN
@@ -190,9 +177,6 @@ class Renderer:
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Draw the machine of a scene from above, with its belts, the goal and the past path of the tool.
-
-        Args:
-            scene: Positions, tensions and goal of an environment.
 
         Returns:
             Picture, uint8, shape (660, 880, 3), in mode "rgb_array"; None in mode "human" (updates the window).

@@ -40,16 +40,7 @@ _DENSE, _SPARSE, PROGRESS = 0, 1, 2
 
 @compiled
 def row_distance(first: Any, second: Any, b: int) -> float:
-    """Compute the Euclidean distance between row b of two arrays of positions.
-
-    Args:
-        first: Positions, m, shape (n, axes), with one or two axes.
-        second: Positions, m, shape (n, axes).
-        b: Index of the row, from 0.
-
-    Returns:
-        Distance, m.
-    """
+    """Compute the Euclidean distance, m, between row b of two arrays of positions, m, shape (n, axes) each."""
     last = first.shape[1] - 1
     x = np.float64(first[b, 0]) - np.float64(second[b, 0])
     y = np.float64(first[b, last]) - np.float64(second[b, last])
@@ -73,7 +64,7 @@ def evaluate_rows(
     """Compute the distances to the goal and the built-in rewards of rows first to last - 1 (one row per environment).
 
     Args:
-        tool: True tool positions, m, shape (n, axes) for n environments.
+        tool: True tool positions, m, shape (n, axes).
         achieved: Tool positions that the reward uses, true or measured, m, shape (n, axes).
         measured: Whether `achieved` is measured and can differ from `tool`; if not, only `tool` is used.
         desired: Goal positions, m, shape (n, axes).
@@ -81,10 +72,9 @@ def evaluate_rows(
         last: Index after the last row.
         kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1: sparse, 0
             within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm).
-        band: Distance to the goal within which the sparse reward is 0, m; others do not use it.
-        distance: Output, distances from `tool` to `desired`, m, shape (n,); other rows are not changed.
-        reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,); other rows
-            are not changed.
+        band: Distance to the goal within which the sparse reward is 0, m.
+        distance: Output, distances from `tool` to `desired`, m, shape (n,).
+        reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,).
     """
     # One loop for each operation, which the compiler vectorizes.
     for b in range(first, last):
@@ -119,14 +109,7 @@ def _check_same_shape(achieved: Positions, desired: Positions) -> None:
 
 
 def distances(achieved: Positions, desired: Positions) -> Array:
-    """Compute the Euclidean distance of each tool position to its goal.
-
-    Args:
-        achieved: Tool positions, m, float32, shape (n, axes).
-        desired: Goal positions, m, float32, shape (n, axes).
-
-    Returns:
-        Distances, m, float64, shape (n,).
+    """Compute the Euclidean distances, m, shape (n,), from `achieved` to `desired` positions, m, shape (n, axes).
 
     Raises:
         InputError: If the shapes differ.
@@ -152,14 +135,7 @@ class BuiltinReward:
     kind = _DENSE
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute rewards of tool positions.
-
-        Args:
-            achieved: Achieved tool positions, m, float32, shape (n, axes).
-            desired: Goal positions, m, float32, shape (n, axes).
-
-        Returns:
-            Rewards, shape (n,).
+        """Compute rewards, shape (n,), of achieved tool positions and goal positions, m, shape (n, axes) each.
 
         Raises:
             InputError: If the shapes differ.
@@ -176,9 +152,6 @@ class DenseReward(BuiltinReward):
 
     It is 0 at the goal and approaches -1 far from it. In between it resembles -log d: its slope at 0.1 mm is about a
     hundred times that at 10 mm, so that the last tenths of a millimeter still change the reward measurably.
-
-    Args:
-        band: Not used.
     """
 
     kind = _DENSE
@@ -210,14 +183,9 @@ class PenalizedReward:
     penalty: float
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute rewards and subtract the penalty where `achieved` is outside the workspace.
+        """Compute rewards, and subtract the penalty where `achieved` is outside the workspace.
 
-        Args:
-            achieved: Achieved tool positions, m, float32, shape (n, axes).
-            desired: Goal positions, m, float32, shape (n, axes).
-
-        Returns:
-            Rewards, shape (n,).
+        The positions have the shape (n, axes), the rewards (n,).
         """
         outside = outside_workspace(achieved, self.workspace)
         return np.asarray(self.reward(achieved, desired), np.float64) - self.penalty * outside

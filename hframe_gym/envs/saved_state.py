@@ -23,23 +23,12 @@ _NUMBERS = (bool, int, float, str, bytes, type(None), np.generic)
 
 
 def batch_state(batch: Any) -> dict[str, Any]:
-    """Copy the state of the environments of an `EnvironmentBatch`.
-
-    Args:
-        batch: The environments.
-
-    Returns:
-        Arrays, numbers and containers of them by the path of the attribute that holds them.
-    """
+    """Copy the state of an `EnvironmentBatch`: arrays and numbers by the path of their attribute."""
     return {path: _copied(vars(owner)[name]) for path, owner, name in _attributes(batch)}
 
 
 def restore_batch(batch: Any, state: dict[str, Any]) -> None:
-    """Put the environments of an `EnvironmentBatch` into a saved state.
-
-    Args:
-        batch: Environments with the same options.
-        state: State as `batch_state` returned it.
+    """Put the environments of an `EnvironmentBatch` into a state that `batch_state` returned.
 
     Raises:
         InputError: If the state has other parts than these environments; nothing is changed then.
@@ -59,14 +48,7 @@ def restore_batch(batch: Any, state: dict[str, Any]) -> None:
 
 
 def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | None:
-    """Copy the state of a random generator.
-
-    Args:
-        generator: Generator, or None.
-
-    Returns:
-        Its state, or None.
-    """
+    """Copy the state of a random generator."""
     return None if generator is None else copy.deepcopy(dict(generator.bit_generator.state))
 
 

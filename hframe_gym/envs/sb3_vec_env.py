@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..errors import InputError, is_integer
 from .config import EnvOptions, check_keywords
@@ -84,14 +85,9 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         self._previous_goals: tuple[str, ...] = ()  # keys of the infos from which `compute_reward` takes goals
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
+    @override
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Store the seeds for the next reset: environment i gets the seed `seed` + i.
-
-        Args:
-            seed: Seed, not negative. Default: a random one.
-
-        Returns:
-            Seeds of the environments.
+        """Store the seeds for the next reset: environment i gets the seed `seed` + i. Default: a random one.
 
         Raises:
             InputError: If the seed is not an integer or negative; the stored seeds remain.
@@ -101,6 +97,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         seeds: Sequence[int | None] = super().seed(None if seed is None else int(seed))
         return seeds
 
+    @override
     def reset(self) -> Any:
         """Begin episodes in all environments, with the seeds and options that `seed` and `set_options` stored.
 
@@ -137,6 +134,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             stacked["parameters"] = {name: [values[name] for values in dicts] for name in dicts[0]}
         return stacked
 
+    @override
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store actions; `step_wait` applies them.
 
@@ -145,6 +143,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """
         self._actions = actions
 
+    @override
     def step_wait(
         self,
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
@@ -195,67 +194,30 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """Release the vector environment and its renderer."""
         self.envs.close()
 
+    @override
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Draw the machine of every environment from above.
-
-        Returns:
-            Per environment a picture, uint8, shape (height, width, 3), in mode "rgb_array", else None.
-        """
+        """Draw the machine of every environment from above; the shape of a picture is (height, width, 3)."""
         return self.envs.render() or [None] * self.num_envs
 
     # -- stable-baselines3's access to single environments; all are part of one vector environment -------------------
 
+    @override
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of the vector environment, which is the same for all environments.
-
-        Args:
-            attr_name: Name of an attribute of `HFrameVectorEnv`.
-            indices: Index or indices of environments; None for all.
-
-        Returns:
-            List with one entry per index, all equal to the attribute.
-
-        Raises:
-            AttributeError: If there is no such attribute.
-        """
+        """Return an attribute of the vector environment, which is the same for all environments, once per index."""
         return [getattr(self.envs, attr_name)] * len(list(self._get_indices(indices)))
 
+    @override
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the vector environment. It applies to all environments.
-
-        Args:
-            attr_name: Name of an attribute of `HFrameVectorEnv`.
-            value: New value.
-            indices: Not used, because single environments have no attributes.
-        """
+        """Set an attribute of the vector environment for all environments, whatever the indices are."""
         setattr(self.envs, attr_name, value)
 
+    @override
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        """Call a method of the vector environment once.
-
-        Args:
-            method_name: Name of a method of `HFrameVectorEnv`.
-            *args: Positional arguments of the method.
-            indices: Index or indices of environments; None for all. They only set the length of the result.
-            **kwargs: Keyword arguments of the method.
-
-        Returns:
-            List with one entry per index, all equal to the result of the call.
-
-        Raises:
-            AttributeError: If there is no such method.
-        """
+        """Call a method of the vector environment once, and return the result once per index."""
         result = getattr(self.envs, method_name)(*args, **kwargs)
         return [result] * len(list(self._get_indices(indices)))
 
+    @override
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """Return False: the environments are rows of one vector environment and have no wrappers.
-
-        Args:
-            wrapper_class: Not used.
-            indices: Index or indices of environments; None for all.
-
-        Returns:
-            List with False for each index.
-        """
+        """Return False: the environments are rows of one vector environment and have no wrappers."""
         return [False] * len(list(self._get_indices(indices)))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from typing_extensions import override
 
 from ..arrays import Array, Index
 from ..effects import EFFECTS
@@ -39,13 +40,10 @@ class Encoders:
             raise InputError(f"sensors: lines is {self.lines!r}, it must be a number, at least 1")
 
     def resolution(self, gear_ratio: float) -> float:
-        """Compute the rotation of the pulley, on the output side of the gear, per encoder count.
+        """Compute the rotation of the pulley, on the output side of the gear, per encoder count, rad.
 
         Args:
             gear_ratio: Motor speed / pulley speed, dimensionless, positive.
-
-        Returns:
-            Rotation of the pulley per count, rad.
         """
         return 2.0 * math.pi / (4.0 * self.lines * gear_ratio)
 
@@ -84,25 +82,11 @@ class SensorSuite(ABC):
 
     @abstractmethod
     def apply(self, machine: Machine) -> Machine:
-        """Return a copy of a machine that has the sensors of this suite.
-
-        Args:
-            machine: Machine to copy; it is not changed.
-
-        Returns:
-            Copy of the machine that declares the sensors, with their measuring ranges as effects `sensor_range`.
-        """
+        """Return a copy of a machine with the sensors of this suite, their ranges as effects `sensor_range`."""
 
     @abstractmethod
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select the sensors of a machine whose measurements are in the observation.
-
-        Args:
-            machine: Machine that `apply` returned, which declares the sensors of this suite.
-
-        Returns:
-            Sensors in the order of their measurements in the observation.
-        """
+        """Select the sensors of the observation, in its order, from a machine that `apply` returned."""
 
 
 @dataclass(frozen=True)
@@ -129,17 +113,12 @@ class Sensors(SensorSuite):
         if self.encoders is None and self.lasers is None:
             raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
 
+    @override
     def apply(self, machine: Machine) -> Machine:
         """Return a copy of a machine in which lasers measure x and y and encoders measure the driven coordinates.
 
         A sensor that the machine already has for such a coordinate becomes this laser or encoder: it gets its kind,
         noise, resolution and range. A missing sensor is added.
-
-        Args:
-            machine: Machine to copy; it is not changed.
-
-        Returns:
-            Copy of the machine with the sensors of this suite, and the effect `sensor_range` for the lasers' ranges.
 
         Raises:
             InputError: If a drive acts on x or y itself, which would then have both a laser and an encoder.
@@ -161,15 +140,9 @@ class Sensors(SensorSuite):
                 machine = _with_range(machine, _sensor_of(machine, axis), low, high)
         return machine
 
+    @override
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select the sensors in the observation: the lasers on the tool's axes, then the encoders.
-
-        Args:
-            machine: Machine that declares these sensors, as `apply` returns it.
-
-        Returns:
-            Sensors in the order of the observation; no lasers if `lasers` is None, no encoders if `encoders` is None.
-        """
+        """Select the lasers on the tool's axes, then the encoders."""
         lasers = machine.tool_axes if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
         return tuple(machine.sensor(_sensor_of(machine, name)) for name in dict.fromkeys((*lasers, *encoders)))
@@ -179,20 +152,13 @@ class Sensors(SensorSuite):
 class DeclaredSensors(SensorSuite):
     """Observe all sensors that the machine declares, without changes."""
 
+    @override
     def apply(self, machine: Machine) -> Machine:
-        """Return the machine itself: the sensors that it declares are used unchanged.
-
-        Returns:
-            The same machine, not a copy.
-        """
         return machine
 
+    @override
     def observed(self, machine: Machine) -> tuple[Sensor, ...]:
-        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then all other ones.
-
-        Returns:
-            Sensors in the order of the observation.
-        """
+        """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then all other ones."""
         first = observed_coordinates(machine)
         order = [*first, *(c for c in machine.coordinate_names if c not in first)]
         return tuple(sorted(machine.sensors, key=lambda sensor: order.index(sensor.coordinate)))
@@ -205,13 +171,7 @@ SENSOR_PRESETS: dict[str, SensorSuite | None] = {"state": None, "rig": Sensors()
 
 
 def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
-    """Convert the environment option `sensors` to a sensor suite.
-
-    Args:
-        sensors: "state", "rig" (encoders and lasers), "machine" (declared sensors), or a `SensorSuite`.
-
-    Returns:
-        Sensor suite; None for "state", where the true state is observed.
+    """Convert the environment option `sensors` (see `EnvConfig`) to a sensor suite; None for "state".
 
     Raises:
         InputError: If the name is unknown or the argument has another type.
@@ -226,13 +186,8 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
 def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
     """Return a copy of the machine whose sensors are those in the observation, as a state estimator needs it.
 
-    Args:
-        sensors: Environment option: "state" (true state), "rig" (encoders and lasers), "machine" (declared sensors), or
-            a `SensorSuite`.
-
-    Returns:
-        Copy with the observed sensors, in the order of the observation. All other sensors and their effects (such as
-        range and delay) are removed. None for "state", where the true state is observed.
+    All other sensors and their effects (such as range and delay) are removed. None for the option `sensors`
+    "state", with which the true state is observed.
 
     Raises:
         InputError: If the name is unknown or the argument has another type.
@@ -273,15 +228,7 @@ def _with_range(machine: Machine, channel: str, low: float, high: float) -> Mach
 
 
 def sensor_range_names(sensor: Sensor) -> tuple[str, str]:
-    """Return the names of the parameters that hold the measuring range of a sensor (effect `sensor_range`).
-
-    Args:
-        sensor: Sensor of a machine; the machine need not have this effect.
-
-    Returns:
-        low: Full name of the lower end, for example "sensor_range@x_m.low".
-        high: Full name of the upper end.
-    """
+    """Return the names of the parameters (low, high) of the measuring range of a sensor, "sensor_range@x_m.low"."""
     return f"sensor_range@{sensor.channel}.low", f"sensor_range@{sensor.channel}.high"
 
 
@@ -302,14 +249,7 @@ class PositionFromSensors:
 
     @classmethod
     def of(cls, machine: Machine, sensors: tuple[Sensor, ...]) -> PositionFromSensors:
-        """Derive the map from measurements to the tool position from a machine's kinematics with unstretched belts.
-
-        Args:
-            sensors: The n observed sensors.
-
-        Returns:
-            Map from n measurements (m or rad) to the tool position (m): index `direct` of the sensor that measures an
-            axis itself (-1: none) and its factor `scale`, shape (axes,) each; matrix `belts` for others, (axes, n).
+        """Derive the map from the machine's kinematics with unstretched belts; shapes are stated at the class.
 
         Raises:
             InputError: If the sensors do not determine every axis.

@@ -50,10 +50,8 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
     """Specify the entries of an observation of the true state: positions of coordinates, then their velocities.
 
     Args:
+        machine: Machine.
         names: Names of coordinates. Default: the tool's axes and the driven coordinates.
-
-    Returns:
-        Specifications (name, unit, bounds) of all positions, then of all velocities, in the order of `names`.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
@@ -101,14 +99,8 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[fl
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
     """Specify the entries of an observation by sensors: measurements, then their rates of change.
 
-    A rate is the difference of the last two measurements divided by the control period.
-
-    Args:
-        sensors: Observed sensors.
-
-    Returns:
-        Specifications (name, unit, bounds) of all measurements, then of all rates, in the order of `sensors`. An entry
-        has the name of the coordinate, or of the sensor's channel if several sensors measure the same coordinate.
+    A rate is the difference of the last two measurements divided by the control period. An entry has the name of the
+    coordinate, or of the sensor's channel if several sensors measure the same coordinate.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
@@ -131,11 +123,9 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
     """Specify the entries of `privileged`, the observation array for a critic: true state, randomized parameters.
 
     Args:
+        machine: Machine.
         bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it can have,
             divided by its nominal value, dimensionless (SI if that is 0).
-
-    Returns:
-        Specifications (name, unit, bounds) of the positions of all coordinates, their velocities, then the parameters.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
@@ -158,18 +148,14 @@ def observation_signals(
     observed: Sequence[SignalSpec] | None = None,
     privileged: Sequence[SignalSpec] = (),
 ) -> dict[str, tuple[SignalSpec, ...]]:
-    """Specify the entries of all arrays of an observation, by key.
+    """Specify the entries of all arrays of an observation, by key in alphabetical order as in a space of Gymnasium.
 
     Args:
+        machine: Machine.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.
         privileged: Entries of the array `privileged` for a critic (true state, parameters). Default: no such array.
-
-    Returns:
-        Specifications (name, unit, bounds) by key, in alphabetical order of the keys as in a space of Gymnasium:
-        `achieved_goal` and `desired_goal` (one entry per axis), `observation`, `preview` (axes * previews entries) if
-        `previews` > 0, and `privileged` unless it is empty.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
@@ -198,46 +184,24 @@ def observation_space(
 ) -> spaces.Dict:
     """Create the observation space of an environment without the options `normalize` and `flat`.
 
-    Args:
-        previews: Number of future goals in the observation; 0 for a goal that does not move.
-        observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
-            driven coordinates.
-        privileged: Entries of the array `privileged` for a critic (true state, parameters). Default: no such array.
-
-    Returns:
-        Bounded float32 boxes by key: `observation`, shape (entries,), `achieved_goal` and `desired_goal`, shape
-        (axes,), `preview`, shape (axes * previews,), if `previews` > 0, and `privileged` unless it is empty.
-
-    Raises:
-        InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
+    The arguments and errors are those of `observation_signals`; the boxes are bounded, float32, one for each key.
     """
     signals = observation_signals(machine, previews, observed=observed, privileged=privileged)
     return spaces.Dict({key: box(*bounds_of(specs)) for key, specs in signals.items()})
 
 
 def box(low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]]) -> spaces.Box:
-    """Create a bounded space of Gymnasium with float32 entries.
+    """Create a `gymnasium.spaces.Box` with float32 entries from n lower and n upper bounds, shape (n,) each.
 
     Args:
         low: Lower bounds, in the units of the entries, shape (n,).
         high: Upper bounds, in the units of the entries, shape (n,).
-
-    Returns:
-        `gymnasium.spaces.Box` of shape (n,).
     """
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
-    """Collect the lower and the upper bounds of n observation entries in two arrays.
-
-    Args:
-        signals: Specifications of the n entries.
-
-    Returns:
-        low: Lower bounds, in the units of the entries, shape (n,).
-        high: Upper bounds, in the units of the entries, shape (n,).
-    """
+    """Return the lower and the upper bounds of n observation entries, in their units, shape (n,) each."""
     return np.array([s.low for s in signals]), np.array([s.high for s in signals])
 
 
@@ -293,8 +257,7 @@ class ObservationFormat:
             observation: Arrays by key, SI, float32, shape (n, entries of the key).
 
         Returns:
-            Arrays by key, float32, shape (n, entries of the key); with `flat`, one array of shape (n, all entries).
-            Values are SI; with `normalize`, they are (value - center) / scale, dimensionless. Without both options:
+            Arrays of the same shapes or, with `flat`, one array of shape (n, all entries); without both options
             `observation` itself.
         """
         if not self.active:
@@ -304,10 +267,6 @@ class ObservationFormat:
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
         """Convert observations of the selected format back to arrays by key in SI units, the inverse of `apply`.
-
-        Args:
-            observation: Observations of n environments as they return them: arrays by key, shape (n, entries of the
-                key), or with `flat` one array, shape (n, all entries).
 
         Returns:
             Arrays by key, SI, float32, shape (n, entries of the key); equal to those before `apply` but for the
@@ -338,35 +297,27 @@ class ObservationFormat:
         return restored
 
     def goal_rounding(self) -> NDArray[np.float32]:
-        """Return center and scale by which goals are normalized: (goal - center) / scale.
+        """Return centers (row 0) and scales (row 1) by which goals are normalized, m, shape (2, axes).
 
-        Returns:
-            Centers (row 0) and scales (row 1) of the tool's axes, m, shape (2, axes). Scales are 0 without the option
-            `normalize`: goals are then observed in meters.
+        Scales are 0 without the option `normalize`: goals are then observed in meters.
         """
         center, scale = self._center["desired_goal"], self._scale["desired_goal"]
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
 
     def goal_in_meters(self, goal: ArrayLike) -> NDArray[np.float32]:
-        """Convert goals from the form in which they are observed to positions in meters.
+        """Convert goals as observed, shape (axes,) or (n, axes), to positions, m, float32.
 
         Args:
-            goal: Achieved or desired goals as observed (m, or dimensionless if normalized), shape (axes,) or (n, axes).
-
-        Returns:
-            Positions, m, float32, in the shape of `goal`.
+            goal: Achieved or desired goals, m, or dimensionless if normalized, shape (axes,) or (n, axes).
         """
         values = np.asarray(goal, np.float32)
         return values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert goal positions to the form in which they are observed: normalized or, without `normalize`, unchanged.
+        """Convert goals to the form in which they are observed: normalized or unchanged, shape (n, axes).
 
         Args:
             goal: Positions, m, float32, shape (n, axes).
-
-        Returns:
-            Goals, m, or dimensionless if observations are normalized, float32, shape (n, axes).
         """
         return self._normalized("desired_goal", goal) if self.normalize else goal
 

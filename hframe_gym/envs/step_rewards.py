@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Index
 from ..dynamics.compiled import compiled
 from ..errors import InputError
 from .rewards import (
@@ -58,14 +58,11 @@ class ProgressReward(BuiltinReward):
 
     @staticmethod
     def bonus(achieved: Positions, desired: Positions) -> Array:
-        """Compute the second term of the reward "progress", a bonus for being close to the goal.
+        """Compute the second term of the reward "progress": 1 / (1 + d / 2 mm) with the distance d, shape (n,).
 
         Args:
             achieved: Achieved tool positions, m, float32, shape (n, axes).
             desired: Goal positions, m, float32, shape (n, axes).
-
-        Returns:
-            Bonus 1 / (1 + d / 2 mm) with the distance d, dimensionless, shape (n,).
         """
         return PRECISION_BONUS / (1.0 + distances(achieved, desired) / BONUS_SCALE)
 
@@ -144,15 +141,15 @@ class StepRewards:
         self._before: dict[str, Positions] = {}
         self._after: dict[str, Positions] = {}
 
-    def begin(self, index: NDArray[np.intp], observation: Mapping[str, Positions]) -> None:
+    def begin(self, index: Index, observation: Mapping[str, Positions]) -> None:
         """Store the achieved and desired goals at the start of k episodes, for the reward of their first step.
 
         Only the reward "progress" needs them; for others this method does nothing.
 
         Args:
-            index: Indices of the environments, shape (k,).
-            observation: Arrays by key, of which the rows `index` of `achieved_goal` and `desired_goal` are used, m,
-                shape (count, axes) for `count` environments.
+            index: The environments.
+            observation: Arrays by key; the rows `index` of `achieved_goal` and `desired_goal`, m, shape
+                (count, axes), are used.
         """
         for key in self._keys:
             for goals in (self._before, self._after):
@@ -164,16 +161,10 @@ class StepRewards:
             self._potential[index] = self._evaluate(self.reward, *goals_seen)
 
     def evaluation(self, distance: Array, reward: Array) -> Evaluation:
-        """Return the arguments `kind`, `band`, `distance` and `reward` of the function `evaluate_rows`.
+        """Return the arguments `kind`, `band`, `distance` and `reward`, shape (count,), of `evaluate_rows`.
 
-        They are valid only if the attribute `depends_on_distance` is True.
-
-        Args:
-            distance: Array for the distances to the goal, m, shape (count,); returned unchanged.
-            reward: Array for the rewards, dimensionless, shape (count,); returned unchanged.
-
-        Returns:
-            Kind of the reward (0 dense, 1 sparse), distance that counts as a success, m, and the two arrays.
+        They are valid only if the attribute `depends_on_distance` is True. The arrays `distance`, m, and `reward`,
+        dimensionless, are returned unchanged.
         """
         return self._kind, self._band, distance, reward
 
@@ -187,9 +178,8 @@ class StepRewards:
         run in several threads at once.
 
         Args:
-            rows: Indices of the environments, a slice with start and stop.
-            observation: Arrays by key, of which `achieved_goal` and `desired_goal` are used, m, shape (count, axes) for
-                `count` environments.
+            rows: The environments, a slice with start and stop.
+            observation: Arrays by key, of which `achieved_goal` and `desired_goal`, m, shape (count, axes), are used.
             tool: True tool positions, m, shape (count, axes).
             distance: Output, distances from `tool` to the goals, m, shape (count,); other rows are not changed.
             reward: Output, rewards, dimensionless, shape (count,); other rows are not changed.
@@ -199,27 +189,16 @@ class StepRewards:
         _evaluate_step(tool, achieved, desired, *constants, self._potential, distance, reward)
 
     def keep_goals(self, observation: Mapping[str, Positions]) -> None:
-        """Store the goals after a step; those after the previous step become the goals before this step (`info`).
+        """Store the goals after a step, shape (count, axes), for the next step's `info`.
 
-        Call it once per step if the attribute `compares_steps` is True (reward "progress").
-
-        Args:
-            observation: Arrays by key after the step, of which `achieved_goal` and, if goals move, `desired_goal` are
-                stored, m, shape (count, axes) for `count` environments.
+        Call it with the `observation` once per step if the attribute `compares_steps` is True (reward "progress").
         """
         self._before, self._after = self._after, {key: observation[key].copy() for key in self._keys}
 
     def of_step(self, observation: Mapping[str, Positions]) -> Array:
-        """Compute the rewards of the last step with `compute`, if the attribute `compiled` is False.
+        """Compute the rewards of the last step, shape (count,), if the attribute `compiled` is False.
 
-        If `compares_steps` is True, call `keep_goals` before.
-
-        Args:
-            observation: Arrays by key after the step, of which `achieved_goal` and `desired_goal` are used, m, shape
-                (count, axes) for `count` environments.
-
-        Returns:
-            Rewards, dimensionless, shape (count,).
+        Call it with the `observation` after the step, and after `keep_goals` if `compares_steps` is True.
         """
         achieved, desired = (
             self._format.goal_as_observed(observation[f"{key}_goal"]) for key in ("achieved", "desired")
@@ -228,14 +207,10 @@ class StepRewards:
         return rewards
 
     def info(self) -> dict[str, Positions]:
-        """Return the goals before the last step, for the environment's info.
+        """Return the goals before the last step by key, as observed, shape (count, axes), for the environment's info.
 
-        `compute` needs them to compute the reward "progress" again, for example for relabeled goals.
-
-        Returns:
-            Dict with the keys `previous_achieved_goal` and, if goals move, `previous_desired_goal`: goals as observed
-            (m, or normalized), shape (count, axes) for `count` environments. Right after a reset they are the present
-            goals. The dict is empty for rewards other than "progress".
+        `compute` needs them to compute the reward "progress" again, for example for relabeled goals. Right
+        after a reset they are the present goals. The dict is empty for rewards other than "progress".
         """
         return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
 

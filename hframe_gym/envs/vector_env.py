@@ -11,6 +11,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..arrays import Array, Index
 from ..errors import InputError, is_integer
@@ -115,6 +116,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         count = len(self.machine.coordinates)
         return self.batch.simulator.state[:, :count].transpose(0, 2, 1).reshape(-1, count)[: self.num_envs].copy()
 
+    @override
     def reset(  # type: ignore[override]
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -177,6 +179,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             raise ValueError(f"options['reset_mask'] must have shape ({self.num_envs},) and hold at least one True")
         return np.flatnonzero(mask)
 
+    @override
     def step(self, actions: Any) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
         """Advance all environments by one control period; begin new episodes where they are due.
 
@@ -287,11 +290,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         for b, trail in enumerate(self._trails):
             trail.append(tool_point(self.batch, b))
 
+    @override
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Draw the machine of every environment from above.
-
-        Returns:
-            One picture, uint8, shape (height, width, 3), per environment; None without a render mode.
+        """Draw the machine of every environment from above: pictures, uint8, shape (height, width, 3).
 
         Raises:
             ImportError: If pygame is missing; the message names the extra.
@@ -320,9 +321,6 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
     def set_state(self, state: dict[str, Any]) -> None:
         """Put the environments into a state that `get_state` returned, of these or of others with the same options.
 
-        Args:
-            state: The state.
-
         Raises:
             InputError: If it is no state, or that of environments with another number or other options; nothing is
                 changed then.
@@ -337,15 +335,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
     # -- Gymnasium's access to single environments; all are rows of this one ---------------------------------------
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method, or read an attribute, that all environments share.
-
-        Args:
-            name: Name of a method or attribute of this vector environment, for example "compute_reward" or "machine".
-            *args: Positional arguments of the method.
-            **kwargs: Keyword arguments of the method.
-
-        Returns:
-            The result or the attribute, once per environment, as Gymnasium's vector environments return it.
+        """Call a method, or read an attribute, that all environments share; return the result once per environment.
 
         Raises:
             AttributeError: If there is no such method or attribute.
@@ -354,13 +344,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Read an attribute that all environments share.
-
-        Args:
-            name: Name of an attribute of this vector environment.
-
-        Returns:
-            The attribute, once per environment.
+        """Read an attribute that all environments share; return it once per environment.
 
         Raises:
             AttributeError: If there is no such attribute.
@@ -392,12 +376,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             raise AttributeError(f"{type(self).__name__} and its environments have no attribute {name!r}")
         return getattr(self, name)
 
+    @override
     def close_extras(self, **kwargs: Any) -> None:
-        """Release the renderer; Gymnasium's `close` calls this method.
-
-        Args:
-            **kwargs: Not used.
-        """
+        """Release the renderer; Gymnasium's `close` calls this method."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Workspace
 from ..dynamics import LANES
 from ..dynamics.compiled import compiled
 from ..dynamics.elementwise import absolute, copysign, maximum
@@ -36,17 +36,12 @@ LARGEST_DEPTH = 1e3  # m, more than any machine's workspace
 
 
 def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[str, tuple[float, float]]:
-    """Compute the limits of the parameters of effects and of the unstretched lengths of belts.
+    """Compute the limits (smallest, largest), SI, of the parameters of effects and the lengths of belts.
 
     Effects declare the bounds of their parameters. The unstretched length of a belt depends on the position; its value
     at position 0 is the parameter `rest_length`. The lower limit of this parameter is so large that the unstretched
-    length is at least `smallest_fraction` times the machine's present `rest_length` everywhere in the workspace.
-
-    Args:
-        smallest_fraction: Smallest allowed unstretched length / present `rest_length`, dimensionless.
-
-    Returns:
-        Smallest and largest value of each of these parameters, by its full name, SI.
+    length is at least `smallest_fraction` (dimensionless) times the machine's present `rest_length` everywhere in the
+    workspace.
     """
     bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
     for belt in machine.belts:
@@ -62,14 +57,8 @@ def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[s
     return bounds
 
 
-def workspace_of(machine: Machine) -> Array:
+def workspace_of(machine: Machine) -> Workspace:
     """Return the workspace of the tool: the declared ranges of its axes.
-
-    Args:
-        machine: Machine whose `tool_axes` names one or two linear coordinates.
-
-    Returns:
-        One row per axis, columns low and high, m, shape (axes, 2).
 
     Raises:
         InputError: If the machine has no tool axes, an axis has no range, or there are not as many drives as axes.
@@ -96,14 +85,11 @@ def workspace_of(machine: Machine) -> Array:
 
 
 def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[Any]) -> NDArray[np.bool_]:
-    """Test which positions lie outside the workspace; its edge counts as inside.
+    """Test which positions lie outside the workspace, shape (n,); its edge counts as inside.
 
     Args:
         positions: Tool positions, m, shape (n, axes).
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-
-    Returns:
-        True for each position outside, shape (n,).
+        workspace: Workspace (`Workspace`), m, shape (axes, 2).
     """
     beyond = (positions < workspace[:, 0]) | (positions > workspace[:, 1])
     return np.asarray(beyond.any(axis=1))
@@ -188,16 +174,12 @@ class EndStops:
     def parameters(self, values: Array) -> Array:
         """Append the parameters of the end stops to those of k machines.
 
-        They depend on the machine's masses: end stops of a carriage that is too light for the integration step are
-        softer.
-
         Args:
             values: Parameters of the machines, SI, shape (k, N). The first columns are the parameters of the machine
                 without end stops, in their order; further columns are ignored.
 
         Returns:
-            Parameters with end stops, in the order of `machine.parameters` of the attribute `machine`, SI, shape
-            (k, parameters).
+            Parameters in the order of `machine.parameters` of the attribute `machine`, SI, shape (k, parameters).
         """
         result = np.empty((len(values), self._count + len(self._stops)))
         result[:, : self._count] = values[:, : self._count]
@@ -224,17 +206,13 @@ def _soften_buffers(parameters: Any, first: int, columns: Any, factors: Any, bel
 
 
 def tool_product(machine: Machine, name: str) -> tuple[int, int]:
-    """Find the two coordinates whose product is added to the tool position along an axis, if there is such a product.
+    """Find the two coordinates whose product is added to the tool position along an axis.
 
     The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y: the result for "x"
     is then (index of yaw, index of y).
 
-    Args:
-        name: Axis of the tool position, "x" or "y".
-
     Returns:
-        first: Index of one coordinate in `machine.coordinate_names`; -1 if no product is added.
-        second: Index of the other coordinate; -1 if no product is added.
+        Indices in `machine.coordinate_names`, -1 and -1 if no product is added.
     """
     for sensor in machine.sensors:
         for key, factor in sensor.row.items():
@@ -266,8 +244,7 @@ def write_tool_positions(state: Any, units: Any, terms: Any, first: int, positio
     """Write the true tool positions of k simulated machines to an array.
 
     Args:
-        state: Belt travel of all coordinates, m, and further rows, shape (blocks, rows, LANES): machine b is lane b %
-            LANES (8 or 16) of block b // LANES.
+        state: Belt travel of all coordinates, m, and further rows, in lanes, shape (blocks, rows, LANES).
         units: Factor from belt travel to the coordinate's unit, shape (blocks, coordinates, LANES).
         terms: Indices of coordinates, as `tool_terms` returns them, shape (axes, 3).
         first: Index of the first block. The k machines are machine first * LANES and those after it.

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import Array, Index
+from ...arrays import Array, ElapsedTimes, GoalPlans, Index, Workspace
 from ...errors import InputError
 from ...registry import Registry
 
@@ -60,98 +60,84 @@ class Task(ABC):
         """Nominal values, SI, of the parameters that rules can randomize, by name without "task."; empty by default."""
         return {}
 
-    def check(self, workspace: Array) -> None:  # noqa: B027  (optional)
+    def check(self, workspace: Workspace) -> None:  # noqa: B027  (optional)
         """Check that starts and goals of the task lie in the workspace; an environment calls it when it is made.
 
-        This default checks nothing.
-
-        Args:
-            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-
         Raises:
-            InputError: If the task does not fit into the workspace.
+            InputError: If the task does not fit into the workspace. This default checks nothing.
         """
 
     @abstractmethod
     def begin(
-        self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
+        self, workspace: Workspace, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
-        """Choose start positions and plans of k episodes; a plan defines the goals of an episode at all times.
+        """Choose start positions and plans of k episodes.
 
         Args:
-            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-            uniforms: Uniform random numbers in (0, 1), shape (k, draws) with the task's attribute `draws`.
+            workspace: Workspace of the machine.
+            uniforms: Uniform random numbers in (0, 1), shape (k, draws).
             parameters: Values in the k episodes of all parameters that the attribute `parameters` declares, SI, by
                 name, shape (k,) each. Default: nominal values.
 
         Returns:
             start: Start positions of the tool, m, shape (k, axes).
-            plan: Numbers that define the goals, in the format of the task, shape (k, plan_size) with its `plan_size`.
+            plan: Plans (`GoalPlans`), shape (k, plan_size).
         """
 
     @abstractmethod
-    def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        """Compute the goals of n episodes, at one time or at m times each.
+    def goal(self, plan: GoalPlans, elapsed_s: Array) -> Array:
+        """Compute the goals of k episodes, m, at one time, shape (k, axes), or at m times each, shape (k, m, axes).
 
         Args:
-            plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
-            elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
-
-        Returns:
-            Goal positions, m, shape (n, axes) or (n, m, axes).
+            plan: Plans.
+            elapsed_s: Times since the reset, s, not negative, shape (k,) or (k, m).
         """
 
     def write_goals(
         self,
-        plan: Array,
-        elapsed_s: Array,
+        plan: GoalPlans,
+        elapsed_s: ElapsedTimes,
         ahead_s: Array,
         goals: NDArray[np.float32],
         previews: NDArray[np.float32],
     ) -> None:
-        """Write the present and future goals of n episodes to two arrays.
+        """Write the present and future goals of k episodes to two arrays.
 
         This default calls `goal`; a task may override it with a faster method.
 
         Args:
-            plan: Plans, which define the goals at all times, in the task's format, shape (n, plan_size).
-            elapsed_s: Present times since the reset, s, not negative, shape (n,).
+            plan: Plans.
+            elapsed_s: Present times.
             ahead_s: Times from the present to the m future goals in the observation, s, shape (m,), as the property
                 `ahead_s` of the task.
-            goals: Array that receives the present goals, m, shape (n, axes).
-            previews: Array that receives the future goals, m, shape (n, m, axes).
+            goals: Output, present goals, m, shape (k, axes).
+            previews: Output, future goals, m, shape (k, m, axes).
         """
         goals[:] = self.goal(plan, elapsed_s)
         if len(ahead_s):
             previews[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
 
-    def aim(self, target: Array) -> Array:
+    def aim(self, target: Array) -> GoalPlans:
         """Make plans for episodes with given targets (option `target` of an environment's `reset`).
-
-        A plan defines the goals of an episode at all times.
 
         Args:
             target: Target positions of k episodes, m, shape (k, axes).
-
-        Returns:
-            Plans in the task's format, shape (k, plan_size).
 
         Raises:
             InputError: If the goal of this task cannot be set. The default implementation always raises it.
         """
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
-    def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array | None:
-        """Compute the contour error: the distance from the tool to the path on which the goal moves.
+    def contour(self, plan: GoalPlans, points: Array, elapsed_s: ElapsedTimes) -> Array | None:
+        """Compute the contour error: the distance from the tool to the path on which the goal moves, m, shape (k,).
+
+        None for a task without a path, which is the default.
 
         Args:
-            plan: Plans (goals at all times) of n episodes in the task's format, shape (n, plan_size).
-            points: One tool position per episode, m, shape (n, axes).
-            elapsed_s: Times since the reset, s, shape (n,). The nearest point is searched around the goals of these
-                times, because a path may cross itself.
-
-        Returns:
-            Distances, m, shape (n,); None for a task without a path, which is the default.
+            plan: Plans of k episodes.
+            points: One tool position per episode, m, shape (k, axes).
+            elapsed_s: Times since the reset. The nearest point is searched around the goals of these times,
+                because a path may cross itself.
         """
         return None
 
@@ -167,9 +153,6 @@ def as_task(task: TaskLike, **settings: Any) -> Task:
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned unchanged.
         **settings: Keywords of the task's class, for example speed=0.2, if `task` is a name; otherwise ignored.
 
-    Returns:
-        Task.
-
     Raises:
         InputError: If the name is unknown, the argument is not a task, or a setting is invalid.
         TypeError: If the task's class has no such keyword.
@@ -181,13 +164,13 @@ def as_task(task: TaskLike, **settings: Any) -> Task:
     return task
 
 
-def check_point(label: str, points: Array, workspace: Array) -> None:
+def check_point(label: str, points: Array, workspace: Workspace) -> None:
     """Check that points lie in the workspace; its edge counts as inside.
 
     Args:
         label: Name of the option whose value the points are, for the error message.
         points: Points, m, shape (axes,) or (k, axes).
-        workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
+        workspace: Workspace of the machine.
 
     Raises:
         InputError: If a point is not finite, lies outside the workspace, or does not have one coordinate per axis.
@@ -201,8 +184,6 @@ def check_point(label: str, points: Array, workspace: Array) -> None:
 
 class ReferenceTrajectories:
     """Keep the plans of `count` environments and compute their goals over time.
-
-    A plan is the row of numbers from which a task computes the goals of an episode.
 
     Args:
         task: Task of all environments.
@@ -236,14 +217,8 @@ class ReferenceTrajectories:
         if self.moving:
             np.multiply(self.elapsed, self._period, out=self._elapsed_s)
 
-    def begin(self, index: Index, plans: Array) -> None:
-        """Store the plans of new episodes in k environments and set their elapsed time to zero.
-
-        Args:
-            index: Indices of the environments, shape (k,).
-            plans: Plans as `Task.begin` returns them (numbers that define the goals at all times; the task defines
-                their meaning and units), shape (k, plan_size).
-        """
+    def begin(self, index: Index, plans: GoalPlans) -> None:
+        """Store the plans of new episodes in k environments and set their elapsed time to zero."""
         if plans.shape[1] != self._plans.shape[1]:
             self._plans = np.zeros((len(self._plans), plans.shape[1]))
         self._plans[index] = plans
@@ -252,14 +227,7 @@ class ReferenceTrajectories:
         self._fixed_goals[index] = self._task.goal(plans, np.zeros(len(index)))
 
     def goals(self, index: Index | slice) -> NDArray[np.float32]:
-        """Compute the goals at the present time.
-
-        Args:
-            index: Indices of k environments, shape (k,), or a slice of them.
-
-        Returns:
-            Goal positions, m, float32, shape (k, axes), a new array.
-        """
+        """Compute the goals of k environments at the present time, m, float32, shape (k, axes), a new array."""
         if not self.moving:
             return np.array(self._fixed_goals[index])
         return self._task.goal(self._plans[index], self._elapsed_s[index]).astype(np.float32)
@@ -267,10 +235,9 @@ class ReferenceTrajectories:
     def add_blank(self, observation: dict[str, NDArray[np.float32]]) -> None:
         """Add arrays for the goals to an observation; `write` fills them.
 
-        Args:
-            observation: Arrays by key for `count` environments; changed here. `desired_goal`, m, float32, shape
-                (count, axes), is added and, for a task with p future goals, `preview`, m, float32, shape (count,
-                axes * p). They are not initialized, unless goals do not move: `desired_goal` then holds the goals.
+        `desired_goal`, m, shape (count, axes), is added and, for a task with p future goals, `preview`, m,
+        shape (count, axes * p). They are not initialized, unless goals do not move: `desired_goal` then holds
+        the goals. The argument is `observation`.
         """
         if not self.moving:
             observation["desired_goal"] = self._fixed_goals.copy()
@@ -285,7 +252,7 @@ class ReferenceTrajectories:
         """Write the present and future goals of k environments to an observation.
 
         Args:
-            index: Indices of the environments, shape (k,), or a slice of them; other rows are not changed.
+            index: The environments, or a slice of them; other rows are not changed.
             observation: Arrays by key. Two are written: `desired_goal`, m, shape (count, axes), and, for a task with p
                 future goals, `preview`, m, shape (count, axes * p): all axes of the first future goal, then of the
                 second, ...
@@ -304,28 +271,22 @@ class ReferenceTrajectories:
                 observation["preview"][index] = previews
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
-        """Compute the goals of one environment at n times, for example to draw its path.
+        """Compute the goals of environment b at n times, m, float32, shape (n, axes); (0, axes) if goals do not move.
 
         Args:
             b: Index of the environment, 0 to count - 1.
             elapsed_s: Times since its reset, s, shape (n,).
-
-        Returns:
-            Goal positions, m, float32, shape (n, axes); shape (0, axes) if goals do not move.
         """
         if not self.moving:
             return np.zeros((0, self._fixed_goals.shape[1]), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
-        """Compute the contour errors: the distances from tool positions to the paths on which the goals move.
+        """Compute the contour errors of k environments, m, shape (k,); None for a task without a path.
 
         Args:
-            index: Indices of k environments, shape (k,), or a slice of them.
-            tools: Tool positions of these environments, m, shape (k, axes).
-
-        Returns:
-            Distances, m, shape (k,); None for a task without a path.
+            index: The environments, or a slice of them.
+            tools: Their tool positions, m, shape (k, axes).
         """
         if self._task.metrics != "track":
             return None

@@ -54,31 +54,22 @@ class Curve:
         self.length = float(data.vertex_s[-1])
 
     def point(self, s: Array) -> Array:
-        """Compute the points at n arc lengths.
+        """Compute the points x, y at n arc lengths, m, shape (n, 2).
 
         Args:
             s: Arc lengths from the start of the curve, m, any real number, shape (n,). Beyond its ends, a closed curve
                 repeats; on an open curve, the point stays at the end.
-
-        Returns:
-            Points x, y, m, shape (n, 2).
         """
         points = np.empty((len(s), 2))
         _write_points(s, self.data, points)
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances of n points to the part of the curve near s.
-
-        With d the distance from a point to the curve's point at s, the nearest point is searched from s - pi d to
-        s + pi d. On a circle, the distance is exact for every s.
+        """Compute the distances, m, shape (n,), of n points to the part of the curve near s, see `write_distances`.
 
         Args:
             points: Points x, y, m, shape (n, 2).
             s: Approximate arc length of the nearest point of the curve to each of `points`, m, shape (n,).
-
-        Returns:
-            Distances, m, shape (n,).
         """
         distances = np.empty(len(points))
         write_distances(points, s, self.data, distances)
@@ -117,16 +108,11 @@ def _write_points(s: Any, curve: Any, points: Any) -> None:
 
 @helper
 def point_at(s: float, curve: Any) -> Any:
-    """Compute the point of a curve at an arc length; only other compiled functions can call it.
+    """Compute the point (x, y), m, of a curve at an arc length; only other compiled functions can call it.
 
     Args:
-        s: Arc length from the start of the curve, m, any real number. Beyond its ends, a closed curve repeats; on an
-            open one, the point stays at the end.
-        curve: Radius of a circle, m, or 0 and the vertices of a polyline, m, with their arc lengths, m (`CurveData`).
-
-    Returns:
-        x: First coordinate of the point, m.
-        y: Second coordinate of the point, m.
+        s: Arc length from the start of the curve, m, see `Curve.point`.
+        curve: The curve (`CurveData`).
     """
     if curve.radius > 0.0:
         cosine, sine = cos_sin_of_turns(s * (1.0 / curve.vertex_s[-1]))
@@ -234,7 +220,7 @@ def _speed_up(t: float, speed: float, lead_s: float) -> float:
 
 @helper
 def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
-    """Compute how far a goal has traveled along its path at time t. Only compiled functions can call it.
+    """Compute how far, m, a goal has traveled along its path at time t. Only compiled functions can call it.
 
     The goal starts at rest and reaches `speed` at t = lead_s, by v = speed (3 u^2 - 2 u^3) with u = t / lead_s. On a
     path of finite length it slows down in the same way, so that it comes to rest at the end of the path.
@@ -244,9 +230,6 @@ def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
         speed: Speed after the speed-up, m/s; limited to length / lead_s.
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
         length: Length of the path, m; inf for a closed path, on which the goal does not slow down.
-
-    Returns:
-        Distance along the path, m.
     """
     if length == math.inf:
         return _speed_up(t, speed, lead_s)
@@ -259,40 +242,19 @@ def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
 
 
 def circle(size: float) -> Curve:
-    """Create a circle around the origin, counterclockwise from (size / 2, 0).
-
-    Args:
-        size: Diameter, m, positive.
-
-    Returns:
-        Closed curve with a radius and no vertices, shape (0, 2).
-    """
+    """Create a circle of diameter `size`, m, counterclockwise from (size / 2, 0); vertices of shape (0, 2)."""
     radius = 0.5 * size
     return Curve(CurveData(radius, True, np.zeros((0, 2)), np.array([0.0, 2.0 * math.pi * radius])))
 
 
 def square(size: float) -> Polyline:
-    """Create a square around the origin, counterclockwise from the middle of its right side.
-
-    Args:
-        size: Length of a side, m, positive.
-
-    Returns:
-        Closed curve.
-    """
+    """Create a square of side `size`, m, around the origin, counterclockwise from the middle of its right side."""
     corners = [(1, 0), (1, 1), (-1, 1), (-1, -1), (1, -1), (1, 0)]
     return Polyline(0.5 * size * np.array(corners, float))
 
 
 def lissajous(size: float) -> Polyline:
-    """Create the figure of eight x = size / 2 sin(a), y = size / 2 sin(2 a), in segments of equal length.
-
-    Args:
-        size: Extent along x and along y, m, positive.
-
-    Returns:
-        Closed curve that starts at the origin, toward positive x and y.
-    """
+    """Create the figure of eight x = size / 2 sin(a), y = size / 2 sin(2 a), in equal segments; `size` in m."""
     from scipy.interpolate import CubicSpline  # takes a tenth of a second, which a start without it saves
 
     angle = np.linspace(0.0, 2.0 * np.pi, 4 * SEGMENTS + 1)

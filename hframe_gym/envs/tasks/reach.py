@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
-from ...arrays import Array
+from ...arrays import Array, GoalPlans, Workspace
 from ...errors import InputError, is_number
 from .base import TASKS, Task, check_point
 
@@ -35,15 +36,9 @@ class Reach(Task):
     plan_size: ClassVar[int] = 2  # the target
     moving: ClassVar[bool] = False
 
-    def check(self, workspace: Array) -> None:
-        """Check that band and margin are valid and that start and target lie in the workspace.
-
-        Args:
-            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-
-        Raises:
-            InputError: If `band` or `margin` is invalid, or `start` or `target` is outside the workspace.
-        """
+    @override
+    def check(self, workspace: Workspace) -> None:
+        """Check that band and margin are valid and that start and target lie in the workspace."""
         if not (is_number(self.band) and self.band > 0.0):
             raise InputError(f"task reach: band is {self.band!r}, it must be a positive number of meters")
         size = workspace[:, 1] - workspace[:, 0]
@@ -53,21 +48,13 @@ class Reach(Task):
             if point is not None:
                 check_point(f"task reach: {name}", np.asarray(point), workspace)
 
+    @override
     def begin(
-        self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
+        self, workspace: Workspace, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
-        """Choose start and target positions of k episodes.
+        """Choose start and target positions, which are the plans, of k episodes.
 
         Both are random, at least `margin` inside the workspace, unless the attributes `start` and `target` fix them.
-
-        Args:
-            workspace: One row per axis of the tool, columns low and high, m, shape (axes, 2).
-            uniforms: Uniform random numbers in (0, 1): two for the start, two for the target, shape (k, 4).
-            parameters: Not used, because this task has no parameters to randomize; arrays by name, shape (k,) each.
-
-        Returns:
-            start: Start positions of the tool, m, shape (k, axes).
-            plan: Plans, which are the target positions, m, shape (k, axes).
         """
         low, high = workspace[:, 0] + self.margin, workspace[:, 1] - self.margin
         points = [low + (high - low) * uniforms[:, i : i + len(low)] for i in (0, 2)]
@@ -76,27 +63,12 @@ class Reach(Task):
                 points[i] = np.broadcast_to(np.asarray(point, float), points[i].shape)
         return points[0], points[1]
 
-    def aim(self, target: Array) -> Array:
-        """Make plans for episodes with given targets.
-
-        A plan defines the goals of an episode at all times. For this task it is the target itself.
-
-        Args:
-            target: Target positions, m, shape (k, axes).
-
-        Returns:
-            Plans, which are the same array, m, shape (k, axes).
-        """
+    @override
+    def aim(self, target: Array) -> GoalPlans:
+        """Return the targets: they are the plans of this task."""
         return target
 
-    def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        """Return the targets as goals; they do not change over time.
-
-        Args:
-            plan: Plans of n episodes, which are the targets, m, shape (n, axes).
-            elapsed_s: Times since the reset, s, shape (n,) or (n, m); only the shape is used.
-
-        Returns:
-            Goal positions, m, shape (n, axes) or (n, m, axes).
-        """
+    @override
+    def goal(self, plan: GoalPlans, elapsed_s: Array) -> Array:
+        """Return the targets as goals; they do not change over time."""
         return plan if elapsed_s.ndim == 1 else np.repeat(plan[:, None], elapsed_s.shape[1], axis=1)

@@ -11,8 +11,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from ...arrays import Array
+from ...arrays import Array, ElapsedTimes, GoalPlans, Workspace
 from ...dynamics.compiled import compiled
 from ...errors import InputError, is_integer, is_number
 from ...recordings import read_path
@@ -126,11 +127,9 @@ class Track(Task):
     def _is_file(self) -> bool:
         return not isinstance(self.path, tuple) and self.path not in SHAPES
 
-    def check(self, workspace: Array) -> None:
+    @override
+    def check(self, workspace: Workspace) -> None:
         """Check that the path fits into the workspace.
-
-        Args:
-            workspace: Rows x and y, columns low and high, m, shape (2, 2).
 
         Raises:
             InputError: If the machine has one axis, or a shape with its margin does not fit, or a point of a file is
@@ -164,18 +163,14 @@ class Track(Task):
                     f"[{low:g}, {high:g}] m"
                 )
 
+    @override
     def begin(
-        self, workspace: Array, uniforms: Array, parameters: Mapping[str, Array] | None = None
+        self, workspace: Workspace, uniforms: Array, parameters: Mapping[str, Array] | None = None
     ) -> tuple[Array, Array]:
         """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
 
         The center is random if the attribute `centre` is None; direction and phase, if `direction` and `phase` are. The
         path is chosen at random if `path` is a tuple of names. A path from a file is followed from its first point.
-
-        Args:
-            workspace: Rows x and y, columns low and high, m, shape (2, 2).
-            uniforms: Uniform random numbers in (0, 1) for path, center x and y, direction, phase, shape (k, 5).
-            parameters: Values of "speed" in each episode, m/s, shape (k,). Default: the nominal speed.
 
         Returns:
             start: Start positions of the tool, which are the first goals, x, y, m, shape (k, 2).
@@ -197,31 +192,13 @@ class Track(Task):
             plan[:, START] = lengths * (uniforms[:, 4] if self.phase is None else self.phase)
         return self.goal(plan, np.zeros(len(plan))), plan
 
-    def aim(self, target: Array) -> Array:
-        """Raise an error: the goal moves along a path, so a target cannot be set.
-
-        Args:
-            target: Target positions, m, shape (k, axes); not used.
-
-        Returns:
-            Nothing, because the error is always raised; other tasks return plans of shape (k, plan_size).
-
-        Raises:
-            InputError: Always; the message names the option that moves the path.
-        """
+    @override
+    def aim(self, target: Array) -> GoalPlans:
+        """Raise an InputError: the goal moves along a path, so a target cannot be set."""
         raise InputError("task track has no target; choose where its path lies with Track(centre=(x, y))")
 
-    def goal(self, plan: Array, elapsed_s: Array) -> Array:
-        """Compute the goals on the paths of n episodes, at one time or at m times each.
-
-        Args:
-            plan: Path of each episode, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction (+1 or
-                -1), arc length at the start (m), speed (m/s).
-            elapsed_s: Times since the reset, s, not negative, shape (n,) or (n, m).
-
-        Returns:
-            Goal positions x, y, m, shape (n, 2) or (n, m, 2).
-        """
+    @override
+    def goal(self, plan: GoalPlans, elapsed_s: Array) -> Array:
         times = elapsed_s.reshape(len(plan), -1)
         out = np.empty((*times.shape, 2))
         for curve, rows in self._rows_of_curves(plan):
@@ -230,38 +207,23 @@ class Track(Task):
         out += plan[:, None, CENTER]
         return out.reshape(*elapsed_s.shape, 2)
 
+    @override
     def write_goals(
-        self, plan: Array, elapsed_s: Array, ahead_s: Array, goals: NDArray[np.float32], previews: NDArray[np.float32]
+        self,
+        plan: GoalPlans,
+        elapsed_s: ElapsedTimes,
+        ahead_s: Array,
+        goals: NDArray[np.float32],
+        previews: NDArray[np.float32],
     ) -> None:
-        """Write the present and future goals of n episodes to two arrays.
-
-        Compiled code is used unless the task has several shapes or a path file with times.
-
-        Args:
-            plan: Path of each episode, as `begin` chose it, shape (n, 6).
-            elapsed_s: Present times since the reset, s, not negative, shape (n,).
-            ahead_s: Times from the present to the m future goals, s, shape (m,).
-            goals: Output, present goals x, y, m, shape (n, 2).
-            previews: Output, future goals x, y, m, contiguous, shape (n, m, 2).
-        """
+        """Write the goals; in compiled code unless the task has several shapes or a file with times."""
         if not self._is_single_curve:
             super().write_goals(plan, elapsed_s, ahead_s, goals, previews)
             return
         _write_goals(plan, elapsed_s, ahead_s, self.lead_s, self._curves[0].data, goals, previews)
 
-    def contour(self, plan: Array, points: Array, elapsed_s: Array) -> Array:
-        """Compute the contour error: the distance from one point per episode to the path near the present goal.
-
-        Args:
-            plan: Path of each of n episodes, as `begin` chose it, shape (n, 6): path index, center x, y (m), direction
-                (+1 or -1), arc length at the start (m), speed (m/s).
-            points: One point x, y per episode, m, shape (n, 2).
-            elapsed_s: Times since the reset, s, shape (n,). The nearest point is searched around the goals of these
-                times, because a path may cross itself.
-
-        Returns:
-            Distances, m, shape (n,).
-        """
+    @override
+    def contour(self, plan: GoalPlans, points: Array, elapsed_s: ElapsedTimes) -> Array:
         out = np.empty(len(plan))
         if self._is_single_curve:
             _write_contours(plan, points, elapsed_s, self.lead_s, self._curves[0].data, out)
