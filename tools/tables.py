@@ -35,6 +35,7 @@ PAGES = (
     "README.md",
     "RESULTS.md",
     "docs/agents.md",
+    "docs/gap.md",
     "docs/identification_results.md",
     "docs/scaling.md",
     "docs/trust.md",
@@ -412,6 +413,60 @@ def closed_loop(results: dict[str, Any]) -> str:
 IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")
 
 
+def gap(results: dict[str, Any]) -> str:
+    """Format the scores of the entries of gap-v1, sorted by settling time over the bound."""
+
+    def number(value: Sequence[float], digits: int) -> str:
+        return f"{value[0]:.{digits}f} ({value[1]:.{digits}f} to {value[2]:.{digits}f})"
+
+    rows = [
+        [
+            f"`{name}`",
+            s["track"],
+            s["knowledge"],
+            number(s["over_bound"], 3),
+            f"{100 * s['success'][0]:.1f} %",
+            number([1e3 * v for v in s["circle_mm"]], 0),
+            number([1e3 * v for v in s["square_mm"]], 0),
+            f"{s['belt_force_N']:.0f}",
+            f"{100 * s['saturated'][0]:.1f} %",
+            f"{100 * s['left'][0]:.1f} %",
+            f"{s['prepare_cpu_s'][0] + s.get('identify_cpu_s', 0.0):.0f}",
+            f"{s['control_us'][0]:.0f}",
+        ]
+        for name, s in results["entries"].items()
+    ]
+    header = ["entry", "track", "knows", "moves: over the bound", "within 0.2 mm", "circle, um rms", "square, um rms"]
+    header += ["largest belt force, N", "at the limit", "left the workspace", "preparation, s", "control, us"]
+    return markdown(header, rows)
+
+
+def gap_steps(results: dict[str, Any]) -> str:
+    """Format how often each model of the plant is better than the declared one in gap-v1."""
+    rows = []
+    for name, parts in results["steps"].items():
+        cells = []
+        for c in parts.values():
+            mean, low, high = c["ratio"]
+            cells.append(f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})")
+            cells.append(f"{mean:.3f} ({low:.3f} to {high:.3f})")
+        rows.append([f"`{name}`", *cells])
+    titles = [title for part in ("moves", "circle", "square") for title in (f"{part}: better, worse", "ratio")]
+    return markdown(["entry, against its declared model", *titles], rows)
+
+
+def gap_plants(results: dict[str, Any]) -> str:
+    """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
+    names = [f"{base}{step}" for base in ("pid", "predictive") for step in ("", "-plain", "-corrected", "-online")]
+    names = [name for name in names if name in results["entries"]]
+    rows = []
+    for plant in results["plants"]:
+        found = " + ".join(plant.get("found", ())) or plant.get("verdict", "")
+        times = [plant["settling_s"].get(name) for name in names]
+        rows.append([f"{plant['plant']}: {plant['hides']}", found, *("" if t is None else f"{t:.3f}" for t in times)])
+    return markdown(["plant", "identified", *(f"`{name}`" for name in names)], rows)
+
+
 def faults(results: dict[str, Any]) -> str:
     """Format what was tried to break the commands, how often, and how often something was lost."""
     rows = [
@@ -576,13 +631,21 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "agent_ablation": agent_ablation,
     "agent_off_policy": agent_off_policy,
     "closed_loop": closed_loop,
+    "gap": gap,
+    "gap_steps": gap_steps,
+    "gap_plants": gap_plants,
     "ray_scaling": ray_scaling,
     "cluster_plan": cluster_plan,
     "real_machines_emps": real_machines_emps,
     "real_machines_ced": real_machines_ced,
     "real_machines_xl330": real_machines_xl330,
 }
-SOURCES = {"cluster_plan": "ray_scaling", "agent_off_policy": "agent_ablation"}  # of tables not named after their file
+SOURCES = {
+    "cluster_plan": "ray_scaling",
+    "agent_off_policy": "agent_ablation",
+    "gap_steps": "gap",
+    "gap_plants": "gap",
+}  # of tables not named after their file
 
 
 def surroundings(results: dict[str, Any]) -> str:

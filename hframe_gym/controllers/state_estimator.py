@@ -50,16 +50,22 @@ SMALLEST_STD = (1e-8, 1e-6, 1e-5)
 class StateEstimator:
     """Kalman filter that estimates states and parameters from the declared sensors; see `Estimator`.
 
+    Args:
+        machine: Machine whose `sensors` supply the measurements.
+        period: Control period, s.
+        parameter_covariance: Covariance of the logarithms of the ratios of the k parameters `augmented.names` to their
+            values in the machine, at the start of an episode, shape (k, k). Default: that of declared values.
+
     Attributes:
         measurements: Linear measurement equation of the sensors.
         augmented: Names and prior covariance of the k estimated parameters (masses, friction, belts, motors).
 
     Raises:
         InputError: If the machine does not have one drive per axis of its tool, its sensors do not determine the
-            position of the tool, or the period is invalid.
+            position of the tool, the period is invalid, or the covariance has the wrong shape.
     """
 
-    def __init__(self, machine: Machine, period: float) -> None:
+    def __init__(self, machine: Machine, period: float, parameter_covariance: Array | None = None) -> None:
         self.model = model = MotionModel(machine)
         self.period = check_period(period)
         self.measurements = MeasurementModel(model)
@@ -71,6 +77,8 @@ class StateEstimator:
         self._simulated = dataclasses.replace(machine_without_delay, effects=remaining_effects)
         self.augmented = AugmentedParameters(self._simulated)
         n, count = len(model.mass), len(self.augmented.names)
+        if parameter_covariance is not None:
+            self.augmented.covariance = _checked_covariance(parameter_covariance, count)
         self._scale = np.tile(machine.travel_per_unit, 2)
         self._smallest_std = np.repeat(SMALLEST_STD, [n, n, count])
         self._initial_covariance = np.zeros((2 * n + count, 2 * n + count))
@@ -91,6 +99,12 @@ class StateEstimator:
     def parameter_ratios(self) -> Array:
         """Estimated values of the k parameters `augmented.names` divided by the declared values, shape (B, k)."""
         return self.augmented.ratios(self._mean[:, len(self._scale) :])
+
+    @property
+    def parameter_covariance(self) -> Array:
+        """Covariance of the logarithms of the k parameter ratios, shape (B, k, k)."""
+        width = len(self._scale)
+        return self._covariance[:, width:, width:].copy()
 
     def reset(self, mask: Mask | None = None) -> None:
         """Discard the estimates of the machines that start a new episode with their next measurements.
@@ -201,6 +215,17 @@ class StateEstimator:
         room = self._largest_variance / np.maximum(variance, self._smallest_std**2)
         factor = np.sqrt(np.minimum(inflation, np.maximum(room, 1.0)))
         self._covariance = factor[:, :, None] * self._covariance * factor[:, None, :]
+
+
+def _checked_covariance(covariance: Array, count: int) -> Array:
+    """Return the covariance as an array; raise InputError unless it is finite, (count, count) and symmetric."""
+    values = np.asarray(covariance, np.float64)
+    if values.shape != (count, count) or not np.isfinite(values).all() or not np.allclose(values, values.T):
+        raise InputError(
+            f"parameter_covariance has shape {values.shape}; it must be symmetric and finite, with shape "
+            f"({count}, {count}), for the parameters `augmented.names`"
+        )
+    return values
 
 
 def sigma_points(mean: Array, covariance: Array, smallest_std: Array) -> Array:

@@ -91,6 +91,11 @@ class Stage:
         return measured
 
     @property
+    def coordinates(self) -> Array:
+        """Return all coordinates, m and rad, shape (n,): x, y, phi1, phi2 and those of further bodies."""
+        return self._z[: self._n].copy()
+
+    @property
     def position(self) -> Array:
         """Return x, y of the tool, m, and phi1, phi2 of the encoders, rad, shape (4,)."""
         return self._measure(0)

@@ -183,7 +183,7 @@ class RandomRig:
         outputs[:, 2:] += rng.normal(0.0, LASER_NOISE_M, (len(ideal), 2))
         if self.residue.colored:
             channel, size, tau = self.residue.colored
-            outputs[:, CHANNELS.index(channel)] += _colored(len(ideal), size, tau * self.rate_hz, rng)
+            outputs[:, CHANNELS.index(channel)] += colored_noise(len(ideal), size, tau * self.rate_hz, rng)
         if glitch and self.residue.glitch_m:
             row = int(rng.integers(round(0.2 * len(ideal)), len(ideal)))
             outputs[row, int(rng.integers(2, 4))] += self.residue.glitch_m
@@ -246,8 +246,18 @@ def _cycle(kinds: tuple[str, ...], count: int, rng: np.random.Generator) -> list
     return order[:count]
 
 
-def _colored(rows: int, size: float, rows_per_tau: float, rng: np.random.Generator) -> Array:
-    """Return first-order noise with a standard deviation and a time constant in rows, shape (rows,)."""
+def colored_noise(rows: int, size: float, rows_per_tau: float, rng: np.random.Generator) -> Array:
+    """Draw first-order noise.
+
+    Args:
+        rows: Number of values.
+        size: Standard deviation, in the unit of the values.
+        rows_per_tau: Time constant in rows.
+        rng: Source of the noise.
+
+    Returns:
+        The noise, shape (rows,).
+    """
     pole, values = float(np.exp(-1.0 / rows_per_tau)), np.empty(rows)
     value = size * rng.standard_normal()
     for row, kick in enumerate(size * np.sqrt(1.0 - pole**2) * rng.standard_normal(rows)):
@@ -281,7 +291,7 @@ def draw_rig(seed: int, index: int) -> RandomRig:
         kind, effects = "library", draw_effects(rng, int(rng.choice([1, 2, 3], p=[0.5, 0.33, 0.17])))
     residue = Residue()
     if kind in ("none", "library") and rng.random() < 0.5:
-        residue = _draw_residue(str(rng.choice(RESIDUES)), rng)
+        residue = draw_residue(str(rng.choice(RESIDUES)), rng)
     if any(effect.name == "idler_inertia" for effect in effects):
         simulator = "reference"  # the Euler simulator has the 8th-order stage only
         if residue.kind == "integrator":
@@ -298,8 +308,16 @@ def _off_form(rng: np.random.Generator) -> list[DrawnEffect]:
     return [first, second] if together and rng.random() < 0.4 else [first]
 
 
-def _draw_residue(kind: str, rng: np.random.Generator) -> Residue:
-    """Return a residue of random size."""
+def draw_residue(kind: str, rng: np.random.Generator) -> Residue:
+    """Draw a residue of random size.
+
+    Args:
+        kind: One of `RESIDUES`.
+        rng: Source of the size.
+
+    Returns:
+        The residue.
+    """
     draws: dict[str, Callable[[], Residue]] = {
         "integrator": lambda: _integrator(log_uniform(rng, 20e-6, 100e-6)),
         "missing force": lambda: Residue(kind, "the belts' 1/2 s^2 dk/dq is missing", energy_force=False),

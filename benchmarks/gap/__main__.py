@@ -1,0 +1,114 @@
+"""How well does a controller close the gap to a plant that its model does not describe? The protocol `gap-v1`.
+
+    python -m benchmarks.gap run pid pid-corrected my.module:MyEntry    # scores go to benchmarks/gap/results
+    python -m benchmarks.gap run pid --plants 0 1 --out DIR             # some plants, another folder
+    python -m benchmarks.gap run pid --seed 48000 --out DIR             # other plants, such as a held set
+    python -m benchmarks.gap table         # write benchmarks/results/gap.json from the result files
+    python -m benchmarks.gap list | plants | bounds | picture
+
+A run that ends early continues where it ended. Identified machines and trained agents are kept in out/gap.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.gap import bounds, protocol, results
+from benchmarks.gap.entries import entry_names, get_entry
+from benchmarks.gap.plants import COUNT, PUBLIC_SEED, draw_plant
+from benchmarks.gap.summary import RESULTS, overview, read_all, summarize
+from benchmarks.results_file import ROOT, write_results
+from hframe_gym.errors import InputError
+
+CACHE = ROOT / "out" / "gap"
+
+
+def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE) -> Path:
+    """Score an entry and write its result file after every plant.
+
+    Args:
+        name: Name of the entry.
+        seed: Seed of the plants.
+        indices: Numbers of the plants.
+        out: Folder of the result file.
+        cache: Folder of identified machines and trained agents.
+
+    Returns:
+        Path of the file.
+    """
+    make = get_entry(name)
+    safe = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
+    path = out / f"{safe}.json"
+    content = results.new_content(name, make, seed)
+    if path.is_file():
+        before = results.read(path)
+        if (before["seed"], before["entry"]) == (content["seed"], content["entry"]):
+            content = before
+    done = {row["plant"]: row for row in content["plants"]}
+
+    def keep(row: dict[str, object]) -> None:
+        content["plants"].append(row)
+        results.write(path, content)
+        print(f"{name} plant {row['plant']}", flush=True)
+
+    protocol.score_plants(make, seed, indices, cache, done, keep)
+    return path
+
+
+def compute_bounds(seed: int, indices: list[int]) -> None:
+    """Compute the bounds of plants that have none, and write them after every plant.
+
+    Args:
+        seed: Seed of the plants.
+        indices: Numbers of the plants.
+    """
+    rows = bounds.rows(seed)
+    for index in indices:
+        if any(row["plant"] == index for row in rows):
+            continue
+        plant = draw_plant(seed, index)
+        drawn = protocol.starts(plant, "reach")
+        rows.append(bounds.compute(plant, drawn.start, drawn.plan))
+        bounds.write(seed, rows)
+        print(rows[-1], flush=True)
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("action", choices=("run", "table", "list", "plants", "bounds", "picture"))
+    parser.add_argument("entries", nargs="*", metavar="ENTRY")
+    parser.add_argument("--plants", type=int, nargs="+", default=list(range(COUNT)), metavar="INDEX")
+    parser.add_argument("--seed", type=int, default=PUBLIC_SEED)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the result files")
+    arguments = parser.parse_args()
+    try:
+        if arguments.action == "run":
+            protocol.check()
+            if not arguments.entries:
+                raise InputError("run needs at least one entry; python -m benchmarks.gap list names them")
+            for name in arguments.entries:
+                run(name, arguments.seed, arguments.plants, arguments.out)
+        elif arguments.action == "list":
+            print("\n".join(entry_names()))
+        elif arguments.action == "plants":
+            for index in arguments.plants:
+                print(f"{index:2d} {draw_plant(arguments.seed, index).describe()}")
+        elif arguments.action == "bounds":
+            compute_bounds(arguments.seed, arguments.plants)
+        elif arguments.action == "picture":
+            from benchmarks.gap.picture import draw
+
+            print(draw(read_all(arguments.out)))
+        if arguments.action in ("run", "table"):
+            print(overview(read_all(arguments.out)))
+        if arguments.action == "table":
+            print(write_results("gap", summarize(read_all(arguments.out)), seed=arguments.seed))
+    except InputError as error:
+        sys.exit(f"{error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""The shortest possible times of the moves of `gap-v1`, on the plants.
+
+    python -m benchmarks.gap bounds
+
+The time-optimal control problem is solved for the machine of the package with the true parameters of the plant and
+those of its undeclared effects that the problem supports (docs/bound.md); other effects and the residue are left out.
+Such an effect changes what is possible by little against what controllers lose, but a bound without it is an
+approximation: the file names what is left out. Moves that the solver does not solve have no bound.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.gap.plants import GapPlant
+from hframe_gym.atomic_files import write_text
+from hframe_gym.errors import InputError
+from hframe_gym.evaluation import BANDS, BOUND_BAND
+from hframe_gym.machine import Machine
+from tests.reference_simulator import Array
+
+FOLDER = Path(__file__).parent / "bounds"
+
+
+@cache
+def stored_bounds(seed: int) -> dict[int, Array]:
+    """Load the shortest possible times of a set of plants.
+
+    Args:
+        seed: Seed of the plants.
+
+    Returns:
+        Times of the moves, s, NaN where unknown, shape (B,), by the number of the plant.
+    """
+    return {row["plant"]: np.array(row["times_s"], np.float64) for row in rows(seed)}
+
+
+def rows(seed: int) -> list[dict[str, Any]]:
+    """Load what `compute` has returned for a set of plants.
+
+    Args:
+        seed: Seed of the plants.
+
+    Returns:
+        Results by plant; empty if there are none.
+    """
+    file = FOLDER / f"{seed}.json"
+    return list(json.loads(file.read_text("utf-8"))["plants"]) if file.is_file() else []
+
+
+def compute(plant: GapPlant, start: Array, goal: Array) -> dict[str, Any]:
+    """Compute the bounds of the moves on a plant.
+
+    Args:
+        plant: The plant.
+        start: Starts, m, shape (B, 2).
+        goal: Goals, m, shape (B, 2).
+
+    Returns:
+        By key: "plant", "left_out" (labels of effects) and "times_s" (None where unsolved), as plain data.
+    """
+    from hframe_gym.controllers.time_optimal import TimeOptimalReach
+
+    solver, left_out = None, [e.label for e in plant.effects if not getattr(e, "in_library", False)]
+    machine = plant.near_machine
+    while solver is None:
+        try:
+            solver = TimeOptimalReach(machine, band=BANDS[BOUND_BAND])
+        except InputError:
+            machine, label = _without_one(machine)
+            left_out.append(label)
+    motions = [solver.solve(a, b) for a, b in zip(start, goal, strict=True)]
+    times = [round(m.time_s, 6) if m.solved else None for m in motions]
+    return {"plant": plant.index, "left_out": left_out, "times_s": times}
+
+
+def _without_one(machine: Machine) -> tuple[Machine, str]:
+    """Return a machine without an effect that the solver does not support, and the label of the effect."""
+    from hframe_gym.controllers.casadi_model import check_supported
+
+    for effect in machine.effects:
+        try:
+            check_supported(machine.replace(effects=(effect,)))
+        except InputError:
+            return machine.replace(effects=tuple(e for e in machine.effects if e is not effect)), effect.label
+    raise InputError(f"machine {machine.name!r}: its effects together are not supported")
+
+
+def write(seed: int, plants: list[dict[str, Any]]) -> None:
+    """Write the bounds of a set of plants.
+
+    Args:
+        seed: Seed of the plants.
+        plants: Results of `compute`.
+    """
+    lines = ",\n".join(json.dumps(row) for row in sorted(plants, key=lambda row: row["plant"]))
+    write_text(FOLDER / f"{seed}.json", f'{{"band_m": {BANDS[BOUND_BAND]}, "plants": [\n{lines}\n]}}\n')

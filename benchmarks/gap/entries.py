@@ -1,0 +1,341 @@
+"""Entries: the interface of what can be scored, and the entries of the repository.
+
+An entry is a class. The protocol makes one object per plant, calls `prepare` once, `practice` after each practice
+episode of the online track, and `controller` once per task. A class of your own is named `package.module:Class` on the
+command line.
+
+| name | track | what controls the plant |
+|---|---|---|
+| `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
+| `ppo`, `sac`, `apg`, `apg_wide`, `residual` | zero-shot | shipped agents, trained with default randomization |
+| `pid-plain`, ... | identified | designed from the machine whose own parameters are refitted |
+| `pid-corrected`, ... | identified | designed from the machine with the effects that identification found |
+| `pid-posterior`, ... | identified | the same, and the state estimator begins with the posterior of the parameters |
+| `pid-online`, ... | online | parameters estimated in practice episodes are kept from one to the next |
+| `ppo-identified`, `apg-identified`, `residual-identified` | identified | agents, trained on the corrected machine |
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import inspect
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from benchmarks.gap.control_loop import PERIOD_S, GapEpisodes
+from benchmarks.gap.machines import Identified, identified
+from benchmarks.gap.recorder import Recorder, standard_session
+from hframe_gym.controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
+from hframe_gym.envs import Task, observed_machine
+from hframe_gym.errors import InputError
+from hframe_gym.machine import Machine
+from tests.reference_simulator import Array
+
+Trackname = Literal["zero-shot", "identified", "online"]
+MODELS = ("plain", "corrected", "posterior")
+# Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
+_FLOOR = 0.02
+
+
+class GapEntry(ABC):
+    """What the protocol scores on one plant. Subclass it, and name the class `package.module:Class`.
+
+    Attributes:
+        name: Name in results.
+        track: "zero-shot" (no recording), "identified" (recordings) or "online" (practice episodes).
+        knowledge: What it uses of the declared machine, a few words.
+    """
+
+    name: str = ""
+    track: Trackname = "zero-shot"
+    knowledge: str = "not stated"
+
+    @abstractmethod
+    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
+        """Prepare for the control of a plant.
+
+        Args:
+            declared: Declared machine.
+            recorder: Recorder of the plant; it refuses on the zero-shot and the online track.
+            folder: Folder of the plant, in which results of long work may be kept under the name of the entry.
+        """
+
+    @abstractmethod
+    def controller(self, task: Task) -> Controller:
+        """Return the controller of a task, for any number of episodes at once.
+
+        Args:
+            task: Task of the episodes.
+
+        Returns:
+            Controller from the measurements x, y, m, phi1, phi2, rad.
+        """
+
+    def practice(self, episodes: GapEpisodes, controller: Controller) -> None:
+        """Learn from a practice episode of the online track, which `controller(task)` has controlled.
+
+        Args:
+            episodes: The episode, without its true positions: `position` holds the measured ones of each period.
+            controller: The controller after the episode.
+        """
+        raise NotImplementedError(f"{type(self).__name__} is of the online track and must learn from practice")
+
+    def about(self) -> dict[str, object]:
+        """Return what a result should say about the preparation on this plant, as plain data."""
+        return {}
+
+    @classmethod
+    def files(cls) -> list[Path]:
+        """Return the files that determine the entry besides its class, such as weights."""
+        return []
+
+
+def sha256_of(entry: type[GapEntry]) -> str:
+    """Return a hash of what determines an entry: name, source of its classes, and its files.
+
+    Args:
+        entry: Class of the entry.
+    """
+    digest = hashlib.sha256(entry.name.encode())
+    for base in entry.__mro__:
+        if issubclass(base, GapEntry) and base is not GapEntry and not base.__dict__.get("generated"):
+            digest.update(inspect.getsource(base).encode())
+    for file in entry.files():
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def from_measurements(controller: Controller, machine: Machine, covariance: Array | None = None) -> Controller:
+    """Combine a controller that needs the full state with a state estimator.
+
+    Args:
+        controller: Controller from the full state.
+        machine: Machine of the estimator.
+        covariance: Covariance of the logarithms of the estimated parameters. Default: that of declared values.
+
+    Returns:
+        Controller from the measurements of the plant.
+    """
+    observed = observed_machine(machine, "machine")
+    assert observed is not None
+    return OutputFeedbackController(controller, StateEstimator(observed, PERIOD_S, covariance))
+
+
+def posterior_covariance(machine: Machine) -> Array | None:
+    """Return the covariance of the logarithms of the parameters that a state estimator estimates, after identification.
+
+    Args:
+        machine: Identified machine.
+
+    Returns:
+        Covariance, shape (k, k); None if the machine has none. A parameter that was not identified, such as the one
+        motor constant that defines the unit of force, has the standard deviation of the floor, 2 %.
+    """
+    if machine.uncertainty is None:
+        return None
+    observed = observed_machine(machine, "machine")
+    assert observed is not None
+    names = StateEstimator(observed, PERIOD_S).augmented.names
+    known = {name: i for i, name in enumerate(machine.uncertainty.names)}
+    covariance = _FLOOR**2 * np.eye(len(names))
+    pairs = [(row, known[name], machine.parameters[name]) for row, name in enumerate(names) if name in known]
+    for row, i, value in pairs:
+        for column, j, other in pairs:
+            covariance[row, column] += machine.uncertainty.covariance[i, j] / (value * other)
+    return covariance
+
+
+class DeclaredController(GapEntry):
+    """A registered controller that is designed from the declared machine."""
+
+    registered: ClassVar[str] = ""
+    knowledge = "declared machine"
+
+    @classmethod
+    def files(cls) -> list[Path]:
+        """Return the source of the registered controller."""
+        return [Path(inspect.getfile(CONTROLLERS.get(cls.registered)))]
+
+    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
+        """Keep the declared machine."""
+        self.machine, self.covariance = declared, None
+
+    def controller(self, task: Task) -> Controller:
+        """Return the controller with a state estimator."""
+        controller = CONTROLLERS.get(self.registered)(self.machine, PERIOD_S)
+        return from_measurements(controller, self.machine, self.covariance)
+
+
+class IdentifiedController(DeclaredController):
+    """A registered controller that is designed from an identified machine."""
+
+    model: ClassVar[str] = "corrected"
+    track: Trackname = "identified"
+
+    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
+        """Identify the plant from the standard session, or load it."""
+        self.found = _standard(declared, recorder, folder)
+        self.machine = self.found.plain if self.model == "plain" else self.found.corrected
+        self.covariance = posterior_covariance(self.machine) if self.model == "posterior" else None
+
+    def about(self) -> dict[str, object]:
+        """Return verdict, effects and processor time of the identification."""
+        effects = list(self.found.found)
+        return {"verdict": self.found.verdict, "found": effects, "left": self.found.left, "cpu_s": self.found.cpu_s}
+
+
+class OnlineController(DeclaredController):
+    """A registered controller whose model keeps the parameters that its state estimator finds in practice episodes.
+
+    After each episode the estimated ratios of the parameters become those of the model, and the estimator's covariance
+    becomes its prior of the next episode, widened by the floor.
+    """
+
+    track: Trackname = "online"
+    knowledge = "declared machine, estimates parameters"
+
+    def practice(self, episodes: GapEpisodes, controller: Controller) -> None:
+        """Take over the estimates at the end of the episode."""
+        assert isinstance(controller, OutputFeedbackController)
+        estimator = controller.estimator
+        assert isinstance(estimator, StateEstimator)
+        names = estimator.augmented.names
+        values = self.machine.parameters
+        ratios = estimator.parameter_ratios[0]
+        self.machine = self.machine.replace(
+            {name: values[name] * float(ratio) for name, ratio in zip(names, ratios, strict=True)}
+        )
+        prior = estimator.augmented.covariance
+        after = estimator.parameter_covariance[0] + _FLOOR**2 * np.eye(len(names))
+        # Not wider than before the episode: an inflated covariance says that the model lacks something.
+        scale = np.sqrt(np.minimum(1.0, np.diag(prior) / np.diag(after)))
+        self.covariance = after * np.outer(scale, scale)
+
+
+class ShippedAgent(GapEntry):
+    """An agent that comes with the package, trained on the declared machine with default randomization."""
+
+    agent: ClassVar[str] = ""
+    knowledge = "trained on the declared machine, randomized"
+
+    @classmethod
+    def files(cls) -> list[Path]:
+        """Return the weights of the agents of both tasks."""
+        from hframe_gym.agents import shipped_agent_folder
+
+        return [shipped_agent_folder(cls.agent, task) / "policy.safetensors" for task in ("reach", "track")]
+
+    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
+        """Keep the declared machine, for the state estimator."""
+        self.machine = declared
+
+    def controller(self, task: Task) -> Controller:
+        """Return the agent of the task with a state estimator."""
+        from hframe_gym.agents import Agent, shipped_agent_folder
+
+        return from_measurements(Agent.load(shipped_agent_folder(self.agent, task.name)), self.machine)
+
+
+class TrainedAgent(GapEntry):
+    """An agent that is trained on the corrected machine of the plant, randomized over its posterior.
+
+    Training continues from the shipped agents; the agents of a plant are kept in its folder.
+
+    Attributes:
+        recipes: By task, recipe and shipped agent from which its training starts.
+        steps: Environment steps of each training.
+    """
+
+    recipes: ClassVar[dict[str, tuple[str, str]]] = {}
+    steps: ClassVar[int] = 100_000
+    track: Trackname = "identified"
+    knowledge = "trained on the corrected machine, posterior"
+
+    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
+        """Identify the plant, or load it."""
+        self.found, self.folder = _standard(declared, recorder, folder), folder
+
+    def controller(self, task: Task) -> Controller:
+        """Train the agent of the task, or load it."""
+        from hframe_gym.agents import Agent, load_recipe, train
+
+        machine, (name, start) = self.found.corrected, self.recipes[task.name]
+        recipe = load_recipe(name, task.name)
+        randomize = "identified" if machine.uncertainty is not None else "default"
+        environment = {**recipe.env, "randomize": randomize}
+        recipe = dataclasses.replace(recipe, steps=self.steps, env=environment, start=start)
+        out = self.folder / f"{self.name}-{task.name}-{self.steps}"
+        if not (out / "done").is_file():
+            train(recipe, machine, seed=0, out=out, log=lambda line: None, force=True)
+            (out / "done").touch()
+        return from_measurements(Agent.load(out), machine)
+
+    def about(self) -> dict[str, object]:
+        """Return the steps of each training."""
+        return {"training_steps": self.steps}
+
+
+def _standard(declared: Machine, recorder: Recorder, folder: Path) -> Identified:
+    """Return the machines that the standard session identifies; all entries of a plant share them."""
+    return identified(standard_session(recorder), declared, folder / "standard")
+
+
+AGENTS = ("ppo", "sac", "apg", "apg_wide", "residual")  # shipped for both tasks
+TRAINED = {  # recipe and shipped start of each task
+    "ppo": {"reach": ("adapt", "ppo"), "track": ("ppo", "ppo")},
+    "apg": {"reach": ("adapt_mix", "apg_mix"), "track": ("apg", "apg")},
+    "residual": {"reach": ("residual", "residual"), "track": ("residual", "residual")},
+}
+
+
+def entry_names() -> list[str]:
+    """Return the names of the entries of the repository."""
+    designed = list(CONTROLLERS)
+    variants = [f"{name}-{model}" for name in designed for model in (*MODELS, "online")]
+    return [*designed, *variants, *AGENTS, *(f"{agent}-identified" for agent in TRAINED)]
+
+
+def get_entry(name: str) -> type[GapEntry]:
+    """Return the class of an entry.
+
+    Args:
+        name: Name of an entry of the repository, or `package.module:Class`.
+
+    Returns:
+        The class; the protocol makes one object per plant.
+
+    Raises:
+        InputError: If there is no such entry.
+    """
+    module, _, attribute = name.partition(":")
+    if attribute:
+        try:
+            found = getattr(importlib.import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"entry {name!r}: {error}") from None
+        if not (isinstance(found, type) and issubclass(found, GapEntry)):
+            raise InputError(f"entry {name!r} is not a subclass of benchmarks.gap.entries.GapEntry")
+        return found
+    base, _, variant = name.rpartition("-")
+    if name in CONTROLLERS:
+        return _made(DeclaredController, name, registered=name)
+    if base in CONTROLLERS and variant in MODELS:
+        return _made(IdentifiedController, name, registered=base, model=variant, knowledge=f"{variant} machine")
+    if base in CONTROLLERS and variant == "online":
+        return _made(OnlineController, name, registered=base)
+    if name in AGENTS:
+        return _made(ShippedAgent, name, agent=name)
+    if base in TRAINED and variant == "identified":
+        return _made(TrainedAgent, name, recipes=TRAINED[base])
+    raise InputError(f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, or package.module:Class")
+
+
+def _made(base: type[GapEntry], name: str, **attributes: object) -> type[GapEntry]:
+    """Return a subclass of an entry with its name and settings."""
+    fixed = {"name": name, "generated": True, "__module__": base.__module__}
+    return type(base.__name__, (base,), {**fixed, **attributes})

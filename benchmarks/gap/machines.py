@@ -1,0 +1,82 @@
+"""Identify a plant from its recordings, once: the machines are kept in the folder of the results.
+
+A folder of an identification holds the answer of `hframe identify` and `recordings.json` with a hash of the recordings
+to which it belongs. It is made again if the recordings, or the budget of the identification, have changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hframe_gym.atomic_files import write_text
+from hframe_gym.identification import identify, write_result
+from hframe_gym.machine import Machine
+from hframe_gym.recordings import Recording, load_machine
+
+IDENTIFY_S = 90.0  # processor time that the identification of a plant may take
+
+
+class Identified(NamedTuple):
+    """Machines of one identification.
+
+    Attributes:
+        plain: The declared machine with its own parameters refitted.
+        corrected: The same with the effects that were found, and the covariance of the parameters.
+        verdict: "effect_found", "no_effect" or "unexplained".
+        found: Labels name@site of the effects.
+        left: Error left on held-out runs, in multiples of the sensors' noise; None if the simulation diverges.
+        cpu_s: Processor time of the identification, s.
+    """
+
+    plain: Machine
+    corrected: Machine
+    verdict: str
+    found: tuple[str, ...]
+    left: float | None
+    cpu_s: float
+
+
+def identified(recordings: Sequence[Recording], declared: Machine, folder: Path) -> Identified:
+    """Identify a plant, or load what an earlier call has identified.
+
+    Args:
+        recordings: Runs of the plant.
+        declared: Declared machine.
+        folder: Folder of the identification; made if it does not exist.
+
+    Returns:
+        The machines.
+    """
+    key = _key(recordings)
+    note = folder / "recordings.json"
+    if not note.is_file() or json.loads(note.read_text("utf-8"))["sha256"] != key:
+        began = time.process_time()
+        write_result(identify(recordings, declared, budget=IDENTIFY_S), folder)
+        content = {"sha256": key, "cpu_s": round(time.process_time() - began, 1)}
+        write_text(note, json.dumps(content) + "\n")
+    report = json.loads((folder / "report.json").read_text("utf-8"))
+    return Identified(
+        load_machine(folder / "before.json"),
+        load_machine(folder / "machine.json"),
+        report["verdict"],
+        tuple(f"{e['name']}@{e['site']}" for e in report["effects"]),
+        report.get("left"),
+        json.loads(note.read_text("utf-8"))["cpu_s"],
+    )
+
+
+def _key(recordings: Sequence[Recording]) -> str:
+    """Return a hash of recordings and of the budget."""
+    digest = hashlib.sha256(f"{IDENTIFY_S:g}".encode())
+    for recording in recordings:
+        digest.update(recording.name.encode())
+        for values in (recording.time_s, recording.inputs, recording.outputs):
+            digest.update(np.ascontiguousarray(np.round(values, 9), np.float64).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,369 @@
+"""Test the protocol `gap-v1`: plants, recordings, control on a plant, entries, and result files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.gap import bounds, machines, protocol, results
+from benchmarks.gap.__main__ import run
+from benchmarks.gap.control_loop import CLOCK_S, DURATION_S, RESTING_S, GapEpisodes, Starts, control, starts_of
+from benchmarks.gap.entries import GapEntry, entry_names, get_entry, posterior_covariance
+from benchmarks.gap.plants import COUNT, PUBLIC_SEED, GapPlant, declared_machine, draw_plant
+from benchmarks.gap.recorder import CHOSEN_S, Recorder, standard_session
+from benchmarks.gap.summary import RESULTS, overview, read_all, summarize
+from hframe_gym.controllers import Controller, StateEstimator
+from hframe_gym.envs import Reach, Track, observed_machine
+from hframe_gym.errors import InputError
+from hframe_gym.machine import Machine, Uncertainty
+from hframe_gym.recordings import save_machine
+from tests.reference_simulator import Array, Rig, simulate
+from tests.rigs.random_rigs import Residue
+
+REACH = Reach()
+CIRCLE = Track(path="circle", size=0.05, speed=0.3)
+IDEAL = GapPlant(1, 0, (), Residue())
+
+
+class Constant(Controller):
+    """Controller that always commands the same, and remembers what it observes."""
+
+    def __init__(self, action: tuple[float, float]) -> None:
+        super().__init__(declared_machine(), 0.01)
+        self.action, self.seen = action, []
+
+    def act(self, observation: Any) -> Array:
+        self.seen.append({key: np.array(value) for key, value in observation.items()})
+        return np.tile(self.action, (len(observation["observation"]), 1))
+
+    def reset(self, mask: Any = None) -> None:
+        self.seen.clear()
+
+
+class Still(GapEntry):
+    """Entry that does nothing."""
+
+    name = "still"
+
+    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
+        self.machine = declared
+
+    def controller(self, task: Any) -> Controller:
+        return Constant((0.0, 0.0))
+
+
+@pytest.fixture(autouse=True)
+def _few_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocol, "EPISODES", {"reach": 3, "circle": 1, "square": 1})
+    monkeypatch.setattr(results, "EPISODES", {"reach": 3, "circle": 1, "square": 1})
+    monkeypatch.setattr(protocol, "check", lambda: None)
+
+
+def test_published_plants_are_those_of_the_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    protocol.check()
+    monkeypatch.setattr(protocol, "PRACTICE_EPISODES", 9)
+    with pytest.raises(InputError, match="other plants or episodes"):
+        protocol.check()
+
+
+def test_plants_hide_zero_to_three_effects_and_every_second_of_each_number_a_residue() -> None:
+    plants = [draw_plant(PUBLIC_SEED, index) for index in range(COUNT)]
+    assert [len(plant.effects) for plant in plants] == [0, 1, 2, 3] * 6
+    with_residue = [bool(plant.residue.kind) for plant in plants]
+    assert [sum(with_residue[count::4]) for count in range(4)] == [3, 3, 3, 3]
+    outside = sum(not getattr(effect, "in_library", False) for plant in plants for effect in plant.effects)
+    assert 6 <= outside <= 24
+    declared = Rig()
+    for plant in plants:
+        rig = plant.stage[0]
+        changes = np.abs(np.array(rig.mass) / np.array(declared.mass) - 1.0)
+        assert ((changes > 0.049) & (changes < 0.201)).all()
+        assert max(rig.current_limit_A) <= 12.0
+        stage = plant.at_rest((0.1, -0.05), 0.0)
+        stage.step((4.0, -3.0), 0.02)
+        assert np.isfinite(stage.position).all()
+
+
+def test_a_plant_follows_from_its_seed_and_index() -> None:
+    first, again, other = draw_plant(PUBLIC_SEED, 7), draw_plant(PUBLIC_SEED, 7), draw_plant(PUBLIC_SEED + 1, 7)
+    assert first.describe() == again.describe()
+    assert first.stage == again.stage
+    assert first.stage != other.stage
+
+
+def test_recordings_are_those_of_the_plant_and_repeat() -> None:
+    one, two = (Recorder(IDEAL).excite("steps") for _ in range(2))
+    np.testing.assert_array_equal(one.outputs, two.outputs)
+    rest = one.outputs[:50].mean(axis=0)
+    radius = Rig().pulley_radius_m
+    np.testing.assert_allclose(rest[:2] * radius, [-rest[2] - rest[3], rest[2] - rest[3]], atol=2e-4)
+
+
+def test_the_budget_is_kept() -> None:
+    recorder = Recorder(IDEAL)
+    assert len(standard_session(recorder)) * 2.0 == CHOSEN_S
+    with pytest.raises(InputError, match="exceeds the budget, of which 0 s are left"):
+        recorder.excite("steps")
+    with pytest.raises(InputError, match="not for both"):
+        recorder.logs()
+    with pytest.raises(InputError, match="gets no recordings"):
+        Recorder(IDEAL, allowed=False).excite("steps")
+    with pytest.raises(InputError, match="'wiggle'"):
+        Recorder(IDEAL).excite("wiggle")
+
+
+def test_own_excitation_sees_measurements_and_is_limited() -> None:
+    seen: list[Array] = []
+
+    def excitation(time_s: float, measured: Array) -> Array:
+        seen.append(measured)
+        return np.array([20.0, 1.0])
+
+    recorder = Recorder(IDEAL)
+    run_of_mine = recorder.record(excitation, (0.1, 0.05), 0.25)
+    assert recorder.left_s == pytest.approx(CHOSEN_S - 0.25)
+    assert np.all(run_of_mine.inputs[:99] == 0.0)
+    assert np.all(run_of_mine.inputs[101:] == [8.0, 1.0])
+    np.testing.assert_allclose(seen[0][2:], [0.1, 0.05], atol=2e-4)
+    with pytest.raises(InputError, match="two finite voltages"):
+        recorder.record(lambda time_s, measured: np.array([np.nan, 0.0]), (0.0, 0.0), 0.3)
+
+
+def test_logs_are_sixty_seconds_of_closed_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.gap.recorder.LOGS_S", 4.0)
+    recorder = Recorder(IDEAL)
+    logs = recorder.logs()
+    assert [len(run.time_s) for run in logs] == [2000, 2000]
+    assert recorder.logs() is logs
+    assert logs[1].time_s[0] > logs[0].time_s[-1] + 2.9
+    with pytest.raises(InputError, match="budget"):
+        recorder.excite("steps")
+
+
+def test_control_moves_the_plant_as_the_simulator_does() -> None:
+    controller = Constant((0.1234567, -0.05))
+    starts = Starts(np.array([[0.05, -0.03], [0.0, 0.0]]), np.array([[0.1, 0.0], [0.0, 0.1]]))
+    episodes = control(controller, IDEAL, REACH, starts, 3)
+    step = 24.0 / 4096
+    volts = np.round(np.array([0.1234567, -0.05]) * 12.0 / step) * step
+    time_s = np.concatenate([[-RESTING_S], episodes.time_s]) + CLOCK_S
+    inputs = np.vstack([np.zeros(2), np.tile(volts, (len(time_s) - 1, 1))])
+    positions, _ = simulate(IDEAL.stage[0], time_s, inputs, (0.05, -0.03))
+    np.testing.assert_allclose(episodes.position[0], positions[1:, :2], atol=1e-7)
+    assert episodes.goal[0, 0].tolist() == [0.1, 0.0]
+    measured = controller.seen[5]["observation"][0]
+    exact = positions[51]
+    np.testing.assert_allclose(measured[:2], exact[:2], atol=1e-4)
+    np.testing.assert_allclose(measured[2:], exact[2:], atol=5.3e-4)
+    rig, q = IDEAL.stage[0], positions
+    stretch = q[:, 0] + q[:, 1] + rig.pulley_radius_m * q[:, 2]
+    left = rig.belt_EA_N[0] / (rig.belt_length_m[0] + q[:, 0] + q[:, 1]) * stretch
+    assert episodes.belt_force_N[0] >= np.abs(left[1:]).max() - 1e-3
+
+
+def test_a_delayed_laser_measures_the_past() -> None:
+    plant = GapPlant(1, 0, (), Residue())
+    rig, sensors = plant.stage
+    plant.__dict__["stage"] = rig, dataclasses.replace(sensors, delay_s=(0.0, 0.0, 1e-3, 0.0))
+    starts = Starts(np.zeros((1, 2)), np.array([[0.1, 0.0]]))
+    controller = Constant((-0.5, 0.5))
+    episodes = control(controller, plant, REACH, starts, 3)
+    late = np.array([seen["observation"][0, 0] for seen in controller.seen])[5:30]
+    exact = episodes.position[0, 49:299:10, 0]
+    assert np.abs(late - exact).max() < 1e-4
+    assert np.abs(late - episodes.position[0, 50:300:10, 0]).max() > 2e-4
+
+
+def _episodes(error: Array, actions: Array, left: float = 0.0, contour: Array | None = None) -> GapEpisodes:
+    """Return episodes with given distances to the goal (B, n), m, and actions (B, m, 2)."""
+    position = np.stack([error + left, np.zeros_like(error)], axis=2)
+    goal = np.stack([np.full_like(error, left), np.zeros_like(error)], axis=2)
+    time_s = np.linspace(0.0, DURATION_S, error.shape[1])
+    observed = np.zeros((*actions.shape[:2], 4))
+    return GapEpisodes(time_s, position, goal, contour, actions, observed, np.array([5.0] * len(error)))
+
+
+def test_metrics_of_episodes() -> None:
+    error = np.full((2, 1501), 0.01)
+    error[0, 300:] = 1e-4
+    actions = np.zeros((2, 150, 2))
+    actions[1, :75] = 1.0
+    values = protocol.episode_values(_episodes(error, actions))
+    assert values["settling_s.0.2mm"] == [0.3, None]
+    assert values["settling_s.0.05mm"] == [None, None]
+    assert values["saturated"] == [0.0, 0.5]
+    assert values["left_workspace"] == [0.0, 0.0]
+    assert values["final_error_mm"] == [0.1, 10.0]
+    beyond = protocol.episode_values(_episodes(error, actions, left=0.275))
+    assert beyond["left_workspace"] == [1.0, 1.0]
+    path = protocol.episode_values(_episodes(error, actions, contour=np.full_like(error, 2e-3)))
+    assert path["path_rms_mm"] == [2.0, 2.0]
+    error[1, 700] = 0.03  # does not follow the goal: resting on the path is no success
+    path = protocol.episode_values(_episodes(error, actions, contour=np.full_like(error, 2e-3)))
+    assert path["path_rms_mm"][0] == 2.0
+    assert path["path_rms_mm"][1] == pytest.approx(1e3 * np.sqrt(np.mean(error[1] ** 2)), abs=1e-6)
+    assert path["lag_max_mm"] == [10.0, 30.0]
+
+
+def test_practice_shows_no_true_positions() -> None:
+    starts = Starts(np.zeros((1, 2)), np.array([[0.1, 0.0]]))
+    episodes = control(Constant((0.1, 0.1)), IDEAL, REACH, starts, 3)
+    shown = protocol.as_measured(episodes)
+    assert shown.position.shape == (1, 150, 2)
+    assert np.isnan(shown.belt_force_N).all()
+    assert shown.contour is None
+    np.testing.assert_array_equal(shown.position, episodes.observed[:, :, :2])
+
+
+def test_names_of_entries() -> None:
+    assert {"pid", "predictive-corrected", "adaptive-pid-online", "ppo", "apg-identified"} <= set(entry_names())
+    assert get_entry("pid-plain").track == "identified"
+    assert get_entry("predictive-online").track == "online"
+    assert get_entry(f"{__name__}:Still") is Still
+    for name in ("nothing", "no.such.module:Class", f"{__name__}:Constant", "pid-best"):
+        with pytest.raises(InputError, match="entry"):
+            get_entry(name)
+
+
+def test_the_hash_of_an_entry_covers_its_name_and_source() -> None:
+    hashes = {results.sha256_of(get_entry(name)) for name in ("pid", "pid-plain", "pid-corrected", "predictive")}
+    assert len(hashes) == 4
+
+
+def test_posterior_of_the_parameters() -> None:
+    machine = declared_machine()
+    assert posterior_covariance(machine) is None
+    names = ("x.mass", "y.mass", "phi1.coulomb")
+    values = np.array([machine.parameters[name] for name in names])
+    relative = np.array([[0.01, 0.005, 0.0], [0.005, 0.02, 0.0], [0.0, 0.0, 0.04]])
+    known = machine.replace(uncertainty=Uncertainty(names, relative * np.outer(values, values)))
+    covariance = posterior_covariance(known)
+    assert covariance is not None
+    observed = observed_machine(known, "machine")
+    assert observed is not None
+    of = StateEstimator(observed, 0.01).augmented.names
+    rows = [of.index(name) for name in names]
+    np.testing.assert_allclose(covariance[np.ix_(rows, rows)], relative + 4e-4 * np.eye(3), atol=1e-12)
+    assert covariance[of.index("motor1.Kt"), of.index("motor1.Kt")] == pytest.approx(4e-4)
+    with pytest.raises(InputError, match="parameter_covariance"):
+        StateEstimator(observed, 0.01, np.eye(2))
+
+
+@pytest.mark.integration
+def test_practice_moves_the_model_towards_the_plant() -> None:
+    entry = get_entry("pid-online")()
+    entry.prepare(declared_machine(), Recorder(IDEAL, allowed=False), Path())
+    before = entry.machine.parameters  # type: ignore[attr-defined]
+    drawn = starts_of(REACH, 5, 4)
+    for k in range(4):
+        controller = entry.controller(REACH)
+        one = Starts(drawn.start[k : k + 1], drawn.plan[k : k + 1])
+        entry.practice(protocol.as_measured(control(controller, IDEAL, REACH, one, k)), controller)
+    after, rig = entry.machine.parameters, IDEAL.stage[0]  # type: ignore[attr-defined]
+    gain = [v.torque_constant[0] / v.resistance_ohm[0] for v in (Rig(), rig)]
+    errors = []
+    for values in (before, after):
+        ratios = [rig.belt_EA_N[i] / values[f"{b}.EA"] for i, b in enumerate(("left", "right", "bottom"))]
+        kt = values["motor1.Kt"] / values["motor1.resistance"]
+        errors.append(np.abs(np.log(np.array([*ratios, gain[1] / kt]) * kt / gain[1])).sum())
+    assert errors[1] < errors[0]
+
+
+def test_run_continues_and_keeps_the_result(tmp_path: Path) -> None:
+    name = f"{__name__}:Still"
+    path = run(name, PUBLIC_SEED, [0], tmp_path, tmp_path / "cache")
+    first = results.read(path)
+    assert [row["plant"] for row in first["plants"]] == [0]
+    assert first["plants"][0]["values"]["reach"]["settling_s.0.2mm"] == [None] * 3
+    again = results.read(run(name, PUBLIC_SEED, [0, 1], tmp_path, tmp_path / "cache"))
+    assert again["plants"][0] == first["plants"][0]
+    assert [row["plant"] for row in again["plants"]] == [0, 1]
+    assert "still" in overview(read_all(tmp_path))
+
+
+def test_edited_and_impossible_results_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = run(f"{__name__}:Still", PUBLIC_SEED, [0], tmp_path, tmp_path / "cache")
+    content = json.loads(path.read_text())
+    content["plants"][0]["values"]["reach"]["settling_s.0.2mm"] = [0.2, 0.2, 0.2]
+    edited = tmp_path / "edited.json"
+    edited.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="checksum does not fit"):
+        results.read(edited)
+    monkeypatch.setattr(results, "stored_bounds", lambda seed: {0: np.array([0.1, 0.3, np.nan])})
+    results.write(edited, content)
+    with pytest.raises(InputError, match=r"move 1 takes 0\.2 s, less than the shortest possible time, 0\.3000 s"):
+        results.read(edited)
+    results.write(edited, {**content, "digest": "0" * 16})
+    with pytest.raises(InputError, match="other plants or episodes"):
+        results.read(edited)
+    edited.write_text("[]")
+    with pytest.raises(InputError, match="no result file"):
+        results.read(edited)
+
+
+def _content(name: str, times: list[list[float]]) -> dict[str, Any]:
+    """Return a result with given settling times per plant."""
+    rows = []
+    for index, column in enumerate(times):
+        safety = {"belt_force_N": [1.0], "saturated": [0.0], "left_workspace": [0.0]}
+        paths = {part: {"path_rms_mm": [0.1], **safety} for part in ("circle", "square")}
+        values = {"reach": {results.SETTLED: column, **safety}, **paths}
+        rows.append({"plant": index, "values": values, "prepare_cpu_s": 0.0, "control_us": 1.0, "about": {}})
+    entry = {"name": name, "track": "zero-shot", "knowledge": "", "sha256": ""}
+    return {"seed": PUBLIC_SEED, "entry": entry, "plants": rows}
+
+
+def test_comparison_is_paired_by_plant_and_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "stored_bounds", lambda seed: {0: np.array([0.2, 0.2, np.nan])})
+    base = _content("pid", [[0.4, 0.5, 0.6], [0.4, 0.5, 0.6], [0.4, 0.5, 0.6]])
+    other = _content("pid-corrected", [[0.3, 0.4, 0.5], [0.3, 0.6, 0.5], [0.5, 0.6, 0.7]])
+    found = results.compare(other, base, "reach")
+    assert found[:4] == (2, 1, 1, 1)
+    assert found.plants == 3
+    assert found.ratio[0] == pytest.approx(np.mean([0.8, 1.4 / 1.5, 1.2]))
+    scores = results.plant_scores(base)
+    assert scores[0].over_bound == pytest.approx(0.45 / 0.2)
+    steps = summarize({"pid": base, "pid-corrected": other})["steps"]
+    assert steps["pid-corrected"]["reach"]["better"] == 2
+
+
+def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def fake_identify(recordings: Any, machine: Machine, *, budget: float) -> str:
+        calls.append(budget)
+        return "result"
+
+    def fake_write(result: str, folder: Path) -> None:
+        folder.mkdir(parents=True)
+        for name in ("before", "machine"):
+            save_machine(declared_machine(), folder / f"{name}.json")
+        report = {"verdict": "effect_found", "effects": [{"name": "cogging", "site": "motor1"}], "left": 1.5}
+        (folder / "report.json").write_text(json.dumps(report))
+
+    monkeypatch.setattr(machines, "identify", fake_identify)
+    monkeypatch.setattr(machines, "write_result", fake_write)
+    session = (Recorder(IDEAL).excite("steps"),)
+    found = [machines.identified(session, declared_machine(), tmp_path / "standard") for _ in range(2)]
+    assert calls == [machines.IDENTIFY_S]
+    assert found[0][2:] == found[1][2:] == ("effect_found", ("cogging@motor1",), 1.5, found[0].cpu_s)
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
+def test_published_results_are_complete(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    assert results.complete(results.read(path))
+
+
+def test_bounds_belong_to_the_moves() -> None:
+    known = bounds.stored_bounds(PUBLIC_SEED)
+    assert sorted(known) == list(range(COUNT))
+    for times in known.values():
+        assert len(times) == 12
+        assert np.nanmin(times) > 0.02
