@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.gap import bounds, machines, protocol, results
+from benchmarks.gap import machines, protocol, results
 from benchmarks.gap.__main__ import run
 from benchmarks.gap.control_loop import CLOCK_S, DURATION_S, RESTING_S, GapEpisodes, Starts, control, starts_of
 from benchmarks.gap.entries import GapEntry, entry_names, get_entry, posterior_covariance
@@ -359,11 +359,3 @@ def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_published_results_are_complete(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     assert results.complete(results.read(path))
-
-
-def test_bounds_belong_to_the_moves() -> None:
-    known = bounds.stored_bounds(PUBLIC_SEED)
-    assert sorted(known) == list(range(COUNT))
-    for times in known.values():
-        assert len(times) == 12
-        assert np.nanmin(times) > 0.02
