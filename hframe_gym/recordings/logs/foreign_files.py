@@ -10,9 +10,6 @@ from ...errors import InputError
 _AS_CSV = "export its signals as CSV"
 # By the bytes with which a file begins: what it is, and what to do.
 _BY_START: tuple[tuple[bytes, str, str], ...] = (
-    (b"\x89MCAP0\r\n", "is an MCAP file", f"{_AS_CSV}, with PlotJuggler or Foxglove"),
-    (b"#ROSBAG", "is a ROS bag", f"{_AS_CSV}: rostopic echo -b FILE -p TOPIC, or with PlotJuggler"),
-    (b"SQLite format 3\0", "is a database (such as a ROS 2 bag)", f"{_AS_CSV}, a ROS 2 bag with PlotJuggler"),
     (b"ULog\x01\x12\x35", "is a PX4 log", f"{_AS_CSV}: ulog2csv FILE"),
     (b"TDSm", "is a TDMS file of LabVIEW", f"{_AS_CSV}, with DIAdem or the Excel add-in"),
     (b"MDF     ", "is an MDF file (ASAM)", f"{_AS_CSV}, with asammdf"),
@@ -21,7 +18,7 @@ _BY_START: tuple[tuple[bytes, str, str], ...] = (
 )
 # Endings of files in a folder that are probably logs but are not read, by the same kinds.
 FOREIGN_SUFFIXES = (
-    *(".xlsx", ".xls", ".xlsm", ".ods", ".mcap", ".bag", ".db3", ".ulg", ".tdms", ".mf4", ".mdf"),
+    *(".xlsx", ".xls", ".xlsm", ".ods", ".ulg", ".tdms", ".mf4", ".mdf"),
     *(".json", ".jsonl"),
 )
 # An object, or a list of texts, lists, objects or numbers; a row of units begins with "[-]" or "[1]".

@@ -128,9 +128,6 @@ def test_an_error_names_the_test(axis: Machine, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "start", "message"),
     [
-        ("a.mcap", b"\x89MCAP0\r\n", "is an MCAP file; export its signals as CSV"),
-        ("a.bag", b"#ROSBAG V2.0\n", "is a ROS bag; export its signals as CSV"),
-        ("a.db3", b"SQLite format 3\x00", "ROS 2 bag.*export its signals as CSV"),
         ("a.xlsx", b"PK\x03\x04", "is a spreadsheet or an archive.*save the sheet as CSV"),
         ("a.ods", b"PK\x03\x04", "save the sheet as CSV"),
         ("a.ulg", b"ULog\x01\x12\x35", "ulog2csv"),

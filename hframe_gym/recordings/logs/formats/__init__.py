@@ -2,6 +2,8 @@
 
 base            interface and registry
 tables          columns that share their times, for formats in which each signal has its own
+messages        numbers in messages of any structure
+ros_messages    messages of ROS by their definitions
 matlab_vectors  program that reads the arrays of a MATLAB file in a process of its own
 
 All other modules are formats: each registers one.

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
+from ....errors import InputError
 from ....registry import Registry
 from ..log import Log
 
@@ -73,6 +76,23 @@ class LogFormat(ABC):
             True for a log; False for another file with the same ending, such as readme.txt.
         """
         return True
+
+
+def require_extra(path: Path, what: str, extra: str, modules: Sequence[str], advice: str) -> None:
+    """Refuse a file whose reader is not installed.
+
+    Args:
+        path: The file.
+        what: Kind of the file in the plural, such as "HDF5 files".
+        extra: Extra of this package that installs the reader.
+        modules: Modules that the reader needs.
+        advice: What to do instead.
+
+    Raises:
+        InputError: If a module is missing.
+    """
+    if any(importlib.util.find_spec(module) is None for module in modules):
+        raise InputError(f"{path}: reading {what} needs pip install 'hframe_gym[{extra}]'; or {advice}")
 
 
 LOG_FORMATS: Registry[type[LogFormat]] = Registry("log format")

@@ -5,7 +5,6 @@ MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`).
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,7 @@ from ....errors import InputError
 from ....file_limits import expansion_limit, refuse_expansion
 from ...text_reader import Progress
 from ..log import Log, LogColumn, log_columns
-from .base import LOG_FORMATS, LogFormat
+from .base import LOG_FORMATS, LogFormat, require_extra
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # at the beginning of the file, or after 512 bytes that MATLAB writes before it
 _MATLAB_BLOCK = 512
@@ -51,10 +50,10 @@ def _open_mat(path: Path) -> Log:
     with open(path, "rb") as file:
         start = file.read(_MATLAB_BLOCK + len(_HDF5))
     is_hdf5 = _HDF5 in (start[: len(_HDF5)], start[_MATLAB_BLOCK:])
-    if is_hdf5 and importlib.util.find_spec("h5py") is None:
-        advice = "or save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7')"
-        raise InputError(f"{path}: reading HDF5 files (MATLAB 7.3) needs pip install 'hframe_gym[hdf5]'; {advice}")
-    if not is_hdf5:
+    if is_hdf5:
+        advice = "save it as version 7 in MATLAB: save('log.mat', 't', 'x', '-v7')"
+        require_extra(path, "HDF5 files (MATLAB 7.3)", "hdf5", ["h5py"], advice)
+    else:
         _refuse_large_variables(path)
     vectors = _mat_vectors(path)
     if not vectors:
