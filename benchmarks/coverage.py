@@ -24,16 +24,16 @@ from benchmarks.results_file import write_results
 from benchmarks.rig_score import intervals
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import fit, hold_out, prepare
-from hframe_gym.identification.candidates import effect_parameters
-from hframe_gym.identification.covariance import with_uncertainty
-from hframe_gym.identification.dataset import Dataset
-from hframe_gym.identification.estimation import Fit
-from hframe_gym.identification.force_sizes import typical_scales
-from hframe_gym.identification.free_parameters import default_free_parameters
-from hframe_gym.identification.model_error import fit_with_model_error, polish
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.start_uncertainty import refine_dataset
+from hframe_gym.identification.fit.covariance import with_uncertainty
+from hframe_gym.identification.fit.estimation import Fit
+from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.fit.model_error import fit_with_model_error, polish
+from hframe_gym.identification.predict.free_parameters import default_free_parameters
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.predict.start_uncertainty import refine_dataset
+from hframe_gym.identification.propose.candidates import effect_parameters
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
+from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.recordings import without_outliers
 from tests.rigs.random_effects import library_parameters
 from tests.rigs.random_rigs import RandomRig, draw_rig

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from hframe_gym.dynamics import LANES, friction, in_blocks, kernel_for, kernel_source_text
+from hframe_gym.dynamics import LANES, in_blocks, kernel_for, kernel_source_text
+from hframe_gym.dynamics.physics import friction
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine

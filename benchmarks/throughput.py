@@ -33,7 +33,7 @@ from benchmarks.kernel_batch import HOLD, PERIODS, REPEATS, SEED, STEP, VOLTS, K
 from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_center
 from benchmarks.results_file import write_results
 from hframe_gym.dynamics import LANES, kernel_source_text, linearize, simulate
-from hframe_gym.dynamics.lane_program import FORMULAS, LaneProgram
+from hframe_gym.dynamics.codegen.lane_program import FORMULAS, LaneProgram
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 

@@ -53,9 +53,9 @@ _DECISIONS = (
 )
 # Files, relative to hframe_gym/, and the tests of each, which neither compile nor simulate; a pattern matches several.
 TARGETS: dict[str, tuple[str, ...]] = {
-    "dynamics/equations.py": _EQUATIONS,
-    "dynamics/belts.py": _EQUATIONS,
-    "dynamics/friction.py": (
+    "dynamics/physics/equations.py": _EQUATIONS,
+    "dynamics/physics/belts.py": _EQUATIONS,
+    "dynamics/physics/friction.py": (
         f"{_FRICTION}::test_directions_and_static_friction",
         f"{_FRICTION}::test_flow_without_compilation",
         f"{_FRICTION}::test_weights_without_compilation",
@@ -65,17 +65,17 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/effects/test_library.py",
         "--deselect=tests/effects/test_library.py::test_zero_amplitude_changes_nothing",
     ),
-    "identification/criteria.py": ("tests/identification/test_criteria.py",),
-    "identification/significance.py": _DECISIONS,
-    "identification/forward_selection.py": _DECISIONS,
-    "identification/held_out.py": _DECISIONS,
-    "identification/model_error.py": _DECISIONS,
-    "identification/search.py": _DECISIONS,
+    "identification/judge/criteria.py": ("tests/identification/test_criteria.py",),
+    "identification/evidence/significance.py": _DECISIONS,
+    "identification/search/forward_selection.py": _DECISIONS,
+    "identification/evidence/held_out.py": _DECISIONS,
+    "identification/fit/model_error.py": _DECISIONS,
+    "identification/search/search_effects.py": _DECISIONS,
 }
 # Mutants by "file: source line -> change" that no test can notice, with the reason.
 EQUIVALENT: dict[str, str] = {
-    "hframe_gym/dynamics/belts.py: first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * "
-    "values[i] -> -1.0 -> 1.0": "-1.0 * v is -v to the bit; only the instruction differs",
+    "hframe_gym/dynamics/physics/belts.py: "
+    "first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * values[i] -> -1.0 -> 1.0": "-1.0 * v is -v to the bit; only the instruction differs",
 }
 
 _OPERATORS: dict[type[ast.operator], type[ast.operator]] = {

@@ -203,8 +203,8 @@ def identify(
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
-    from ..identification.report import verdict_sentence
-    from ..identification.saved_result import next_command
+    from ..identification.report.page import verdict_sentence
+    from ..identification.report.saved_result import next_command
     from ..recordings import load_machine
     from .tables import identification_table
 
@@ -289,7 +289,7 @@ def _write_rig(
 ) -> tuple[dict[str, Any], Exception | None]:
     """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
     from ..identification import write_result
-    from ..identification.report import build_report
+    from ..identification.report.page import build_report
 
     with output_batch(folder):
         write_result(result, folder, list(map(str, findings)), comparisons := proposed_formulas(result, log))
@@ -349,7 +349,7 @@ def _identify_rigs(fit: _Fit, rigs: list[_Rig], jobs: int, ray: str | None) -> N
 
 def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _IdentifiedRig:
     """Identify a rig in a temporary folder."""
-    from ..identification.report import verdict_sentence
+    from ..identification.report.page import verdict_sentence
 
     def log(line: str) -> None:
         if show_progress:
@@ -379,7 +379,7 @@ def report(
 
     Example:  hframe report out/rig_a --open
     """
-    from ..identification.report import build_report
+    from ..identification.report.page import build_report
 
     page = build_report(folder)
     log(f"wrote {page}")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..data_validation import Finding
     from ..identification import IdentificationResult
     from ..identification.budget import Budget
-    from ..identification.formulas import TableComparison
+    from ..identification.report.formulas import TableComparison
     from ..machine import Machine
     from ..recordings import Recording
 
@@ -367,7 +367,7 @@ def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) 
     Returns:
         For each table, a comparison of formulas with it; empty without tables or without scikit-learn.
     """
-    from ..identification.formulas import compare_formulas
+    from ..identification.report.formulas import compare_formulas
 
     try:
         return compare_formulas(result, log)

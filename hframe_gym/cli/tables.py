@@ -59,7 +59,7 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
 
 def _error_cell(channel: str, error: Mapping[str, Any]) -> str:
     """Return an rms error in a readable unit, as a multiple of the noise and in percent of the motion."""
-    from ..identification.plots import readable_unit
+    from ..identification.report.plots import readable_unit
 
     factor, unit = readable_unit(channel, error["rmse"])
     motion = error.get("percent_of_motion")

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
-from ..identification.initial_rest import InitialRest, initial_rest, without_moving_start
-from ..identification.sensor_properties import noise_at_rest
 from ..machine import Machine
+from ..preparation.initial_rest import InitialRest, initial_rest, without_moving_start
+from ..preparation.sensor_properties import noise_at_rest
 from ..recordings import (
     Recording,
     only_measurements,

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from ..identification import PreparedRecording
-from ..identification.belt_stretch import rigid_basis
 from ..machine import Machine, rigid_motions
+from ..preparation.belt_stretch import rigid_basis
 from ..recordings import bridge_blanks
 
 Array = NDArray[np.float64]

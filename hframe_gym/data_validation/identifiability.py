@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters
-from ..identification.linearization import ResidualModel
-from ..identification.normal_equations import NormalEquations
-from ..identification.prediction import SIMULATION, map_runs
+from ..identification.predict.linearization import ResidualModel
+from ..identification.predict.normal_equations import NormalEquations
+from ..identification.predict.prediction import SIMULATION, map_runs
 from ..machine import Machine
 from .findings import Finding, Severity
 

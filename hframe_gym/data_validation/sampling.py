@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy import special
 
 from ..identification import MIN_ROWS, Dataset, PreparedRecording, default_free_parameters, fit
-from ..identification.belt_stretch import rigid_basis
-from ..identification.prediction import SEARCH_BANDWIDTH
+from ..identification.predict.prediction import SEARCH_BANDWIDTH
 from ..machine import Machine
+from ..preparation.belt_stretch import rigid_basis
 from ..recordings import GAP_PERIODS, Recording, repetitions
 from .findings import Finding, Severity
 

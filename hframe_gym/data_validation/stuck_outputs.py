@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics import stiffness_matrix
-from ..identification.initial_rest import count_resting_rows
 from ..machine import Machine
+from ..preparation.initial_rest import count_resting_rows
 from ..recordings import Recording, bridge_blanks, peak_to_peak
 from .findings import Finding, Severity
 from .wiring import rigid_misfit, rigid_prediction

@@ -1,13 +1,21 @@
 """Equations of motion, their linearization, and simulation: the integrator and its compiled kernel (generated code)."""
 
 from ..cache_folder import cache_folder
-from .belts import BeltState
-from .blocks import in_blocks
-from .equations import Equations, ForceBalance
-from .kernel import Kernel, kernel_for, kernel_source_text
-from .linearization import StateSpace, linearize, matrix_exponential, mode_frequencies, resolved_step, stiffness_matrix
-from .machine_code import LANES
-from .motion_forces import (
+from .codegen.blocks import in_blocks
+from .codegen.kernel import Kernel, kernel_for, kernel_source_text
+from .codegen.machine_code import LANES
+from .codegen.shared_kernels import share_kernel
+from .physics.belts import BeltState
+from .physics.equations import Equations, ForceBalance
+from .physics.linearization import (
+    StateSpace,
+    linearize,
+    matrix_exponential,
+    mode_frequencies,
+    resolved_step,
+    stiffness_matrix,
+)
+from .physics.motion_forces import (
     belt_forces,
     belt_states,
     delayed_voltages,
@@ -16,8 +24,7 @@ from .motion_forces import (
     net_forces,
     sensor_readings,
 )
-from .parameterized_machine import MotionPoint
-from .shared_kernels import share_kernel
+from .physics.parameterized_machine import MotionPoint
 from .simulation import NotFiniteError, in_parallel, rollout, simulate, simulate_batch
 
 __all__ = [

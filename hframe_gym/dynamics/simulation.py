@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from ..machine import Machine, Trajectory, rest_state
 from ..operating_system import cores
-from .effect_instances import instances_with_state
-from .kernel import Kernel
-from .machine_code import LANES
-from .shared_kernels import rollout_kernel
+from .codegen.kernel import Kernel
+from .codegen.machine_code import LANES
+from .codegen.shared_kernels import rollout_kernel
+from .physics.effect_instances import instances_with_state
 
 MOST_STEPS = 1_000_000_000  # of one simulation; it takes minutes
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from ..arrays import EnvironmentCounts, EnvironmentParameters, Index
 from ..dynamics import LANES
-from ..dynamics.blocks import read_block
-from ..dynamics.compiled import compiled
+from ..dynamics.codegen.blocks import read_block
+from ..dynamics.codegen.compiled import compiled
 from ..effects import EFFECTS
 from ..errors import InputError, is_integer, is_number
 from ..machine import Machine

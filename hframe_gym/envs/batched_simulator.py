@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, Index
 from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
-from ..dynamics.compiled import compiled
+from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
 from .actuators import ActuatorModel

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index, LaneReadings
 from ..dynamics import LANES
-from ..dynamics.compiled import compiled
-from ..dynamics.lane_program import LaneProgram
-from ..dynamics.native_calls import call_at
+from ..dynamics.codegen.compiled import compiled
+from ..dynamics.codegen.lane_program import LaneProgram
+from ..dynamics.codegen.native_calls import call_at
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
 from .random_numbers import normal_pair, normal_pairs
 from .sensors import sensor_range_names

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ..arrays import EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
 from ..dynamics import LANES
-from ..dynamics.blocks import write_block
-from ..dynamics.compiled import compiled
-from ..dynamics.lane_program import LaneProgram
-from ..dynamics.native_calls import call_at
+from ..dynamics.codegen.blocks import write_block
+from ..dynamics.codegen.compiled import compiled
+from ..dynamics.codegen.lane_program import LaneProgram
+from ..dynamics.codegen.native_calls import call_at
 from ..machine import Sensor
 from .batched_simulator import BatchedSimulator, block_ranges
 from .machine_sampler import MachineSampler

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..dynamics.compiled import compiled
+from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
 from ..registry import Registry
 from .workspace import outside_workspace

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array
-from ..dynamics.compiled import compiled
+from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
 from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .workspace import workspace_of

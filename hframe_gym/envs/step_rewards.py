@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array, Index
-from ..dynamics.compiled import compiled
+from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
 from .rewards import (
     PROGRESS,

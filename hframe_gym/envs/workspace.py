@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array, Workspace
 from ..dynamics import LANES
-from ..dynamics.compiled import compiled
+from ..dynamics.codegen.compiled import compiled
 from ..dynamics.elementwise import absolute, copysign, maximum
 from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine

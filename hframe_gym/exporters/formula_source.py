@@ -14,8 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..dynamics.expressions import Expression
-from ..dynamics.tracing import Trace
+from ..dynamics.symbolic.expressions import Expression
+from ..dynamics.symbolic.tracing import Trace
 from ..errors import InputError
 from ..machine import Machine
 from .base import plain

@@ -1,16 +1,17 @@
 """Identification of a machine from recordings: initial states, fit, selection of effects, evaluation and report."""
 
-from .criteria import SelectionCriteria
-from .dataset import MIN_ROWS, Dataset, PreparedRecording, prepare
-from .estimation import Fit, fit
-from .forward_selection import EffectSearch, SelectedEffect
-from .free_parameters import FreeParameter, default_free_parameters
-from .held_out import hold_out
-from .pipeline import identify
-from .recording_simulation import SimulatedRecording, initial_state_of_recording, simulate_recording
-from .rest_measurement import InitialState, estimate_initial_state
-from .result import IdentificationResult, write_result
-from .screening import screen
+from ..preparation.dataset import MIN_ROWS, Dataset, PreparedRecording, prepare
+from ..preparation.rest_measurement import InitialState, estimate_initial_state
+from .evidence.held_out import hold_out
+from .evidence.tried_effects import SelectedEffect
+from .fit.estimation import Fit, fit
+from .identify import identify
+from .judge.criteria import SelectionCriteria
+from .predict.free_parameters import FreeParameter, default_free_parameters
+from .propose.screening import screen
+from .report.recording_simulation import SimulatedRecording, initial_state_of_recording, simulate_recording
+from .report.result import IdentificationResult, write_result
+from .search.forward_selection import EffectSearch
 
 __all__ = [
     "MIN_ROWS",

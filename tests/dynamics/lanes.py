@@ -7,7 +7,7 @@ from functools import cache
 
 from numpy.typing import NDArray
 
-from hframe_gym.dynamics.lane_program import LaneProgram
+from hframe_gym.dynamics.codegen.lane_program import LaneProgram
 
 
 @cache

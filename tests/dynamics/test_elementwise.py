@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import elementwise
-from hframe_gym.dynamics.belts import reciprocals
+from hframe_gym.dynamics.physics.belts import reciprocals
 
 pytestmark = pytest.mark.unit
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hframe_gym.dynamics import LANES, friction
+from hframe_gym.dynamics import LANES
+from hframe_gym.dynamics.physics import friction
 from tests.dynamics.lanes import run
 
 pytestmark = pytest.mark.oracle

@@ -16,17 +16,15 @@ from hframe_gym.dynamics import (
     LANES,
     cache_folder,
     in_blocks,
-    kernel,
     kernel_for,
     kernel_source_text,
-    machine_code,
     share_kernel,
-    shared_kernels,
     simulate,
     simulate_batch,
 )
-from hframe_gym.dynamics.effect_instances import instances_with_state
-from hframe_gym.dynamics.shared_kernels import rollout_kernel
+from hframe_gym.dynamics.codegen import kernel, machine_code, shared_kernels
+from hframe_gym.dynamics.codegen.shared_kernels import rollout_kernel
+from hframe_gym.dynamics.physics.effect_instances import instances_with_state
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_gym.dynamics import LANES
-from hframe_gym.dynamics.lane_compiler import LaneCompileError, compile_lanes
-from hframe_gym.dynamics.lane_program import FORMULAS, LaneProgram
+from hframe_gym.dynamics.codegen.lane_compiler import LaneCompileError, compile_lanes
+from hframe_gym.dynamics.codegen.lane_program import FORMULAS, LaneProgram
 from tests.dynamics.lanes import run
 
 pytestmark = pytest.mark.unit

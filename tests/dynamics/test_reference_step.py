@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import LANES, Equations, in_blocks, kernel_for
-from hframe_gym.dynamics.reference_step import StepState, reference_step
+from hframe_gym.dynamics.physics.reference_step import StepState, reference_step
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from tests.effects.one_of_each import CASES, START, Case

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import elementwise
-from hframe_gym.dynamics.expressions import function_source
-from hframe_gym.dynamics.tracing import Trace
+from hframe_gym.dynamics.symbolic.expressions import function_source
+from hframe_gym.dynamics.symbolic.tracing import Trace
 
 pytestmark = pytest.mark.unit
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import Equations, simulate
-from hframe_gym.dynamics.parameterized_machine import MotionPoint
+from hframe_gym.dynamics.physics.parameterized_machine import MotionPoint
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.exporters import EXPORTERS

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, forward_selection, significance
-from hframe_gym.identification.forward_selection import EffectSearch
-from hframe_gym.identification.free_parameters import FreeParameter
+from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
+from hframe_gym.identification.evidence import significance
+from hframe_gym.identification.predict.free_parameters import FreeParameter
+from hframe_gym.identification.search import forward_selection
+from hframe_gym.identification.search.forward_selection import EffectSearch
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect
 
 COUNT = 10_000  # measured values

@@ -10,7 +10,7 @@ import pytest
 
 from hframe_gym.errors import InputError
 from hframe_gym.identification import budget as module
-from hframe_gym.identification import estimation, identify
+from hframe_gym.identification import identify
 from hframe_gym.identification.budget import (
     NORMAL_SESSION,
     Budget,
@@ -19,6 +19,7 @@ from hframe_gym.identification.budget import (
     spend,
     spender,
 )
+from hframe_gym.identification.fit import estimation
 from hframe_gym.recordings import Recording
 from tests.identification.axis_results import AXIS
 from tests.identification.test_pipeline import limited_runs

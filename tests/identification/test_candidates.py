@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.candidates import Candidate, candidates, effect_parameters
-from hframe_gym.identification.criteria import SelectionCriteria
-from hframe_gym.identification.force_sizes import TypicalScales
-from hframe_gym.identification.nonparametric import table_candidates
-from hframe_gym.identification.periodogram import periodogram_peaks, slow_rates
+from hframe_gym.identification.fit.force_sizes import TypicalScales
+from hframe_gym.identification.judge.criteria import SelectionCriteria
+from hframe_gym.identification.propose.candidates import Candidate, candidates, effect_parameters
+from hframe_gym.identification.propose.periodogram import periodogram_peaks, slow_rates
+from hframe_gym.identification.search.tables import table_candidates
 from hframe_gym.machine import Machine
 from tests.identification.axis_results import AXIS, axis_runs
 

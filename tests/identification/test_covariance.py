@@ -9,14 +9,14 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs.machine_sampler import MachineSampler
 from hframe_gym.identification import FreeParameter, fit, prepare
-from hframe_gym.identification.covariance import with_uncertainty
-from hframe_gym.identification.free_parameters import default_free_parameters
-from hframe_gym.identification.parameter_diagnostics import (
+from hframe_gym.identification.fit.covariance import with_uncertainty
+from hframe_gym.identification.fit.parameter_diagnostics import (
     inseparable_parameters,
     parameter_doubts,
     parameters_at_limit,
 )
-from hframe_gym.identification.prediction import SIMULATION
+from hframe_gym.identification.predict.free_parameters import default_free_parameters
+from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine, Uncertainty
 from hframe_gym.recordings import Recording
 

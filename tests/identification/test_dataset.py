@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import prepare
-from hframe_gym.identification.dataset import clean_recording, with_all_measurements
-from hframe_gym.identification.force_sizes import scales_of_motion
+from hframe_gym.identification.fit.force_sizes import scales_of_motion
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.preparation.dataset import clean_recording, with_all_measurements
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit

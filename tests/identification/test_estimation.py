@@ -12,11 +12,11 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, default_free_parameters, fit, prepare
-from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.free_parameters import FreeParameter, bounded_step, prior_precision
-from hframe_gym.identification.linearization import ResidualModel
-from hframe_gym.identification.model_error import polish
-from hframe_gym.identification.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
+from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit.model_error import polish
+from hframe_gym.identification.predict.free_parameters import FreeParameter, bounded_step, prior_precision
+from hframe_gym.identification.predict.linearization import ResidualModel
+from hframe_gym.identification.predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 from tests.example_runs import example_runs

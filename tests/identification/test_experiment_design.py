@@ -16,18 +16,18 @@ from hframe_gym.identification import (
     Dataset,
     FreeParameter,
     default_free_parameters,
-    experiment_design,
     fit,
     prepare,
 )
-from hframe_gym.identification.covariance import with_uncertainty
-from hframe_gym.identification.experiment_design import (
+from hframe_gym.identification.fit.covariance import with_uncertainty
+from hframe_gym.identification.predict.prediction import SIMULATION
+from hframe_gym.identification.report import experiment_design
+from hframe_gym.identification.report.experiment_design import (
     MINIMUM_SIGMA,
     ExperimentDesign,
     design_discriminating_experiment,
     separate_machines,
 )
-from hframe_gym.identification.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.recordings import Recording, load_recording
 

@@ -17,9 +17,9 @@ from hframe_gym.effects.formulas import Formula, FormulaEffect, terms_of
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.errors import InputError
 from hframe_gym.identification import IdentificationResult, write_result
-from hframe_gym.identification.formulas import TableComparison, compare_formulas, tables_of
-from hframe_gym.identification.report import build_report
-from hframe_gym.identification.saved_result import formulas_of_folder
+from hframe_gym.identification.report.formulas import TableComparison, compare_formulas, tables_of
+from hframe_gym.identification.report.page import build_report
+from hframe_gym.identification.report.saved_result import formulas_of_folder
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.recordings import load_machine
 from tests.identification.axis_results import AXIS, axis_result, axis_runs

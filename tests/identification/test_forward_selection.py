@@ -11,9 +11,12 @@ from typing import Any
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit, SelectedEffect, forward_selection, significance
-from hframe_gym.identification.estimation import describe_gain
-from hframe_gym.identification.forward_selection import EffectSearch, Selection
+from hframe_gym.identification import Fit, SelectedEffect
+from hframe_gym.identification.evidence import significance
+from hframe_gym.identification.evidence.tried_effects import Selection
+from hframe_gym.identification.fit.estimation import describe_gain
+from hframe_gym.identification.search import forward_selection
+from hframe_gym.identification.search.forward_selection import EffectSearch
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
     CRITERIA,

@@ -13,8 +13,9 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.identification import held_out, hold_out
-from hframe_gym.identification.held_out import spectral_differences
+from hframe_gym.identification import hold_out
+from hframe_gym.identification.evidence import held_out
+from hframe_gym.identification.evidence.held_out import spectral_differences
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import AXIS, DATA, DRAG, FRAME, PUSH, fit_with, runs, selected

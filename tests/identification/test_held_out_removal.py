@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -14,18 +15,18 @@ from hframe_gym.identification import (
     SelectedEffect,
     default_free_parameters,
     fit,
-    pipeline,
     prepare,
 )
-from hframe_gym.identification.held_out import contradicting_held_out_runs, held_out_gain, worsens_simulation
-from hframe_gym.identification.pipeline import _contradicting_held_out_runs, _without_unconfirmed
-from hframe_gym.identification.prediction import SIMULATION
-from hframe_gym.identification.search import SearchOutcome
-from hframe_gym.identification.trial_fits import without_effect
+from hframe_gym.identification.evidence.held_out import contradicting_held_out_runs, held_out_gain, worsens_simulation
+from hframe_gym.identification.identify import _contradicting_held_out_runs, _without_unconfirmed
+from hframe_gym.identification.predict.prediction import SIMULATION
+from hframe_gym.identification.propose.trial_fits import without_effect
+from hframe_gym.identification.search.search_effects import SearchOutcome
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
+pipeline = import_module("hframe_gym.identification.identify")
 NOISE = 20e-6  # m
 
 

@@ -8,11 +8,11 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectionCriteria, fit, prepare
-from hframe_gym.identification.candidates import candidates, coverage, effect_parameters
-from hframe_gym.identification.force_sizes import typical_scales
-from hframe_gym.identification.free_parameters import default_free_parameters
-from hframe_gym.identification.significance import _at_limit
-from hframe_gym.identification.trial_fits import indistinguishable
+from hframe_gym.identification.evidence.significance import _at_limit
+from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.predict.free_parameters import default_free_parameters
+from hframe_gym.identification.propose.candidates import candidates, coverage, effect_parameters
+from hframe_gym.identification.propose.trial_fits import indistinguishable
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.identification.axis_results import AXIS

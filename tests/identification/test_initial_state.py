@@ -11,14 +11,14 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, InitialState, PreparedRecording, initial_state_of_recording, prepare
-from hframe_gym.identification.belt_stretch import static_equilibrium
-from hframe_gym.identification.initial_state import (
+from hframe_gym.identification.fit.residual import channel_errors
+from hframe_gym.machine import Machine, rest_state
+from hframe_gym.preparation.belt_stretch import static_equilibrium
+from hframe_gym.preparation.initial_state import (
     encoder_zero_errors,
     model_initial_states,
     refine_encoder_zeros,
 )
-from hframe_gym.identification.residual import channel_errors
-from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import Recording, load_machine
 from tests import reference_simulator as reference
 

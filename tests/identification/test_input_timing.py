@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit, input_timing
-from hframe_gym.identification.input_timing import with_input_timing
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.search import SearchOutcome
+from hframe_gym.identification import Fit
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.search import input_timing
+from hframe_gym.identification.search.input_timing import with_input_timing
+from hframe_gym.identification.search.search_effects import SearchOutcome
 from tests.identification.scripted_fits import COUNT, CRITERIA, PUSH, fit_with, runs, selected
 
 pytestmark = pytest.mark.unit

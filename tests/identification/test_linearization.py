@@ -7,10 +7,10 @@ import pytest
 
 from hframe_gym.dynamics.simulation import Motion
 from hframe_gym.identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters, prepare
-from hframe_gym.identification.free_parameters import parameter_table, prior_precision, values_at
-from hframe_gym.identification.linearization import ResidualModel, forward_differences
-from hframe_gym.identification.normal_equations import NormalEquations
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION
+from hframe_gym.identification.predict.free_parameters import parameter_table, prior_precision, values_at
+from hframe_gym.identification.predict.linearization import ResidualModel, forward_differences
+from hframe_gym.identification.predict.normal_equations import NormalEquations
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording
 from tests.example_runs import example_runs

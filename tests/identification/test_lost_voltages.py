@@ -11,9 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import identify, lost_voltages, prediction, prepare
-from hframe_gym.identification.lost_voltages import _count_unknown_rows, estimate_lost_voltages, with_lost_voltages
-from hframe_gym.identification.recording_simulation import simulate_recording
+from hframe_gym.identification import identify, prepare
+from hframe_gym.identification.fit import lost_voltages
+from hframe_gym.identification.fit.lost_voltages import _count_unknown_rows, estimate_lost_voltages, with_lost_voltages
+from hframe_gym.identification.predict import prediction
+from hframe_gym.identification.report.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import machine_validation
-from hframe_gym.identification.machine_validation import (
+from hframe_gym.identification.evidence import machine_validation
+from hframe_gym.identification.evidence.machine_validation import (
     monotonic_belts,
     stable_under_rated_voltage,
     validation_fault,

@@ -9,11 +9,7 @@ import pytest
 
 from hframe_gym.dynamics.simulation import simulate_batch
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.dataset import prepare
-from hframe_gym.identification.dependences import _curve, rank_dependences
-from hframe_gym.identification.periodogram import periodogram_peaks
-from hframe_gym.identification.plots import _with_unit
-from hframe_gym.identification.residual import (
+from hframe_gym.identification.fit.residual import (
     dependence_variables,
     missing_force,
     missing_motions,
@@ -21,7 +17,11 @@ from hframe_gym.identification.residual import (
     smooth_sign,
     white_sensors,
 )
+from hframe_gym.identification.propose.dependences import _curve, rank_dependences
+from hframe_gym.identification.propose.periodogram import periodogram_peaks
+from hframe_gym.identification.report.plots import _with_unit
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
+from hframe_gym.preparation.dataset import prepare
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
@@ -222,5 +222,5 @@ def test_a_prediction_that_diverges_has_no_causes(hframe: Machine, monkeypatch: 
     data = prepare(excited_runs(hframe.with_effects(EFFECTS["quadratic_drag"].at("x", c=20.0)), count=1), hframe)
     [motion] = missing_motions(hframe, data)
     diverged = motion._replace(correction=np.full_like(motion.correction, np.nan))
-    monkeypatch.setattr("hframe_gym.identification.dependences.missing_motions", lambda *_: [diverged])
+    monkeypatch.setattr("hframe_gym.identification.propose.dependences.missing_motions", lambda *_: [diverged])
     assert rank_dependences(hframe, data) == []

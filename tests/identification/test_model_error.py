@@ -13,11 +13,12 @@ import pytest
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.effects.smooth_table import KNOTS, definition
-from hframe_gym.identification import Dataset, Fit, default_free_parameters, estimation, fit, model_error, prepare
-from hframe_gym.identification.estimation import prediction_cost
-from hframe_gym.identification.force_sizes import residue_force
-from hframe_gym.identification.free_parameters import FreeParameter
-from hframe_gym.identification.model_error import (
+from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
+from hframe_gym.identification.evidence.significance import long_run_variance
+from hframe_gym.identification.fit import estimation, model_error
+from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit.force_sizes import residue_force
+from hframe_gym.identification.fit.model_error import (
     BANDWIDTHS,
     fit_with_model_error,
     leave_one_out_gain,
@@ -26,8 +27,8 @@ from hframe_gym.identification.model_error import (
     minimum_gain,
     narrower_observer,
 )
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.significance import long_run_variance
+from hframe_gym.identification.predict.free_parameters import FreeParameter
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import CRITERIA, DATA, HFRAME, PUSH, fit_with, runs

@@ -16,12 +16,12 @@ from hframe_gym.identification import (
     SelectionCriteria,
     default_free_parameters,
     fit,
-    nonparametric,
     prepare,
 )
-from hframe_gym.identification.force_sizes import typical_scales
-from hframe_gym.identification.nonparametric import add_tables, knots_at_bends, table_candidates
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.search import tables
+from hframe_gym.identification.search.tables import add_tables, knots_at_bends, table_candidates
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -84,10 +84,10 @@ def test_force_and_friction_over_the_position_are_both_proposed(axis: Machine, m
     def explained(variable: np.ndarray, samples: np.ndarray, *, symmetric: bool) -> tuple[float, np.ndarray]:
         return next(values), np.linspace(-1.0, 1.0, KNOTS)
 
-    variables = nonparametric.table_variables(fitted.machine, data)
+    variables = tables.table_variables(fitted.machine, data)
     names = [f"{kind}[{name}]" for name in variables for kind in ("smooth_force", "smooth_friction")]
     values = iter([ranks.get(name, 0.9) for name in names])
-    monkeypatch.setattr(nonparametric, "_explained_fraction", explained)
+    monkeypatch.setattr(tables, "_explained_fraction", explained)
     criteria, scales = SelectionCriteria(max_tables_per_coordinate=2), typical_scales(fitted, data)
     proposed = [c.label for c in table_candidates(fitted.machine, data, scales, criteria)]
     assert {f"{name}@x" for name in ranks} <= set(proposed)
@@ -145,11 +145,11 @@ def test_cross_validation_is_not_dominated_by_one_half_of_a_run(monkeypatch: pyt
     """A table that explains all halves but one is accepted, one that explains what needed no explanation is not."""
     before, with_table, trivial = [80.0, 90.0, 10.0, 0.0], [2.0, 2.0, 570.0, 0.0], [79.0, 89.0, 0.1, 0.0]
     costs = {"before": before, "table": with_table, "trivial": trivial, "diverges": [1.0, math.inf, 1.0, 0.0]}
-    monkeypatch.setattr(nonparametric, "left_out_costs", lambda fitted, data, pieces: costs[fitted])
+    monkeypatch.setattr(tables, "left_out_costs", lambda fitted, data, pieces: costs[fitted])
     data = SimpleNamespace(runs=("run 1", "run 2"))
 
     def ratio(fitted: str) -> float:
-        return nonparametric._left_out_ratio(fitted, "before", data, SelectionCriteria())
+        return tables._left_out_ratio(fitted, "before", data, SelectionCriteria())
 
     expected = (2 / 80) ** (80 / 180) * (2 / 90) ** (90 / 180) * 57 ** (10 / 180)
     assert ratio("table") == pytest.approx(expected)

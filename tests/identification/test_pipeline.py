@@ -15,7 +15,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import IdentificationResult, SelectionCriteria, hold_out, identify, write_result
-from hframe_gym.identification.report import build_report
+from hframe_gym.identification.report.page import build_report
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, load_machine, load_recordings
 from tests.identification.axis_results import AXIS

@@ -9,7 +9,8 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
-from hframe_gym.identification.prediction import (
+from hframe_gym.identification.fit.residual import smooth_force_residual
+from hframe_gym.identification.predict.prediction import (
     SEARCH_BANDWIDTH,
     SIMULATION,
     map_runs,
@@ -18,7 +19,6 @@ from hframe_gym.identification.prediction import (
     prediction_error,
     residuals,
 )
-from hframe_gym.identification.residual import smooth_force_residual
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 

@@ -16,19 +16,19 @@ from hframe_gym.identification import (
     estimate_initial_state,
     initial_state_of_recording,
     prepare,
-    recording_simulation,
     simulate_recording,
 )
-from hframe_gym.identification.dataset import with_known_positions
-from hframe_gym.identification.recording_simulation import (
+from hframe_gym.identification.fit.residual import ChannelError
+from hframe_gym.identification.report import recording_simulation
+from hframe_gym.identification.report.recording_simulation import (
     ModelEvaluation,
     PredictionErrors,
     _rest_and_noise,
     evaluate_held_out,
     with_encoder_zeros,
 )
-from hframe_gym.identification.residual import ChannelError
 from hframe_gym.machine import Machine, rest_state
+from hframe_gym.preparation.dataset import with_known_positions
 from hframe_gym.recordings import Recording, fill_gaps, load_machine, save_machine
 
 pytestmark = pytest.mark.unit

@@ -15,13 +15,13 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
-from hframe_gym.identification.experiment_design import FILE, ExperimentDesign
-from hframe_gym.identification.plots import report_panels
-from hframe_gym.identification.recording_simulation import PredictionErrors
-from hframe_gym.identification.report import build_report, verdict_sentence
-from hframe_gym.identification.residual import ChannelError, Dependence
-from hframe_gym.identification.result import Hint, Unfinished, Verdict, plot_data
-from hframe_gym.identification.saved_result import next_command
+from hframe_gym.identification.fit.residual import ChannelError, Dependence
+from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
+from hframe_gym.identification.report.page import build_report, verdict_sentence
+from hframe_gym.identification.report.plots import report_panels
+from hframe_gym.identification.report.recording_simulation import PredictionErrors
+from hframe_gym.identification.report.result import Hint, Unfinished, Verdict, plot_data
+from hframe_gym.identification.report.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs

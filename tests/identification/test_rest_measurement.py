@@ -9,13 +9,13 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import InitialState, estimate_initial_state
-from hframe_gym.identification.encoder_zeros import common_encoder_zeros
-from hframe_gym.identification.rest_measurement import (
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.preparation.encoder_zeros import common_encoder_zeros
+from hframe_gym.preparation.rest_measurement import (
     count_resting_rows,
     sensor_zero_error,
     settled_rows,
 )
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit

@@ -11,11 +11,11 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import default_free_parameters, fit, identify, prepare, screen
-from hframe_gym.identification.candidates import candidates
-from hframe_gym.identification.dependences import rank_dependences
-from hframe_gym.identification.force_sizes import typical_scales
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.residual import missing_force
+from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.fit.residual import missing_force
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.propose.candidates import candidates
+from hframe_gym.identification.propose.dependences import rank_dependences
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 

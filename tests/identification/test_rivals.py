@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import rivals
+from hframe_gym.identification.evidence import rivals
 from tests.identification.scripted_fits import COUNT, CRITERIA, DATA, DRAG, HFRAME, PUSH, SPRING, fit_with
 
 pytestmark = pytest.mark.unit

@@ -8,13 +8,13 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
-from hframe_gym.identification.candidates import Candidate, effect_parameters
-from hframe_gym.identification.covariance import with_uncertainty
-from hframe_gym.identification.criteria import SelectionCriteria
-from hframe_gym.identification.force_sizes import typical_scales
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.screening import screen_structures
-from hframe_gym.identification.trial_fits import trial_fits
+from hframe_gym.identification.fit.covariance import with_uncertainty
+from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.judge.criteria import SelectionCriteria
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.propose.candidates import Candidate, effect_parameters
+from hframe_gym.identification.propose.screening import screen_structures
+from hframe_gym.identification.propose.trial_fits import trial_fits
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Belt, Coordinate, Machine
 from hframe_gym.recordings import Recording
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import Dataset, SelectionCriteria, identify, prepare
-from hframe_gym.identification.estimation import Fit, fit
-from hframe_gym.identification.free_parameters import default_free_parameters
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.run_differences import (
+from hframe_gym.identification.fit.estimation import Fit, fit
+from hframe_gym.identification.fit.run_differences import (
     Quantity,
     RunDifferences,
     describe_run_differences,
     find_run_differences,
 )
+from hframe_gym.identification.predict.free_parameters import default_free_parameters
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
 from tests.euler_simulator.stage import EulerStage

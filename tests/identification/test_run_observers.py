@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hframe_gym.identification import run_observers
-from hframe_gym.identification.covariance import with_uncertainty
-from hframe_gym.identification.dataset import RunObserver
-from hframe_gym.identification.estimation import prediction_costs
-from hframe_gym.identification.model_error import fit_with_model_error
-from hframe_gym.identification.run_observers import fit_run_by_run
+from hframe_gym.identification.fit import run_observers
+from hframe_gym.identification.fit.covariance import with_uncertainty
+from hframe_gym.identification.fit.estimation import prediction_costs
+from hframe_gym.identification.fit.model_error import fit_with_model_error
+from hframe_gym.identification.fit.run_observers import fit_run_by_run
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.preparation.dataset import RunObserver
 from tests.identification.scripted_fits import fit_with, runs
 from tests.identification.test_model_error import fitted_axis, recordings
 

@@ -13,8 +13,8 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.identification.report import build_report
-from hframe_gym.identification.saved_result import load_result
+from hframe_gym.identification.report.page import build_report
+from hframe_gym.identification.report.saved_result import load_result
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import load_machine, save_machine
 

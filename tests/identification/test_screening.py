@@ -9,9 +9,9 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare, screen
-from hframe_gym.identification.candidates import Candidate
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
-from hframe_gym.identification.screening import candidate_perturbations
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
+from hframe_gym.identification.propose.candidates import Candidate
+from hframe_gym.identification.propose.screening import candidate_perturbations
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria, search
-from hframe_gym.identification.dataset import RunObserver
+from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
+from hframe_gym.identification.search.search_effects import search_effects as search
 from hframe_gym.machine import AppliedEffect, Machine
+from hframe_gym.preparation.dataset import RunObserver
 from tests.identification.scripted_fits import (
     AXIS,
     COUNT,

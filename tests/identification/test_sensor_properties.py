@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import SelectionCriteria
-from hframe_gym.identification.sensor_properties import (
+from hframe_gym.machine import Machine
+from hframe_gym.preparation.sensor_properties import (
     blank_saturated,
     clock_jitter,
     independent_values,
@@ -15,7 +16,6 @@ from hframe_gym.identification.sensor_properties import (
     sensor_noise,
     sensor_quantum,
 )
-from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, quantum_of
 
 pytestmark = pytest.mark.unit

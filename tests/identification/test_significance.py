@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import force_sizes, significance
-from hframe_gym.identification.force_sizes import force_size
-from hframe_gym.identification.free_parameters import FreeParameter
-from hframe_gym.identification.significance import depend_on_same_variable
+from hframe_gym.identification.evidence import significance
+from hframe_gym.identification.evidence.significance import depend_on_same_variable
+from hframe_gym.identification.fit import force_sizes
+from hframe_gym.identification.fit.force_sizes import force_size
+from hframe_gym.identification.predict.free_parameters import FreeParameter
 from hframe_gym.machine import AppliedEffect, Machine
 from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import (

@@ -10,11 +10,11 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectionCriteria, prepare, simulate_recording
-from hframe_gym.identification.estimation import fit, prediction_cost
-from hframe_gym.identification.free_parameters import default_free_parameters
-from hframe_gym.identification.prediction import SIMULATION, residuals
-from hframe_gym.identification.start_estimation import most_probable_start, refine_dataset, with_probable_starts
-from hframe_gym.identification.start_uncertainty import (
+from hframe_gym.identification.fit.estimation import fit, prediction_cost
+from hframe_gym.identification.fit.start_estimation import most_probable_start, refine_dataset, with_probable_starts
+from hframe_gym.identification.predict.free_parameters import default_free_parameters
+from hframe_gym.identification.predict.prediction import SIMULATION, residuals
+from hframe_gym.identification.predict.start_uncertainty import (
     InitialStateProjection,
     predict_with_displaced_starts,
     projected,

@@ -10,10 +10,11 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import default_free_parameters, fit, identify, prepare, trial_fits
-from hframe_gym.identification.criteria import SelectionCriteria
-from hframe_gym.identification.estimation import Fit
-from hframe_gym.identification.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification import default_free_parameters, fit, identify, prepare
+from hframe_gym.identification.fit.estimation import Fit
+from hframe_gym.identification.judge.criteria import SelectionCriteria
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.propose import trial_fits
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 

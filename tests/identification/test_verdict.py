@@ -9,9 +9,14 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify
-from hframe_gym.identification.dependences import are_causes
-from hframe_gym.identification.residual import Dependence
-from hframe_gym.identification.verdict import Evidence, contradiction_of_names, contradiction_of_no_effect, remaining
+from hframe_gym.identification.fit.residual import Dependence
+from hframe_gym.identification.judge.verdict import (
+    Evidence,
+    contradiction_of_names,
+    contradiction_of_no_effect,
+    remaining,
+)
+from hframe_gym.identification.propose.dependences import are_causes
 from hframe_gym.machine import AppliedEffect, Machine
 from tests.identification.axis_results import AXIS
 from tests.identification.test_pipeline import limited_runs

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...arrays import Array
-from ...dynamics.compiled import compiled, helper
+from ...dynamics.codegen.compiled import compiled, helper
 from ..random_numbers import cos_sin_of_turns
 
 # Segments of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.

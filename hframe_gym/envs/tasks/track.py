@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ...arrays import Array, ElapsedTimes, GoalPlans, Workspace
-from ...dynamics.compiled import compiled
+from ...dynamics.codegen.compiled import compiled
 from ...errors import InputError, is_integer, is_number
 from ...recordings import read_path
 from .base import TASKS, Metrics, Task

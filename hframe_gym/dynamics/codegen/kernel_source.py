@@ -1,0 +1,162 @@
+"""Generate the source of a machine's simulation kernel by evaluating the equations of motion on traced expressions.
+
+A traced expression records the operations on it (module `tracing`). What is the same for all machines of one shape
+(coordinates, factors of the belts, sites of drives and effects) becomes source text, where terms with the factor 0 and
+multiplications by 1 are omitted. What differs between them (every value of `Machine.parameters`) is data, with one
+machine in each SIMD lane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ...machine import HOOKS, Machine, argument_names
+from ..physics.equations import Equations
+from ..symbolic.elementwise import exp
+from ..symbolic.expressions import function_source
+from ..symbolic.tracing import Trace
+from .step_trace import StepTrace, row_name
+
+FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measurement_delays")  # of the generated text
+
+# Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both
+# directions of motion where viscous friction depends on the direction.
+PER_COORDINATE = ("mass", "per_mass", "coulomb", "correction_gain")
+PER_DIRECTION = ("viscous", "correction_damping", "decay", "speed_gain", "first_weight", "last_weight")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Row of each quantity in the arrays `parameters` and `derived` of a compiled simulation kernel.
+
+    Both arrays have one column per machine.
+
+    Attributes:
+        parameters: Row of each machine parameter by full name, for example "x.mass".
+        derived: Row of each constant that the generated function `prepare` derives from parameters and step length h,
+            for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
+    """
+
+    parameters: Mapping[str, int]
+    derived: Mapping[str, int]
+
+
+class KernelSource:
+    """Source text of the simulation kernel (generated code) for all machines of one shape (`Machine.shape`).
+
+    Args:
+        machine: Any machine of the shape; its parameter values do not matter.
+        forced: Whether an external force acts on every coordinate.
+
+    Attributes:
+        layout: Row of each quantity in the arrays `parameters` and `derived` of the generated functions.
+        states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
+        delayed: Whether a drive has a delay.
+        lagged: Whether a sensor has a delay.
+        nonlinear_belts: Whether an effect makes the force of a belt nonlinear. A step then evaluates the belts at both
+            of its points; otherwise it extrapolates the force from the first point with constant stiffness.
+        uses_time: Whether an effect depends on time.
+        text: Source of the functions prepare (constants of a step), voltage_delays, advance (the integrator),
+            read_sensors and measurement_delays.
+    """
+
+    def __init__(self, machine: Machine, *, forced: bool = False) -> None:
+        self.machine = machine
+        self.forced = forced
+        self._plain = Equations(machine)
+        self._coordinates = range(len(machine.coordinates))
+        parameters = {name: row for row, name in enumerate(machine.parameters)}
+        derived: list[str] = []
+        for i in self._coordinates:
+            derived += [row_name("coordinate", i, key) for key in PER_COORDINATE]
+            derived += [row_name("coordinate", i, key + s) for s in self.directions(i) for key in PER_DIRECTION]
+        derived += [row_name("drive", j, "force_per_volt") for j in range(len(machine.drives))]
+        derived += [row_name("belt", b, "stiffness") for b, belt in enumerate(machine.belts) if not belt.length]
+        self.layout = Layout(parameters, {name: row for row, name in enumerate(derived)})
+        self.states = 2 * len(self._coordinates) + 1 + len(self._plain.states)
+        definitions = [e.definition for e in machine.effects]
+        self.delayed = any(d.delay for d in definitions)
+        self.lagged = any(d.measurement_delay for d in definitions)
+        self.nonlinear_belts = any(d.tension or d.belt_travel for d in definitions)
+        hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]
+        self.uses_time = any("t" in argument_names(f) for f in hooks) or any(d.against == "time" for d in definitions)
+        traces = (
+            self._prepare(),
+            self._delays("voltage_delays"),
+            StepTrace(self).trace,
+            self._read_sensors(),
+            self._delays("measurement_delays"),
+        )
+        self.text = "\n\n".join(map(function_source, traces))
+
+    def directions(self, i: int) -> tuple[str, ...]:
+        """Return the suffixes by which names of step constants distinguish the directions of motion of a coordinate.
+
+        Constants that depend on viscous friction, for example the factor by which it reduces the speed in a step, have
+        two values where the viscous friction of the coordinate depends on the direction.
+
+        Args:
+            i: Index of the coordinate, from 0.
+
+        Returns:
+            ("_forward", "_backward") if an effect (deviation from the nominal model) changes the viscous friction of
+            the coordinate; else ("",), one value for both directions.
+        """
+        return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
+
+    def _equations(self, trace: Trace) -> Equations:
+        """Return the equations with the parameters loaded from the array `parameters`."""
+        rows = self.layout.parameters.items()
+        return Equations(self.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
+
+    # -- constants of a step ---------------------------------------------------------------------------------------
+
+    def _prepare(self) -> Trace:
+        """Trace the constants that depend on parameters and the step length only."""
+        trace = Trace("prepare(parameters, derived, h: float)")
+        equations, h, rows = self._equations(trace), trace.argument("h"), self.layout.derived
+        for i in self._coordinates:
+            mass = trace.let("mass", i, equations.mass(i))
+            constants = (mass, 1.0 / mass, equations.coulomb(i), h * h / 12.0 / mass)
+            for key, value in zip(PER_COORDINATE, constants, strict=True):
+                trace.store("derived", rows[row_name("coordinate", i, key)], value)
+            for suffix in self.directions(i):
+                viscous = equations.viscous(i, -1.0 if suffix == "_backward" else 1.0)
+                decay_rate = trace.let(f"damping{suffix}", i, viscous * h / mass)
+                last_weight = trace.let(f"weight{suffix}", i, trace.node("end_weight", decay_rate))
+                values = (
+                    viscous,
+                    -h * h / 12.0 / mass * viscous,
+                    exp(-decay_rate),
+                    h / mass * trace.node("decay_integral", decay_rate),
+                    h * (1.0 - last_weight),
+                    h * last_weight,
+                )
+                for key, value in zip(PER_DIRECTION, values, strict=True):
+                    trace.store("derived", rows[row_name("coordinate", i, key + suffix)], value)
+        for j in range(len(self.machine.drives)):
+            trace.store("derived", rows[row_name("drive", j, "force_per_volt")], equations.force_per_volt(j))
+        for b, belt in enumerate(self.machine.belts):
+            if not belt.length:
+                trace.store("derived", rows[row_name("belt", b, "stiffness")], equations.constant_stiffness(b))
+        return trace
+
+    # -- sensors and delays ----------------------------------------------------------------------------------------
+
+    def _delays(self, function: str) -> Trace:
+        """Trace voltage_delays (delay of each drive, s) or measurement_delays (delay of each sensor, s)."""
+        trace = Trace(f"{function}(parameters, delays)")
+        for row, delay in enumerate(getattr(self._equations(trace), function)()):
+            trace.store("delays", row, delay)
+        return trace
+
+    def _read_sensors(self) -> Trace:
+        """Trace the reading of each sensor in its unit."""
+        trace = Trace("read_sensors(state, parameters, readings)")
+        equations = self._equations(trace)
+        travel = [trace.load("state", i, f"travel_{i}") for i in self._coordinates]
+        positions = [p / equations.radius(i) for i, p in enumerate(travel)]
+        for j, reading in enumerate(equations.sensor_readings(positions)):
+            trace.store("readings", j, reading)
+        return trace

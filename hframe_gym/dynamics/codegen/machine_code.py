@@ -1,0 +1,94 @@
+"""Turn LLVM's intermediate representation into machine code of this processor, and keep the code on disk.
+
+An object file is kept in the cache folder under the hash of everything that it depends on. Loading it takes a
+millisecond, compiling it a tenth of a second.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+import numba
+from llvmlite import ir
+
+from ...atomic_files import atomic_file
+from ...cache_folder import cache_folder
+
+_LOCK = threading.RLock()
+_LOADED: dict[str, Any] = {}  # engines by the hash of their code, which exists as long as they do
+
+
+def processor() -> tuple[str, str]:
+    """Return name and features of the processor for which code is compiled, as LLVM writes them.
+
+    Returns:
+        Name, and comma-separated features: those of Numba, where NUMBA_CPU_NAME and NUMBA_CPU_FEATURES replace what
+        LLVM finds.
+    """
+    name, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES  # type: ignore[attr-defined]
+    return name or llvm.get_host_cpu_name(), (
+        llvm.get_host_cpu_features().flatten() if features is None else str(features)
+    )
+
+
+# Machines per SIMD register. With AVX-512, a register is two of the processor: instructions on one run while those on
+# the other wait for their results. Other processors have too few registers for 16 numbers per variable.
+LANES = 16 if "+avx512f" in processor()[1].split(",") else 8
+
+
+def native_functions(key: str, names: Sequence[str], build: Callable[[], ir.Module]) -> Mapping[str, int]:
+    """Return the addresses of compiled functions; compile them if no earlier process has.
+
+    Args:
+        key: Text that determines the module, besides the version of LLVM and the processor.
+        names: Names of its functions.
+        build: Function that builds the module.
+
+    Returns:
+        Address of each function by its name; they stay valid until the process ends.
+    """
+    text = "\n".join((key, llvmlite.__version__, llvm.get_default_triple(), *processor()))
+    name = f"kernel_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
+    with _LOCK:
+        if name not in _LOADED:
+            path = cache_folder() / f"{name}.o"
+            code = path.read_bytes() if path.exists() else b""
+            if not code:
+                code = _compile(build())
+                with atomic_file(path) as file:
+                    file.write(code)
+            _LOADED[name] = _load(code)
+        return {function: _LOADED[name].get_function_address(function) for function in names}
+
+
+def _target_machine() -> Any:
+    """Return a description of the processor for LLVM."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    cpu, features = processor()
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(cpu=cpu, features=features, opt=3, codemodel="jitdefault", jit=True)
+
+
+def _compile(module: ir.Module) -> bytes:
+    """Optimize a module; return its object code."""
+    machine = _target_machine()
+    module.triple = llvm.get_default_triple()
+    module.data_layout = str(machine.target_data)
+    parsed = llvm.parse_assembly(str(module))
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    builder.getModulePassManager().run(parsed, builder)
+    return bytes(machine.emit_object(parsed))
+
+
+def _load(code: bytes) -> Any:
+    """Load object code into this process with MCJIT, which Numba uses on all systems; return its engine."""
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return engine

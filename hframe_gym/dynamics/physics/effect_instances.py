@@ -1,0 +1,78 @@
+"""Effects of a machine, listed once for each component on which they act.
+
+An effect with the site "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on every
+coordinate, always with the same parameters. Each of these instances has a separate state, for example the current of
+its motor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...machine import AppliedEffect, Machine
+
+
+@dataclass(frozen=True)
+class EffectInstance:
+    """An effect at one component; an effect on several components (all belts) has one instance for each.
+
+    Attributes:
+        effect: The effect as the machine has it; its label gives the names of its parameters.
+        component: Name of the coordinate, drive, belt or sensor channel, or "machine" for a structural effect.
+        coordinate: Index of the coordinate on which the effect acts; for an effect on a drive, index of the coordinate
+            that the drive moves; -1 for effects on belts and sensors.
+        state_coordinate: Index of the coordinate whose motion changes the state of the effect, if it has one: usually
+            `coordinate`, but for a table over the path of another coordinate, that one. -1 for belts and sensors.
+    """
+
+    effect: AppliedEffect
+    component: str
+    coordinate: int
+    state_coordinate: int
+
+
+def effect_instances(machine: Machine) -> list[EffectInstance]:
+    """List every effect of a machine (deviation from its nominal model) once for each component on which it acts.
+
+    An effect on all belts, for example, has one instance per belt.
+
+    Returns:
+        One `EffectInstance` (effect, component, indices of its coordinates) per effect and component, in the order of
+        the machine's effects, and for each in the order of the machine's components.
+    """
+    # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
+    index = {name: i for i, name in enumerate(machine.coordinate_names)}
+    instances = []
+    for effect in machine.effects:
+        for component in effect.components(machine):
+            coordinate = index.get(_moved_coordinate(effect, component, machine), -1)
+            # A tabulated effect over the path of a coordinate integrates that coordinate's path.
+            path_of = effect.definition.against.partition(" of ")[2]
+            instances.append(EffectInstance(effect, component, coordinate, index.get(path_of, coordinate)))
+    return instances
+
+
+def instances_with_state(machine: Machine) -> list[EffectInstance]:
+    """List the effect instances of a machine that have a state, such as the deflection of friction bristles.
+
+    An instance is an effect (deviation from the nominal model) on one component; an effect on all belts has one per
+    belt.
+
+    Returns:
+        The instances in the order in which their states follow positions and velocities in an initial state.
+    """
+    return [instance for instance in effect_instances(machine) if instance.effect.definition.next_state]
+
+
+def _moved_coordinate(effect: AppliedEffect, component: str, machine: Machine) -> str:
+    """Return the name of the coordinate on which an effect acts at a component, empty for none."""
+    definition = effect.definition
+    if definition.coordinate:
+        return definition.coordinate
+    if definition.site in ("motor", "drive", "drives"):
+        return machine.drive(component).coordinate
+    if definition.site == "machine":
+        return component  # every coordinate, or the word "machine" of a structural effect
+    if definition.site in ("sensor", "belts"):
+        return ""
+    return machine.coordinate_of_site(component, definition.site) or ""

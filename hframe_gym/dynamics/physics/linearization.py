@@ -1,0 +1,167 @@
+"""Linearization of the equations of motion about rest: stiffness, state space and natural frequencies.
+
+The derivatives are exact to rounding, because the equations are differentiated by a complex step: for an analytic
+function f, f'(x) = Im f(x + i h) / h up to an error of order h^2. There is no cancellation, so that h can be tiny.
+
+References:
+    Squire and Trapp (1998), Using Complex Variables to Estimate Derivatives of Real Functions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...arrays import Array
+from ...distributed import single_threaded_linear_algebra
+from ...machine import Machine
+from .equations import Equations
+
+_MAX_PHASE = 0.75  # rad per integration step; the 20th-order H-frame has 0.73 at 0.5 ms
+_STEP = 1e-40  # complex step; its square vanishes beside every number of interest, and its products do not underflow
+_RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes
+
+
+class StateSpace(NamedTuple):
+    """Linear model x' = A x + B u, y = C x + D u: deviations from rest at an operating point.
+
+    Attributes:
+        A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s, rad/s).
+        B: Input matrix, shape (states, drives); inputs are voltages, V.
+        C: Output matrix, shape (sensors, states); outputs are sensor readings, m or rad.
+        D: Feedthrough matrix, shape (sensors, drives); zero.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+
+def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Array:
+    """Return the stiffness matrix of the belts: the negative derivative of the belt forces by the positions.
+
+    It equals G' diag(k) G, where G is the extension of each belt per unit of each coordinate and k the stiffness of
+    each belt at the operating point. It is differentiated by a complex step, exact to rounding (Squire and Trapp 1998).
+
+    Args:
+        machine: Machine; its effects (deviations from the nominal model) are left out. Without belts the result is
+            zero.
+        position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
+            (..., coordinates). Default: one operating point, all positions zero.
+
+    Returns:
+        Stiffness, shape (..., coordinates, coordinates), row: force, column: displacement. N/m between linear
+        coordinates, Nm/rad between rotary ones, N/rad (equal to N) between a linear and a rotary one.
+    """
+    equations, q = _operating_point(machine, position)
+    stepped = q[..., None, :] + 1j * _STEP * np.eye(q.shape[-1])  # (..., coordinate that is stepped, coordinates)
+    point = equations.point(stepped)
+    forces = equations.in_units(equations.belt_forces(point, equations.belt_states(point)))
+    forces = np.broadcast_to(forces, stepped.shape)  # without belts they are scalars
+    return -np.swapaxes(forces.imag, -1, -2) / _STEP  # row: force on a coordinate, column: displaced coordinate
+
+
+def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
+    """Linearize the equations of motion about rest, without Coulomb friction and effects.
+
+    The back-EMF of a drive acts as viscous friction of its coordinate. The equations are differentiated by a complex
+    step, exact to rounding (Squire and Trapp 1998).
+
+    Args:
+        machine: Machine to linearize; its effects (deviations from the nominal model) are left out.
+        position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
+            Default: zeros.
+
+    Returns:
+        Matrices A, shape (states, states), B, shape (states, drives), C, shape (sensors, states), and D, shape
+        (sensors, drives), in SI. States: positions, m or rad, then velocities; inputs: drive voltages, V; outputs:
+        sensor readings, m or rad.
+
+    References:
+        Sollmann, Jouaneh and Lavender (2010), eq. 20-24.
+    """
+    equations, q = _operating_point(machine, position)
+    count, drives = len(q), len(machine.drives)
+    # One row per argument of the equations of motion: a step of each position, velocity and voltage in turn.
+    steps = 1j * _STEP * np.eye(2 * count + drives)
+    point = equations.point(q + steps[:, :count], steps[:, count : 2 * count])
+    voltages = list(steps[:, 2 * count :].T)
+    accelerations = equations.accelerations(point, voltages, lambda speed: 0.0)  # direction 0: no Coulomb friction
+    per_step = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]  # m/s^2 or rad/s^2
+    derivatives = np.array(per_step).imag / _STEP  # (coordinates, 2 * coordinates + drives)
+    rates = np.hstack([np.zeros((count, count)), np.eye(count)])  # the derivatives of the positions are the velocities
+    A = np.vstack([rates, derivatives[:, : 2 * count]])
+    B = np.vstack([np.zeros((count, drives)), derivatives[:, 2 * count :]])
+    readings = equations.sensor_readings(list((q + steps[:, :count]).T))
+    C = np.array(readings).imag[:, : 2 * count] / _STEP
+    return StateSpace(A, B, C, np.zeros((len(machine.sensors), drives)))
+
+
+def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
+    """Return the undamped natural frequencies of the masses on the belts: sqrt(eigenvalues of M^-1 K) / (2 pi).
+
+    M is the diagonal matrix of masses and moments of inertia, and K the stiffness matrix of the belts.
+
+    Args:
+        machine: Machine with any number of belts; its effects (deviations from the nominal model) are left out.
+        position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
+            Default: zeros.
+
+    Returns:
+        Frequencies, Hz, ascending, shape (coordinates,); exactly zero for rigid-body modes, which stretch no belt.
+    """
+    from scipy.linalg import eigh  # SciPy takes most of the time of `import hframe_gym`
+
+    mass_matrix = np.diag([c.mass for c in machine.coordinates])
+    squared = eigh(stiffness_matrix(machine, position), mass_matrix, eigvals_only=True)
+    scale = max(squared.max(), 1.0)  # (rad/s)^2; eigenvalues far below it are rounding errors of rigid-body modes
+    return np.sqrt(np.where(squared < _RIGID_EIGENVALUE * scale, 0.0, squared)) / (2 * np.pi)
+
+
+def resolved_step(machine: Machine, longest_step: float) -> float:
+    """Return an integration step that resolves the fastest vibration of the belts, at most a given step.
+
+    Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
+    integrator diverge. The stiffness is that at position 0.
+
+    Args:
+        longest_step: Largest step, s, that the inputs and the friction permit.
+
+    Returns:
+        Step, s: `longest_step`, or 0.75 / highest natural frequency (rad/s) if that is shorter.
+    """
+    if not machine.belts:
+        return longest_step
+    # Called before every simulation, hence without the complex step. Squared natural frequencies are the eigenvalues
+    # of R' R, the squared singular values of R = diag(k)^(1/2) G M^(-1/2).
+    mass = np.array([c.mass for c in machine.coordinates])
+    stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
+    highest = float(np.linalg.norm(np.sqrt(stiffness)[:, None] * machine.belt_matrix / np.sqrt(mass), 2))  # rad/s
+    return longest_step if longest_step * highest <= _MAX_PHASE else _MAX_PHASE / highest
+
+
+def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equations, Array]:
+    """Return the equations of a machine without its effects, and the operating point as an array of floats."""
+    # The coordinate of a structural effect stays; its parameters are tied to those of the effect, which is removed.
+    equations = Equations(dataclasses.replace(machine, effects=(), ties={}))
+    count = len(machine.coordinates)
+    return equations, np.zeros(count) if position is None else np.asarray(position, float)
+
+
+def matrix_exponential(matrix: Array) -> Array:
+    """Compute the exponential of a matrix; the result is the same to the bit for any number of threads.
+
+    Args:
+        matrix: Square matrix, dimensionless, shape (n, n).
+
+    Returns:
+        exp(matrix), shape (n, n).
+    """
+    from scipy.linalg import expm
+
+    with single_threaded_linear_algebra():
+        return np.asarray(expm(matrix))

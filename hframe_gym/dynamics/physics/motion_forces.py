@@ -1,0 +1,264 @@
+"""Forces along a motion that is given by its samples: those of the belts, and those that effects add.
+
+Parameters may be arrays of shape (variants, 1), so that many variants of an effect are evaluated at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...arrays import Array
+from ...machine import AppliedEffect, Machine, argument_names
+from .belts import BeltState
+from .equations import Equations
+from .parameterized_machine import MotionPoint
+
+# The flow of a bristle state over a distance without turning point is exact, so few steps suffice.
+_BRISTLE_STATE_STRIDE = 5
+
+
+def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
+    """Return extension, stiffness and tension of each belt along a motion.
+
+    Args:
+        machine: Machine with belts; its effects on belts (deviations from the nominal model) are included.
+        positions: Positions, m or rad, shape (..., coordinates).
+        velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
+
+    Returns:
+        One `BeltState` per belt, in the machine's order: extension s (m), its rate (m/s), stiffness k (N/m), tension T
+        beyond the pretension (N), the force e = -(1/2) s^2 dk/dl (N) due to the change of k with the length l, and
+        T - e (N); arrays of shape (...), but floats k and e = 0 for a belt of constant stiffness.
+    """
+    equations = Equations(machine)
+    return equations.belt_states(equations.point(positions, velocities))
+
+
+def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> Array:
+    """Return the force of the belts on each coordinate along a motion.
+
+    Args:
+        machine: Machine with belts; its effects on belts (deviations from the nominal model) are included.
+        positions: Positions, m or rad, shape (..., coordinates).
+        velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
+
+    Returns:
+        Forces, N, on linear and torques, Nm, on rotary coordinates, positive in the direction of positive motion, shape
+        (..., coordinates).
+    """
+    equations = Equations(machine)
+    point = equations.point(positions, velocities)
+    return np.asarray(equations.in_units(equations.belt_forces(point, equations.belt_states(point))))
+
+
+def net_forces(
+    machine: Machine,
+    time_s: Array,
+    positions: Array,
+    velocities: Array,
+    inputs: Array,
+    values: Mapping[str, Array] | None = None,
+) -> Array:
+    """Return the sum of all forces on each coordinate along a motion of n samples, with friction and effects.
+
+    Coulomb friction is F sign(v), thus zero at zero speed, where static friction is unknown.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model).
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+        values: Parameter values by full name ("x.mass"), SI, that replace the machine's. An array of shape (variants,
+            1) gives one value for each of several variants of the machine; otherwise a float.
+
+    Returns:
+        Net forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a value is an array.
+    """
+    equations = Equations(machine, values)
+    voltages = delayed_voltages(equations, time_s, inputs)
+    states = effect_states(equations, time_s, positions, velocities, voltages)
+    point = equations.point(positions, velocities, time_s, states)
+    return np.asarray(equations.in_units(equations.net_forces(point, voltages)))
+
+
+def effect_forces(
+    machine: Machine,
+    time_s: Array,
+    positions: Array,
+    velocities: Array,
+    inputs: Array,
+    effects: Sequence[AppliedEffect] | None = None,
+) -> Array:
+    """Return the forces that effects (deviations from the nominal model) add along a motion.
+
+    The result is the difference of two net forces: of the machine with these effects, and of the machine without them.
+    Therefore it contains everything that an effect changes: a force, friction, a voltage, a current or a belt tension.
+
+    Args:
+        machine: Machine. If `effects` is given, it must not have these effects; any other effect that it has acts in
+            both cases. If `effects` is not given, all effects of the machine are evaluated.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+        effects: Effects to evaluate together. A parameter is a float, or an array of shape (variants, 1) with one value
+            for each of several variants. Default: the effects of the machine, which is compared with no effect.
+
+    Returns:
+        Added forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
+    """
+    motion = (time_s, positions, velocities, inputs)
+    if effects is None:
+        effects, machine = machine.effects, dataclasses.replace(machine, effects=())
+        # Coordinates that structural effects added stay. Ties refer to parameters of the removed effects: drop them.
+        machine = dataclasses.replace(machine, ties={})
+    # An effect can change any term of the equations, so the difference of two evaluations is its force.
+    complete = dataclasses.replace(machine, effects=(*machine.effects, *effects))
+    return net_forces(complete, *motion) - net_forces(machine, *motion)
+
+
+def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
+    """Return the readings of all sensors along a motion, without delay, noise and rounding.
+
+    Args:
+        machine: Machine; its effects on sensors (deviations from the nominal model: scale, skew, range) are included.
+        positions: Positions, m or rad, shape (..., coordinates).
+
+    Returns:
+        Readings, m or rad (units of the channels), shape (..., sensors).
+    """
+    q = np.asarray(positions, float)
+    readings = Equations(machine).sensor_readings([q[..., i] for i in range(q.shape[-1])])
+    return np.stack(np.broadcast_arrays(*readings), axis=-1)
+
+
+def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list[Array]:
+    """Return the voltage that reaches each drive, as its mean from each sample to the next.
+
+    The delay of a drive shifts the steps of the commanded voltage to times between the samples; hence the mean.
+
+    Args:
+        equations: Equations of the machine, with the delays of its drives.
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+
+    Returns:
+        Mean voltages, V: for each drive an array of shape (n,), or (variants, n) if its delay is an array of shape
+        (variants, 1) with one value for each of several variants of the machine. The last mean is over an interval as
+        long as the interval before. Until the delay has passed, the voltage of the first sample acts.
+    """
+    # Length of the interval after each sample, s; the last one is as long as the one before it.
+    steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
+    ends = np.append(time_s, time_s[-1] + steps[-1])
+    voltages = []
+    for j, delay in enumerate(equations.voltage_delays()):
+        if np.all(np.asarray(delay) == 0.0):
+            voltages.append(inputs[:, j])
+            continue
+        # The mean of a held voltage is the difference of its integral over time, Vs, divided by the interval.
+        integral = np.concatenate([[0.0], np.cumsum(inputs[:, j] * steps)])
+        sent_at = ends - np.asarray(delay)  # s, when the voltage was commanded that acts at `ends`
+        # Before the first sample, the voltage of the first sample acts.
+        delayed = np.interp(sent_at, ends, integral) + inputs[0, j] * np.minimum(sent_at - ends[0], 0.0)
+        voltages.append(np.diff(delayed, axis=-1) / steps)
+    return voltages
+
+
+def effect_states(
+    equations: Equations, time_s: Array, positions: Array, velocities: Array, voltages: Sequence[Array]
+) -> dict[int, Array]:
+    """Integrate the states of effects (bristle deflection, motor current, ...) along a motion, from zero at its start.
+
+    Args:
+        equations: Equations of the machine with its effects (deviations from the nominal model).
+        time_s: Sample times, s, strictly increasing, shape (n,).
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+        voltages: Voltage of each drive after its delay, V, arrays of shape (n,), or (variants, n) for several variants
+            of the parameters.
+
+    Returns:
+        State of every effect that has one, SI, shape (n,) or (variants, n), by index in `equations.instances` (all
+        effects, once per component on which they act). The state is that at each sample; for an effect on a motor
+        current, it is the mean from the sample to the next, because the current varies while the voltage is held.
+    """
+    states: dict[int, Array] = {}
+    for k in equations.states:
+        effect = equations.instances[k].effect
+        point = equations.point(positions, velocities, time_s, states)
+        motor_voltages = equations.motor_voltages(voltages)
+        arguments = equations.force_balance(point, motor_voltages, [0.0] * len(point.travel)).arguments.get(k, {})
+        rows = np.arange(len(time_s))
+        if argument_names(effect.definition.next_state) != ("z", "dq") and not effect.definition.current:
+            # A bristle; `_BRISTLE_STATE_STRIDE` gives the reason.
+            rows = np.unique(np.append(rows[::_BRISTLE_STATE_STRIDE], rows[-1]))
+        states[k] = _integrated(equations, k, point, arguments, time_s, rows)
+    return states
+
+
+def _integrated(
+    equations: Equations,
+    k: int,
+    point: MotionPoint,
+    arguments: Mapping[str, Array],
+    time_s: Array,
+    rows: NDArray[np.intp],
+) -> Array:
+    """Return the state of effect k at every sample, stepped from row to row of `rows`.
+
+    The loop is sequential, so everything that `next_state` needs is looked up before it.
+    """
+    effect = equations.instances[k].effect
+    function: Any = effect.definition.next_state
+    steps = _step_arguments(equations, k, point, arguments, time_s, rows)
+    shape = np.broadcast_shapes((1,), *((*values.shape[:-1], 1) for values in steps.values() if values.ndim > 1))
+    # Floats are faster than arrays of one element: (rows,) gives floats, (variants, rows) gives (variants, 1) each.
+    columns = [
+        values.tolist() if values.ndim == 1 else list(np.moveaxis(values, -1, 0)[..., None])
+        for values in steps.values()
+    ]
+    state: Any = 0.0 if shape == (1,) else np.zeros(shape)
+    samples = []
+    for values in zip(*columns, strict=True):
+        samples.append(state)
+        state = function(z=state, **dict(zip(steps, values, strict=True)))
+    states = np.array(samples) if shape == (1,) else np.concatenate(samples, axis=-1)  # (rows,) or (variants, rows)
+    if effect.definition.current:  # the mean over each step by Simpson's rule
+        half_steps = {name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()}
+        states = (states + 4.0 * function(z=states, **half_steps) + function(z=states, **steps)) / 6.0
+    if len(rows) == len(time_s):
+        return states
+    variants = [np.interp(np.arange(len(time_s)), rows, variant) for variant in np.atleast_2d(states)]
+    return np.array(variants) if states.ndim > 1 else variants[0]
+
+
+def _step_arguments(
+    equations: Equations,
+    k: int,
+    point: MotionPoint,
+    arguments: Mapping[str, Array],
+    time_s: Array,
+    rows: NDArray[np.intp],
+) -> dict[str, Array]:
+    """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows)."""
+    effect, i = equations.instances[k].effect, equations.instances[k].state_coordinate
+    durations = np.diff(time_s[rows])
+    series: dict[str, Any] = {"dt": np.append(durations, durations[-1] if len(durations) else 0.0)}
+    for name, values in arguments.items():
+        values = np.asarray(values, float)
+        series[name] = values[..., rows] if values.ndim and values.shape[-1] == len(time_s) else values
+    if i >= 0:
+        position = (point.travel[i] * equations.per_radius(i))[..., rows]
+        series["dq"] = np.diff(position, append=position[..., -1:], axis=-1)
+        series["v"] = (point.speed[i] * equations.per_radius(i))[..., rows]
+    for name in effect.parameters:
+        series[name] = equations.parameter(f"{effect.label}.{name}")
+    names = [name for name in argument_names(effect.definition.next_state) if name != "z"]
+    shapes = {name: np.broadcast_shapes(np.shape(series[name]), (len(rows),)) for name in names}
+    return {name: np.broadcast_to(series[name], shapes[name]) for name in names}

@@ -1,0 +1,350 @@
+"""A machine whose parameters are floats, arrays or symbolic expressions: its coefficients and its effects."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from ...machine import AppliedEffect, Coordinate, Drive, Machine, argument_names
+from ..symbolic.elementwise import named
+from ..symbolic.tracing import describe_formula_error
+from .effect_instances import effect_instances
+
+Value = Any
+IndexRow = Mapping[int, float]
+
+
+@dataclass(frozen=True)
+class MotionPoint:
+    """A point of a motion at which forces are evaluated.
+
+    Attributes:
+        travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
+        speed: Rate of the belt travel, m/s.
+        time: Time since the machine was switched on, s.
+        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by its
+            index in `ParameterizedMachine.instances`.
+        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this point.
+    """
+
+    travel: Sequence[Value]
+    speed: Sequence[Value]
+    time: Value = 0.0
+    effect_states: Mapping[int, Value] = field(default_factory=dict)
+    elapsed: Value | None = None
+
+
+class ParameterizedMachine:
+    """A machine whose parameters are floats, arrays or symbolic expressions (all typed `Value`).
+
+    Args:
+        machine: Machine with its effects.
+        values: Parameter values by full name, SI; other parameters keep the machine's values.
+
+    Attributes:
+        machine: As given.
+        extension_rows: For each belt, extension per belt travel, m/m, by index of the coordinate.
+        length_rows: For each belt, change of length per belt travel, m/m, by index of the coordinate.
+        drive_coordinates: For each drive, index of the coordinate that it moves.
+        instances: Effects, once for each component on which they act.
+        states: Indices of the instances that have a state.
+    """
+
+    def __init__(self, machine: Machine, values: Mapping[str, Value] | None = None) -> None:
+        self.machine = machine
+        self._values: dict[str, Value] = {**machine.parameters, **(values or {})}
+        names = machine.coordinate_names
+        index = {name: i for i, name in enumerate(names)}
+        # In the order of the coordinates: the order in which a file lists the factors must not change a rounding error.
+        self.extension_rows = [_ordered(b.extension, index) for b in machine.belts]
+        self.length_rows = [_ordered(b.length, index) for b in machine.belts]
+        self.drive_coordinates = [index[d.coordinate] for d in machine.drives]
+        self.instances = effect_instances(machine)
+        self.states = [k for k, instance in enumerate(self.instances) if instance.effect.definition.next_state]
+
+    # -- parameters ------------------------------------------------------------------------------------------------
+
+    def parameter(self, name: str) -> Value:
+        """Return the value that a parameter of the machine has in this object.
+
+        Args:
+            name: Full name, for example "x.mass".
+
+        Returns:
+            Value, SI: a float, an array of any shape or a symbolic expression, as given to the constructor. A tied
+            parameter (`Machine.ties`) is a factor times the value of another one.
+
+        Raises:
+            KeyError: If the machine has no such parameter.
+        """
+        if name in self.machine.ties:
+            other, factor = self.machine.ties[name]
+            return factor * self.parameter(other)
+        return self._values[name]
+
+    @cached_property
+    def _coordinates(self) -> list[Any]:
+        """Coordinates of the machine with the parameter values of this object."""
+        return [self._with_values(c) for c in self.machine.coordinates]
+
+    @cached_property
+    def drives(self) -> list[Any]:
+        """Drives of the machine, in its order, as `machine.Drive` objects with the parameter values of this object."""
+        return [self._with_values(d) for d in self.machine.drives]
+
+    def _with_values(self, component: Coordinate | Drive) -> Any:
+        """Return a component whose parameters may be arrays or expressions; its formulas work on them, too."""
+        values = {key: self.parameter(f"{component.name}.{key}") for key in component.PARAMETERS}
+        return dataclasses.replace(component, **values)
+
+    def radius(self, i: int) -> Value:
+        """Return the belt travel per unit of a coordinate: the radius of a pulley.
+
+        Args:
+            i: Index of the coordinate in the machine, from 0.
+
+        Returns:
+            Radius of the pulley, m (m of belt per rad), or 1 for a linear coordinate; float, array of any shape or
+            expression.
+        """
+        return self._coordinates[i].travel_per_unit
+
+    def per_radius(self, i: int) -> Value:
+        """Return the position of a coordinate per belt travel, the reciprocal of `radius`.
+
+        Args:
+            i: Index of the coordinate in the machine, from 0.
+
+        Returns:
+            1/radius of the pulley, 1/m, or 1 for a linear coordinate; float, array of any shape or expression.
+        """
+        return 1.0 / self.radius(i)
+
+    def mass(self, i: int) -> Value:
+        """Return the mass of a coordinate referred to its belt travel (radius * angle of a pulley).
+
+        Args:
+            i: Index of the coordinate in the machine, from 0.
+
+        Returns:
+            Mass of a carriage, or inertia / radius^2 of a pulley, kg; float, array of any shape or expression.
+        """
+        return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
+
+    def coulomb(self, i: int) -> Value:
+        """Return the Coulomb friction force of a coordinate along its belt travel (position, or radius * angle).
+
+        Changes by effects (deviations from the nominal model) are not included.
+
+        Args:
+            i: Index of the coordinate in the machine, from 0.
+
+        Returns:
+            Coulomb friction force F, N (torque / radius for a pulley); float, array of any shape or expression.
+        """
+        return self._coordinates[i].coulomb / self.radius(i)
+
+    def viscous(self, i: int, direction: Value) -> Value:
+        """Return the viscous friction coefficient of a coordinate along its belt travel (position, or radius * angle).
+
+        The back-EMF of the drives and the effects (deviations from the nominal model) on friction are included.
+
+        Args:
+            i: Index of the coordinate in the machine, from 0.
+            direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between blends the
+                coefficients of both directions, which differ only by effects. Float, array of any shape or expression.
+
+        Returns:
+            Viscous coefficient b, Ns/m (for a pulley: torque coefficient / radius^2): a float, an array of the common
+            shape of `direction` and the parameters, or an expression.
+        """
+        coefficient = self._coordinates[i].viscous
+        for _, e in self.effects_on("viscous", i):
+            coefficient = self.evaluate(e, "viscous", {"b": coefficient, "direction": direction})
+        for j, of_drive in enumerate(self.drive_coordinates):
+            if of_drive == i:
+                coefficient = coefficient + self.drives[j].back_emf
+        return coefficient / (self.radius(i) * self.radius(i))
+
+    def force_per_volt(self, j: int) -> Value:
+        """Return the force of a drive per volt at standstill, along the belt travel (radius * angle) of its coordinate.
+
+        Args:
+            j: Index of the drive in the machine, from 0.
+
+        Returns:
+            Force per volt N Kt / (R r), N/V, with gear ratio N, torque constant Kt, resistance R and pulley radius r (1
+            for a linear coordinate); float, array of any shape or expression.
+        """
+        return self.drives[j].gain / self.radius(self.drive_coordinates[j])
+
+    # -- effects ---------------------------------------------------------------------------------------------------
+
+    def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
+        """Yield the effects (deviations from the nominal model) on a component that change a certain quantity.
+
+        Args:
+            hook: Quantity, for example "voltage". An effect changes it if it defines the formula of this name;
+                `hframe_gym.machine.Effect` lists the formulas ("hooks").
+            component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
+
+        Yields:
+            index: Index in the attribute `instances`, which lists all effects once per component on which they act.
+            effect: The effect with its parameter values, in the order in which they act (`Effect.signal_order`).
+        """
+        instances = enumerate(self.instances)
+        here = [(k, i.effect) for k, i in instances if i.component == component and getattr(i.effect.definition, hook)]
+        yield from sorted(here, key=lambda entry: entry[1].definition.signal_order)
+
+    def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
+        """Yield the effects (deviations from the nominal model) on a coordinate that change a certain quantity.
+
+        Effects on a drive that moves the coordinate are included.
+
+        Args:
+            hook: Quantity, for example "force". An effect changes it if it defines the formula of this name;
+                `hframe_gym.machine.Effect` lists the formulas ("hooks").
+            i: Index of the coordinate in the machine, from 0.
+
+        Yields:
+            index: Index in the attribute `instances`, which lists all effects once per component on which they act.
+            effect: The effect with its parameter values.
+        """
+        for k, instance in enumerate(self.instances):
+            if getattr(instance.effect.definition, hook) and instance.coordinate == i:
+                yield k, instance.effect
+
+    def evaluate(self, effect: AppliedEffect, hook: str, quantities: Mapping[str, Value]) -> Value:
+        """Evaluate a formula of an effect with the parameter values of this object.
+
+        Args:
+            effect: Effect of the machine (deviation from the nominal model, such as Stribeck friction).
+            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists these formulas ("hooks").
+            quantities: Arguments of the formula other than the effect's parameters, by symbol, for example position q
+                (m or rad) and speed v (m/s or rad/s): floats, arrays of one common shape (...) or symbolic expressions.
+
+        Returns:
+            Value of the formula, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N.
+
+        Raises:
+            TypeError: If the formula cannot be evaluated, for example because it uses a function of NumPy.
+        """
+        function = getattr(effect.definition, hook)
+        names = argument_names(function)
+        values = [self.parameter(f"{effect.label}.{n}") if n in effect.parameters else quantities[n] for n in names]
+        try:
+            return function(*values)
+        except TypeError as error:
+            raise TypeError(f"{effect.label}, {hook}: {describe_formula_error(error)}") from error
+
+    def position(self, point: MotionPoint, i: int) -> Value:
+        """Return the position of a coordinate at a point of the motion: belt travel divided by radius.
+
+        Args:
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
+            i: Index of the coordinate in the machine, from 0.
+
+        Returns:
+            Position in the coordinate's unit, m or rad: a float, array of shape (...) or expression, like the travel.
+        """
+        return point.travel[i] * self.per_radius(i)
+
+    def speed(self, point: MotionPoint, i: int) -> Value:
+        """Return the speed of a coordinate at a point of the motion: rate of the belt travel divided by radius.
+
+        Args:
+            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
+            i: Index of the coordinate in the machine, from 0.
+
+        Returns:
+            Speed in the coordinate's unit, m/s or rad/s: a float, array of shape (...) or expression, like the travel.
+        """
+        return point.speed[i] * self.per_radius(i)
+
+    def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
+        """Return the state of an effect, such as a bristle deflection or a motor current, at a point of a motion.
+
+        An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
+        expressions. If `point.elapsed` (s) is set, the states in `point` are from this much earlier, and the effect's
+        formula `next_state` advances the state to the time of the point.
+
+        Args:
+            k: Index of the effect in `instances` (all effects, once per component on which they act).
+            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate,
+                shape (...) each, and the states of the effects, SI, shape (...) each.
+            **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for an effect
+                that replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes
+                the current of a drive. No input for any other effect.
+
+        Returns:
+            State (bristle deflection, m or rad; current, A; ...), shape (...); 0 for an effect without state.
+        """
+        if k not in self.states:
+            return 0.0
+        state = point.effect_states.get(k, 0.0)
+        if point.elapsed is None:
+            return state
+        speed = self.speed(point, self.instances[k].state_coordinate)
+        quantities = {"z": state, "dq": point.elapsed * speed, "dt": point.elapsed, "v": speed, **arguments}
+        return named("effect_state", k, self.evaluate(self.instances[k].effect, "next_state", quantities))
+
+    def _quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
+        """Return the arguments of the hooks that act on coordinate i, except for the effect's state."""
+        effect = self.instances[k].effect
+        quantities = {"q": self.position(point, i), "v": self.speed(point, i), "t": point.time}
+        variable, _, name = effect.definition.against.partition(" of ")
+        if variable == "time":
+            quantities["u"] = point.time
+        elif variable in ("position", "velocity"):
+            read = self.position if variable == "position" else self.speed
+            quantities["u"] = read(point, self.machine.coordinate_names.index(name))
+        return quantities
+
+    def _with_state(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
+        """Return the arguments of the hooks that act on coordinate i, with the effect's state."""
+        quantities = self._quantities(k, i, point)
+        quantities["z"] = self.effect_state(k, point)
+        if self.instances[k].effect.definition.against.startswith("path"):
+            quantities["u"] = quantities["z"]
+        return quantities
+
+    def next_state(
+        self,
+        k: int,
+        state: Value,
+        arguments: Mapping[str, Value],
+        traveled: Sequence[Value],
+        speed: Sequence[Value],
+        dt: Value,
+    ) -> Value:
+        """Return the state of an effect, such as a bristle deflection, after a step of the integrator.
+
+        An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
+        expressions.
+
+        Args:
+            k: Index of the effect in `instances` (all effects, once per component on which they act).
+            state: State before the step, SI, shape (...).
+            arguments: Further input, shape (...): `level`, the Coulomb friction force, N or Nm, for an effect that
+                replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes the
+                current of a drive. Empty for any other effect.
+            traveled: Change of the belt travel (position, or radius * angle of a pulley) of each coordinate over the
+                step, m, shape (...) each.
+            speed: Mean rate of the belt travel of each coordinate in the step, m/s, shape (...) each.
+            dt: Length of the step, s, shape (...).
+
+        Returns:
+            State after the step, SI, shape (...).
+        """
+        quantities = {"z": state, "dt": dt, **arguments}
+        if (i := self.instances[k].state_coordinate) >= 0:
+            quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
+        return self.evaluate(self.instances[k].effect, "next_state", quantities)
+
+
+def _ordered(row: Mapping[str, float], index: Mapping[str, int]) -> IndexRow:
+    """Return the factors of a row that are not zero by index of the coordinate, ascending."""
+    return dict(sorted((index[name], factor) for name, factor in row.items() if factor))

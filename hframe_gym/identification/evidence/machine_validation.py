@@ -1,0 +1,139 @@
+"""Check that a machine with identified effects remains physical outside the recordings it was identified from.
+
+A fit constrains an effect only where the recordings reach. Beyond, a belt that softens with extension may lose all
+tension, and a machine file that simulates its recordings may diverge under the voltages of a controller in training.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...dynamics import simulate_batch
+from ...machine import Belt, Machine, rest_state
+
+Array = NDArray[np.float64]
+
+_HISTORIES, _SECONDS, _PERIOD = 4, 2.0, 1e-3  # s
+_MEAN_HOLD = 0.02  # s, mean time between two jumps of a voltage; longer ones drive a carriage out of its workspace
+_REACH = 1.5  # extensions are checked up to this multiple of those that the rated voltage causes
+_EXTENSION_POINTS = 401
+_LARGEST_SPEED_RATIO = 5.0  # top speed with / without the effects; absent friction does not even double the speed
+_FLAT = 1e-9  # fraction of the largest tension that counts as rounding error
+
+
+def monotonic_belts(machine: Machine) -> bool:
+    """Check that no belt loses tension when it is extended further, as far as the rated voltage can extend it.
+
+    The largest extension of each belt is simulated for the machine without its effects, under voltages that switch at
+    random between the positive and the negative rated voltage, and multiplied by 1.5. A tension that is constant (play,
+    slack) is allowed.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model).
+
+    Returns:
+        True if the tension of no belt falls, and for a machine without effects on belts.
+    """
+    effects_on_belts = [e for e in machine.effects if e.definition.tension]
+    if not effects_on_belts:
+        return True
+    bare = _without_effects(machine)
+    positions, _ = _random_motions(bare)
+    extensions = np.abs(positions @ bare.belt_matrix.T).max(axis=(0, 1))  # (belts,), m
+    # With a margin, because the effects may let the belts stretch further than without them.
+    return all(_monotonic(machine, b, _REACH * s) for b, s in zip(machine.belts, extensions, strict=True))
+
+
+def stable_under_rated_voltage(machine: Machine) -> bool:
+    """Check that 2 s of random rated voltage move a machine within bounds.
+
+    Every voltage switches between the positive and the negative rated one at random times (random telegraph signal).
+    The top speed must not exceed five times the top speed of the machine without its effects. Only the time before the
+    machine without effects leaves its workspace is evaluated.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model).
+
+    Returns:
+        False if the simulated motion diverges or exceeds this speed.
+    """
+    _, speeds = _random_motions(machine)
+    if not machine.effects:
+        return bool(np.isfinite(speeds).all())
+    positions, reference = _random_motions(_without_effects(machine))
+    # Also without its effects a machine may leave its workspace, where belts become infinitely stiff.
+    inside = np.ones(positions.shape[:2], np.bool_)
+    for i, coordinate in enumerate(machine.coordinates):
+        if coordinate.kind == "linear" and coordinate.range:
+            low, high = coordinate.range
+            inside &= (positions[..., i] >= low) & (positions[..., i] <= high)
+    inside = np.logical_and.accumulate(inside, axis=1)
+    speeds, reference = speeds[inside], reference[inside]
+    return bool(np.isfinite(speeds).all() and speeds.max() <= _LARGEST_SPEED_RATIO * reference.max())
+
+
+def validation_fault(machine: Machine) -> str:
+    """Return why a machine is not physical outside the recordings it was fitted to, so that it must not be used.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model).
+
+    Returns:
+        Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if the
+        machine passes `monotonic_belts` and `stable_under_rated_voltage`.
+    """
+    if not monotonic_belts(machine):
+        return "lets the tension of a belt fall with its extension within the reach of the rated voltage"
+    if not stable_under_rated_voltage(machine):
+        return "makes the machine diverge under random rated voltage"
+    return ""
+
+
+def _monotonic(machine: Machine, belt: Belt, reach: float) -> bool:
+    """Return whether the tension of a belt does not fall for extensions from -reach to reach, m."""
+    extension, stiffness = np.linspace(-reach, reach, _EXTENSION_POINTS), belt.EA / belt.rest_length
+    linear = stiffness * extension
+    tension = linear
+    for effect in machine.effects:
+        if effect.definition.tension and belt.name in effect.components(machine):
+            with_effect = effect("tension", s=extension, rate=np.zeros_like(extension), k=stiffness)
+            tension = tension + with_effect - linear
+    return bool(np.all(np.diff(tension) >= -_FLAT * np.abs(linear).max()))
+
+
+def _without_effects(machine: Machine) -> Machine:
+    """Return the machine without effects, except for those that added coordinates or belts."""
+    return dataclasses.replace(machine, effects=tuple(e for e in machine.effects if e.definition.structure))
+
+
+def _random_motions(machine: Machine) -> tuple[Array, Array]:
+    """Simulate a machine, at rest in the middle of its workspace at first, under random rated voltages.
+
+    Args:
+        machine: The machine.
+
+    Returns:
+        Positions, m or rad, shape (histories, n, coordinates).
+        Magnitudes of the speeds, as rates of the belt travel, m/s, of the same shape.
+    """
+    rated = np.array([drive.rated_voltage for drive in machine.drives])
+    inputs = _random_telegraph(len(rated)) * rated
+    time_s = np.arange(inputs.shape[1], dtype=np.float64) * _PERIOD
+    ranges = [c.range or (0.0, 0.0) for c in machine.coordinates if c.kind == "linear"]
+    start = rest_state(machine, np.mean(np.reshape(ranges, (-1, 2)), axis=1))
+    motion = simulate_batch(machine, time_s, inputs, start=start, readings=False)
+    return motion.positions, np.abs(motion.velocities) * machine.travel_per_unit
+
+
+@lru_cache(maxsize=8)
+def _random_telegraph(drives: int) -> Array:
+    """Return random telegraph signals of +1 and -1, shape (histories, n, drives)."""
+    rng = np.random.default_rng(0)
+    shape = (_HISTORIES, round(_SECONDS / _PERIOD), drives)
+    switches = rng.random(shape) < _PERIOD / _MEAN_HOLD
+    first = rng.choice([-1.0, 1.0], (_HISTORIES, 1, drives))
+    return first * np.where(np.cumsum(switches, axis=1) % 2, -1.0, 1.0)

@@ -1,0 +1,220 @@
+"""Choose between rivals: effects (deviations from the nominal model) that explain the data about equally well.
+
+A trial is the fit of a machine with one candidate effect, the last one in its list. Two trials are equally good if
+their costs (sums of squared residuals in units of the noise) differ by less than a margin of `SelectionCriteria`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ...effects import effect_sites
+from ...machine import AppliedEffect, Machine
+from ...preparation.dataset import Dataset
+from ..fit.estimation import Fit
+from ..fit.model_error import continue_fit, likelihood_loss, polish
+from ..judge.criteria import SelectionCriteria
+from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
+from ..propose.candidates import is_required
+from ..propose.trial_fits import fit_in_place_of
+from .significance import long_run_variance
+
+
+def _margin(current: Fit, best_cost: float, data: Dataset, criteria: SelectionCriteria) -> float:
+    """Return the difference of cost from the best trial up to which another trial is equally good."""
+    gain = current.cost - best_cost
+    return max(criteria.rival_gain_margin * data.count, (1.0 - criteria.rival_gain_fraction) * gain)
+
+
+def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> list[Fit]:
+    """Sort trial fits of different effects by preference: of equally good ones, that with fewest parameters first.
+
+    Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost by
+    no more than a margin: 0.002 per measured value, or 3 % of the reduction from the cost of `current` to that of the
+    best fit, whichever is larger.
+
+    Args:
+        trials: Fits with one candidate effect (deviation from the model) each.
+        current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
+        data: Prepared recordings (times, voltages, measurements, SI).
+        criteria: Decision thresholds; the values above are its defaults.
+
+    Returns:
+        The same fits in a new order. First those that are as good as the best one: the fit with the fewest free
+        parameters first (with k of them, its `theta` has shape (k,)). Then all others: lowest cost first.
+    """
+    ranked = sorted(trials, key=lambda trial: trial.cost)
+    if not ranked:
+        return ranked
+    limit = ranked[0].cost + _margin(current, ranked[0].cost, data, criteria)
+    return sorted(ranked, key=lambda trial: (trial.cost > limit, len(trial.free) if trial.cost <= limit else 0))
+
+
+def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
+    """Return trial fits with the converged fit of one effect in the first place, instead of its trial.
+
+    Args:
+        best: Converged fit with the selected effect (deviation from the model).
+        trials: Fits with one candidate effect each.
+
+    Returns:
+        New list: `best`, then the trials with other effects, each with k parameters (`theta`, shape (k,)).
+    """
+    label = best.machine.effects[-1].label
+    return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
+
+
+def close_rivals(
+    trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria
+) -> tuple[AppliedEffect, ...]:
+    """Return the rivals of a selected effect: effects of other trial fits that explain the data about equally well.
+
+    Their cost (sum of squared residuals in units of the noise) exceeds that of the selected effect by less than 0.002
+    per measured value, or by less than 3 % of the reduction that the selected effect brings if this is more.
+
+    Args:
+        trials: Fits with one candidate effect (deviation from the model) each; the first has the selected effect.
+        current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
+        data: Prepared recordings (times, voltages, measurements, SI).
+        criteria: Decision thresholds; the values above are its defaults.
+
+    Returns:
+        Rivals with their fitted parameters, each effect once per component, in the order of the trials.
+    """
+    best = trials[0]
+    margin = _margin(current, best.cost, data, criteria)
+    close: dict[str, AppliedEffect] = {}  # an effect may have been tried from several starting values
+    for trial in trials[1:]:
+        effect = trial.machine.effects[-1]
+        if trial.cost - best.cost < margin and effect.label != best.machine.effects[-1].label:
+            close.setdefault(effect.label, effect)
+    return tuple(close.values())
+
+
+def rivals_in_combination(
+    effect: AppliedEffect, rivals: Sequence[AppliedEffect], others: Sequence[AppliedEffect], machine: Machine
+) -> tuple[AppliedEffect, ...]:
+    """Return further possible rivals of an effect that has a companion: another selected effect of the same kind.
+
+    Two constant forces move a stage of two axes like two others at other components, although none of them alone is
+    like another. The search compares effects one by one, so that it does not see these rivals.
+
+    Args:
+        effect: Selected effect (deviation from the nominal model).
+        rivals: Its known rivals.
+        others: All other selected effects and their rivals.
+        machine: Machine with all selected effects.
+
+    Returns:
+        One effect of the same kinds at each coordinate that has none of them, with amplitude 0; only kinds whose single
+        parameter is an amplitude, for example `constant_force` and `voltage_offset`. Empty without a companion.
+    """
+    kinds = {e.name: e.definition for e in (effect, *rivals)}
+    of_others = {e.name: e.definition for e in others}
+    if not kinds.keys() & of_others.keys():
+        return ()
+    kinds |= of_others
+    present = [e for e in (*machine.effects, *rivals) if e.name in kinds]
+    occupied = {machine.coordinate_of_site(e.site, e.definition.site) for e in present}
+    further: list[AppliedEffect] = []
+    for definition in kinds.values():
+        if definition.structure or not len(definition.amplitudes) == len(definition.parameters) == 1:
+            continue
+        for site in effect_sites(definition, machine):
+            coordinate = machine.coordinate_of_site(site, definition.site)
+            if coordinate is not None and coordinate not in occupied:
+                occupied.add(coordinate)
+                further.append(definition.at(site, **dict.fromkeys(definition.amplitudes, 0.0)))
+    return tuple(further)
+
+
+class ComparedRivals(NamedTuple):
+    """Comparison of an effect of the machine with its rivals, beside all other effects.
+
+    Attributes:
+        better: Fit with the most likely rival in place of the effect, the last effect of its machine, at the observer
+            bandwidth of the given fit or in simulation; None if no rival is more likely.
+        remaining: Rivals that are not less likely than the effect by more than chance can explain, and those that were
+            not tried.
+    """
+
+    better: Fit | None
+    remaining: tuple[AppliedEffect, ...]
+
+
+def compare_rivals(
+    current: Fit,
+    label: str,
+    rivals: Sequence[AppliedEffect],
+    data: Dataset,
+    criteria: SelectionCriteria,
+    *,
+    in_combination: Sequence[AppliedEffect] = (),
+) -> ComparedRivals:
+    """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
+
+    A rival replaces the effect, or is excluded, only if the difference in likelihood exceeds what chance may cause:
+    `min_chance_gain` of the criteria, increased where the residual is correlated in time.
+
+    Args:
+        current: Fit of the machine with all effects (deviations from the model).
+        label: Label (name@component) of the effect to compare.
+        rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
+            not tried. If another effect requires the effect to compare, no rival is tried.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        criteria: Decision thresholds.
+        in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
+
+    Returns:
+        better: Fit of the machine with the most likely rival in place of the effect: machine, k fitted parameters
+            (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise variances); None if no rival
+            is more likely.
+        remaining: The rivals that are not excluded, with parameters fitted beside all other effects, and those that
+            were not tried.
+    """
+    rivals = (*rivals, *in_combination)
+    present = {effect.label for effect in current.machine.effects}
+    possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]
+    if not possible or is_required(current.machine, label):
+        return ComparedRivals(None, tuple(rivals))
+
+    def chance_margin(fitted: Fit, fitted_label: str) -> float:
+        """Return the difference of losses that chance may cause if the fit, with the effect so labeled, is right."""
+        return criteria.min_chance_gain * long_run_variance(fitted, fitted_label, data) / data.count
+
+    present_fit = _polished(current, data)
+    loss, margin = likelihood_loss(present_fit, data), chance_margin(present_fit, label)
+    better, least, tried = None, loss, {}
+    for rival in possible:
+        known = rival not in in_combination
+        start = fit_in_place_of(current, label, rival, data) if known else _sized(current, label, rival, data)
+        trial = _polished(start, data)
+        trial_loss, own_margin = likelihood_loss(trial, data), chance_margin(trial, rival.label)
+        if trial_loss < least - own_margin:
+            better, least = trial, trial_loss
+        # A pair that moves the stage alike differs only while friction holds the stage, where a fit is least reliable.
+        if trial_loss <= loss + (margin if known else max(margin, own_margin)):
+            tried[rival.label] = trial.machine.effects[-1]
+    untried = {rival.label: rival for rival in rivals if rival not in possible}
+    remaining = tried | untried
+    return ComparedRivals(better, tuple(remaining[rival.label] for rival in rivals if rival.label in remaining))
+
+
+def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
+    """Fit a rival of unknown size in place of an effect, first with the widest observer.
+
+    In a simulation, the missing force displaces the stage so far that the fit would not find the way back.
+    """
+    wide = dataclasses.replace(current, bandwidth=SEARCH_BANDWIDTH)
+    return continue_fit(fit_in_place_of(wide, label, rival, data), data, current.bandwidth)
+
+
+def _polished(fitted: Fit, data: Dataset) -> Fit:
+    """Fit with the shortest integration step, at the given bandwidth and in simulation; return the more likely fit.
+
+    The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
+    """
+    fits = [fitted] if fitted.bandwidth == SIMULATION else [fitted, continue_fit(fitted, data, SIMULATION)]
+    return min((polish(start, data) for start in fits), key=lambda candidate: likelihood_loss(candidate, data))

@@ -1,0 +1,68 @@
+"""Effects that a search tried: those that it selected, and those that reduced the error but failed a test."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ...machine import AppliedEffect, Machine
+from ..fit.estimation import Fit
+
+Log = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class SelectedEffect:
+    """An effect that the forward selection added to the machine.
+
+    Attributes:
+        effect: The effect with its fitted parameters.
+        gain: Reduction of chi-squared per sample on the fitted runs.
+        machine_without: The machine as it was fitted before the effect was added.
+        rival_effects: Other effects, with fitted parameters, that explain the data equally well.
+    """
+
+    effect: AppliedEffect
+    gain: float
+    machine_without: Machine
+    rival_effects: tuple[AppliedEffect, ...] = ()
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Labels of the rival effects, then causes in words that no recording can distinguish from the effect."""
+        return (*(rival.label for rival in self.rival_effects), *self.effect.definition.equivalent)
+
+    def with_values(self, machine: Machine) -> SelectedEffect:
+        """Return a copy in which the effect has the parameter values of another fitted machine.
+
+        Args:
+            machine: Machine that contains the effect (deviation from the nominal model), usually a later fit.
+
+        Returns:
+            Copy with the updated effect.
+        """
+        return dataclasses.replace(self, effect=next(e for e in machine.effects if e.label == self.effect.label))
+
+
+# Fit of a machine with all selected effects, and these effects.
+Selection = tuple[Fit, tuple[SelectedEffect, ...]]
+# Fit without the next effect, and trial fits with one effect each, at the same observer bandwidth, the best one first.
+Step = tuple[Fit, list[Fit]]
+
+
+@dataclass(frozen=True)
+class ConsideredEffect:
+    """An effect that reduces the error of the fitted runs but was not selected.
+
+    Attributes:
+        effect: The effect with the parameters of its trial fit.
+        machine: Machine that was fitted with it.
+        machine_without: Machine as it was fitted before.
+        reason: Why it was not selected; a clause that follows "it ".
+    """
+
+    effect: AppliedEffect
+    machine: Machine
+    machine_without: Machine
+    reason: str

@@ -1,0 +1,295 @@
+"""Estimation of a machine's parameters.
+
+The Levenberg-Marquardt method fits the parameters. They have a weak Gaussian prior around the declared machine, so that
+parameters that the data do not determine keep their declared values. Every iteration linearizes the residual by one
+batched simulation and tries several dampings in another. Dry friction needs no smoothing: its exact solution depends
+continuously on the parameters.
+
+An observer may correct a prediction by the measurements at every sample; its bandwidth, rad/s, states how strongly.
+Bandwidth 0 means no observer, a simulation. The cost is the sum of squared residuals in units of the sensors' noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset, PreparedRecording, RunObserver
+from ..budget import spend
+from ..predict.free_parameters import FreeParameter, bounded_step, prior_precision, values_at
+from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
+from ..predict.normal_equations import NormalEquations
+from ..predict.prediction import SEARCH_STEP, map_runs
+from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
+
+Array = NDArray[np.float64]
+
+# Relative to the diagonal of the Hessian. The step without damping (Gauss-Newton) lets combinations of parameters that
+# only the prior determines converge: damping holds them back, because the data determine each parameter by itself.
+_DAMPINGS = (0.0, 1e-5, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2)
+# Changes of theta over which derivatives are computed where parts collide: from the general slope to the details.
+_IMPACT_DIFFERENCE_STEPS = (0.1, 0.01, DIFFERENCE_STEP)
+# Changes of theta at which the cost is compared for a parameter on which measurements depend in steps.
+SWITCH_CHANGES = 0.5 ** np.arange(1, 14)  # 50 to 0.01 % of a threshold
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a fit of k free parameters.
+
+    Attributes:
+        machine: Fitted machine.
+        free: Free parameters, k of them.
+        theta: Fitted theta of each, the dimensionless variable defined by `FreeParameter`, shape (k,).
+        cost: Sum of squared residuals in units of the noise, without the prior.
+        count: Number of independent measured values.
+        bandwidth: Bandwidth of the observer that corrected the fitted predictions by the measurements, rad/s; 0 for a
+            pure simulation.
+        information: Fisher information of theta without the prior, shape (k, k).
+        longest_step: Maximum integration step of the fitted predictions, s.
+        observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise empty.
+    """
+
+    machine: Machine
+    free: tuple[FreeParameter, ...]
+    theta: Array
+    cost: float
+    count: float
+    bandwidth: float
+    information: Array = field(repr=False)
+    longest_step: float = SEARCH_STEP
+    observers: Mapping[str, RunObserver] = field(default_factory=dict, repr=False)
+
+    @property
+    def chi2(self) -> float:
+        """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
+        return self.cost / self.count
+
+    @property
+    def mode(self) -> str:
+        """Kind of prediction that was fitted, for the log: "observer of 60 rad/s" or "simulation"."""
+        return f"observer of {self.bandwidth:g} rad/s" if self.bandwidth else "simulation"
+
+    @property
+    def summary(self) -> str:
+        """Chi-squared per sample and kind of prediction, for the log."""
+        return f"chi-squared per sample {self.chi2:.4g} ({self.mode})"
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values of the free parameters, SI, by full name such as `x.coulomb`."""
+        return values_at(self.free, self.theta)
+
+
+def describe_gain(before: Fit, after: Fit) -> str:
+    """Describe the benefit of an effect: "reduces chi-squared per sample from 98.99 to 0.79 (simulation)".
+
+    A fit with the effect may end in a worse minimum: "does not reduce chi-squared per sample (500.5, with it 533.5)".
+
+    Args:
+        before: Fit without the effect; the text states its observer bandwidth, rad/s, or "simulation" if that is 0.
+        after: Fit with the effect, at the same bandwidth.
+
+    Returns:
+        Text that continues a sentence whose subject is the effect.
+    """
+    if not after.chi2 < before.chi2:
+        return f"does not reduce chi-squared per sample ({before.chi2:.4g}, with it {after.chi2:.4g}, {before.mode})"
+    return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({before.mode})"
+
+
+def fit(
+    machine: Machine,
+    free: Sequence[FreeParameter],
+    data: Dataset,
+    bandwidth: float,
+    *,
+    theta: Array | None = None,
+    iterations: int = 25,
+    tolerance: float = 1e-4,
+    longest_step: float = SEARCH_STEP,
+) -> Fit:
+    """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
+
+    The fit minimizes the cost (sum of squared residuals in units of the noise) plus the penalty of the Gaussian priors,
+    which is multiplied by chi-squared per sample (cost / number of measured values) where that exceeds 1.
+
+    Args:
+        machine: Machine that supplies the model and the values of all other parameters.
+        free: The k free parameters with their priors.
+        data: Runs to fit (times, voltages, measurements).
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        theta: Initial theta of each parameter (`FreeParameter`), dimensionless, shape (k,). Default: 0, its center.
+        iterations: Maximum number of iterations.
+        tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search ends.
+        longest_step: Maximum integration step, s.
+
+    Returns:
+        Fit where the search ended: theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
+    """
+    theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
+    steps: tuple[float | None, ...] = (None, DIFFERENCE_STEP) if any(f.switch for f in free) else (None,)
+    for step in _IMPACT_DIFFERENCE_STEPS if has_impacts(machine) else steps:
+        model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step, difference_step=step)
+        theta, cost, information = _descend(model, theta, iterations, tolerance)
+    machine = model.machine_at(theta)
+    if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
+        cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
+    return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step)
+
+
+def _descend(model: ResidualModel, theta: Array, iterations: int, tolerance: float) -> tuple[Array, float, Array]:
+    """Reduce the cost by Levenberg-Marquardt steps, with one step of the finite differences.
+
+    Args:
+        model: Residual as a function of theta.
+        theta: Initial theta, shape (k,).
+        iterations: Maximum number of iterations.
+        tolerance: Relative decrease per iteration below which the search ends.
+
+    Returns:
+        Theta, shape (k,); its cost with the penalty of the prior, infinite if the machine diverges; Fisher information
+        without the prior at the last expansion point, shape (k, k).
+    """
+    free, prior = model.free, prior_precision(model.free)
+    information, cost = np.zeros((len(free), len(free))), math.inf
+    for _ in range(iterations):
+        spend()
+        expansion = model.linearize(theta)
+        equations = expansion.normal_equations
+        if not equations.finite:  # this machine diverges, or one with slightly different parameters
+            break
+        information = equations.information
+        # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
+        # scaled by chi2 instead, so that it keeps its weight relative to the data.
+        precision = prior * max(1.0, equations.chi2)
+        initial_cost = cost = equations.cost + float(theta @ precision @ theta)
+        hessian, gradient = information + precision, equations.gradient + precision @ theta
+        scaling = np.diag(np.diag(hessian))
+        trials = theta + [bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS]
+        theta, cost = _best_trial(expansion, precision, trials, theta, cost)
+        for j in (j for j, parameter in enumerate(free) if parameter.switch):
+            trials = with_changed_switch(free[j], j, theta)
+            theta, cost = _best_trial(expansion, precision, trials, theta, cost)
+        if not initial_cost - cost > tolerance * cost:
+            break
+    return theta, cost, information
+
+
+def _best_trial(
+    expansion: Linearization, precision: Array, trials: Array, theta: Array, cost: float
+) -> tuple[Array, float]:
+    """Return the trial with the lowest cost and this cost; theta and its cost if no trial has a lower one.
+
+    All trials are simulated as one batch.
+
+    Args:
+        expansion: Linearized residual, which gives the costs.
+        precision: Precision of the prior, shape (k, k).
+        trials: Theta of the trials, shape (trials, k).
+        theta: Present theta, shape (k,).
+        cost: Its cost with the penalty of the prior.
+    """
+    costs = expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
+    best = int(np.argmin(costs))
+    return (trials[best], float(costs[best])) if costs[best] < cost else (theta, cost)
+
+
+def with_changed_switch(parameter: FreeParameter, j: int, theta: Array) -> Array:
+    """Change a threshold on which measurements depend in steps, so that costs can be compared.
+
+    Args:
+        parameter: The threshold (`FreeParameter.switch`).
+        j: Its index among the free parameters.
+        theta: Dimensionless variables of the k free parameters, shape (k,).
+
+    Returns:
+        Copies of theta in which element j is larger, by the relative changes `SWITCH_CHANGES` of the threshold, then
+        those in which it is smaller, within its limits, shape (2 * changes, k).
+    """
+    trials = np.tile(theta, (2 * len(SWITCH_CHANGES), 1))
+    trials[:, j] = np.clip(theta[j] + np.concatenate([SWITCH_CHANGES, -SWITCH_CHANGES]), *parameter.theta_limits)
+    return trials
+
+
+def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
+    """Return the cost of a machine: the sum of the squared residuals of its predictions over all runs.
+
+    The residuals are measured minus predicted values divided by the standard deviation of the sensors' noise, without
+    the part that the uncertain initial state can explain (`prediction_residuals`).
+
+    Args:
+        machine: Machine that predicts.
+        data: Runs to predict (times, voltages, measurements).
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        longest_step: Maximum integration step, s.
+
+    Returns:
+        Cost, dimensionless; infinite if a prediction diverges.
+    """
+    total = float(sum(prediction_costs(machine, data, bandwidth, longest_step=longest_step)))
+    return total if math.isfinite(total) else math.inf
+
+
+def prediction_costs(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> Array:
+    """Return the cost of a machine on each run; arguments as of `prediction_cost`.
+
+    Args:
+        machine: Machine that predicts.
+        data: Runs to predict (times, voltages, measurements).
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        longest_step: Maximum integration step, s.
+
+    Returns:
+        Costs, dimensionless, shape (runs,); not finite where a prediction diverges.
+    """
+    starts = uncertain_starts(machine, data.runs)
+
+    def of_run(run: PreparedRecording) -> float:
+        with np.errstate(over="ignore"):
+            start = starts[run.name]
+            residual = prediction_residuals(machine, run, data, bandwidth, start=start, longest_step=longest_step)
+            return float(np.sum(residual**2))
+
+    return np.array(list(map_runs(of_run, data)))
+
+
+def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
+    """Compute the costs of pieces of the runs with parameters that are fitted to all other pieces.
+
+    The model is linearized around the fit, where each of these fits is one Newton step within the limits of the fit.
+
+    Args:
+        fitted: Fit of a machine.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+        pieces: Number of pieces into which each run is divided; 1 for complete runs.
+
+    Returns:
+        For each piece, its cost and that of all others, dimensionless; infinite if the machine diverges.
+    """
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
+    point = model.at(fitted.theta)
+
+    def of_run(run: PreparedRecording) -> list[NormalEquations]:
+        rows = point.linearize_run(run)
+        parts = zip(np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True)
+        return [NormalEquations.from_rows(*part, count=run.count / pieces) for part in parts]
+
+    equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
+    total = NormalEquations.total(equations)
+    if not total.finite:  # the machine diverges
+        return [(math.inf, math.inf)] * len(equations)
+    precision = prior_precision(fitted.free) * max(1.0, total.chi2)
+    costs = []
+    for left_out in equations:
+        information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
+        hessian, slope = information + precision, gradient + precision @ fitted.theta
+        step = bounded_step(fitted.free, fitted.theta, hessian, slope)
+        cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
+        costs.append((cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step)))
+    return costs

@@ -1,0 +1,350 @@
+"""Estimate the voltages in rows that the logger dropped, from the motion that followed.
+
+Interpolation knows nothing of a voltage that stepped within a gap. One row of 1 ms with the wrong voltage displaces a
+machine by many times the noise of its sensors, so that even the true machine would seem to lack an effect. The voltages
+are therefore unknowns beside the parameters of the machine. They minimize the sum of squared residuals and of squared
+deviations from interpolation, each divided by its variance (maximum a posteriori). Gauss-Newton steps find this
+minimum. A step that does not reduce the sum is shortened: friction may hold the machine at one voltage and not at the
+next, so that the response is not linear.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy import optimize, sparse
+from scipy.interpolate import CubicSpline
+from scipy.sparse.linalg import spsolve
+
+from ...machine import Machine
+from ...preparation.belt_stretch import rigid_basis
+from ...preparation.dataset import Dataset, PreparedRecording
+from ..predict.free_parameters import default_free_parameters
+from ..predict.prediction import (
+    LONGEST_OBSERVER_PERIOD,
+    POLISH_STEP,
+    SEARCH_BANDWIDTH,
+    map_runs,
+    mechanical_rows_per_block,
+    predict,
+    residuals,
+)
+from .estimation import fit
+from .model_error import continue_fit
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+_VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
+_LONGEST_GAP = 20  # rows; voltages in longer gaps stay interpolated
+_BANDWIDTHS = (SEARCH_BANDWIDTH, SEARCH_BANDWIDTH / 4.0)  # rad/s
+# Product of the observer's bandwidth and the time after which it has corrected the response to a row; the bandwidth of
+# lasers beside encoders is 5/12 of it.
+_RESPONSE = 18.0
+_VALUES = 4_000_000  # measurements that are predicted together; limits the memory to some hundred megabytes
+_SMALLEST_ERROR = 1e-6  # V, of interpolation
+_MIN_PREDICTIONS = 10  # recorded rows that show how accurate interpolation is
+_PULSE = 0.1  # V, for the linearization
+_EVALUATIONS = 8  # of the posterior density, at most
+_SHORTER = 0.3  # factor for a step that does not increase the posterior density
+_SMALLEST_DECREASE = 0.01  # of twice the negative logarithm of the posterior density, below which the iterations end
+_UNCHANGED = 0.05  # change relative to the error of interpolation that is not worth another fit
+
+
+def with_lost_voltages(
+    machine: Machine, data: Dataset, held_out: Dataset, log: Callable[[str], object]
+) -> tuple[Dataset, Dataset]:
+    """Estimate the voltages in rows that the logger dropped, with the machine refitted to the fitted runs.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit (times, voltages, measurements, SI).
+        held_out: Runs that are not fitted.
+        log: Called with a line of text if voltages are estimated.
+
+    Returns:
+        The fitted and the held-out runs, with estimated voltages, V, shape (n, drives) for each run.
+    """
+    unknown = _count_unknown_rows(data) + _count_unknown_rows(held_out)
+    if not unknown:
+        return data, held_out
+    fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    for _ in range(_VOLTAGE_ITERATIONS):
+        refined = estimate_lost_voltages(data, fitted.machine)
+        if refined is data:
+            break
+        data, fitted = refined, continue_fit(fitted, refined, SEARCH_BANDWIDTH)
+    log(f"voltages of {unknown} dropped rows are estimated from the measurements")
+    return data, estimate_lost_voltages(held_out, fitted.machine)
+
+
+def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
+    """Copy a data set, with the voltages in dropped rows estimated from the measurements by a fitted machine.
+
+    The expected voltages are interpolated linearly or by a cubic spline. Both are tried on recorded rows, each of which
+    is predicted from neighbors as far away as the ends of the gap; the better one is used. The errors of these
+    predictions give the expected deviation of the voltages. What the machine does not explain counts as noise.
+
+    Args:
+        data: Data set (times, voltages, measurements, SI) in whose gaps of up to 20 rows voltages are estimated.
+        machine: Fitted machine with its effects (deviations from the nominal model).
+
+    Returns:
+        Copy with corrected voltages, V, shape (n, drives) for each run; `data` itself if no row was dropped, or if all
+        voltages change by at most 5 % of the standard deviation of the interpolation error.
+    """
+    if not any(run.dropped.any() for run in data.runs):
+        return data
+    results = list(map_runs(lambda run: _with_estimated_voltages(machine, run, data), data))
+    if max(change for _, change in results) <= _UNCHANGED:
+        return data
+    return dataclasses.replace(data, runs=tuple(run for run, _ in results))
+
+
+class _Unknowns(NamedTuple):
+    """Voltages in r dropped rows before the motion is considered.
+
+    Attributes:
+        rows: Dropped rows, in ascending order, shape (r,).
+        expected: Interpolated voltages, V, shape (r, drives).
+        deviations: Standard deviations of the errors of interpolation, V, shape (r, drives).
+    """
+
+    rows: Rows
+    expected: Array
+    deviations: Array
+
+
+def _count_unknown_rows(data: Dataset) -> int:
+    """Return the number of dropped rows, in gaps of up to 20, in all runs with measurements: these determine them."""
+    return sum(len(_short_gaps(run.dropped)[0]) for run in data.runs if np.isfinite(run.outputs).any())
+
+
+def _with_estimated_voltages(
+    machine: Machine, run: PreparedRecording, data: Dataset
+) -> tuple[PreparedRecording, float]:
+    """Return a run with estimated voltages, and their largest change relative to the error of interpolation.
+
+    A narrower observer lets the response to a voltage last longer, which determines it better if the machine has no
+    large error. Of two bandwidths, the one that gives more information is used.
+    """
+    rows, lengths = _short_gaps(run.dropped)
+    if not len(rows) or not np.isfinite(run.outputs).any():
+        return run, 0.0
+    expected, deviations = _interpolated(run, rows, lengths)
+    certain = np.all(deviations <= _SMALLEST_ERROR, axis=1)
+    inputs = run.inputs.copy()
+    inputs[rows[certain]] = expected[certain]
+    estimated, most = dataclasses.replace(run, inputs=inputs), -np.inf
+    unknowns = _Unknowns(rows[~certain], expected[~certain], deviations[~certain])
+    for bandwidth in _BANDWIDTHS if len(unknowns.rows) else ():
+        candidate, information = _most_probable(machine, estimated, data, unknowns, bandwidth)
+        if information > most:
+            estimated, most = candidate, information
+    return estimated, float(np.max(np.abs(estimated.inputs - run.inputs)[rows] / deviations))
+
+
+def _most_probable(
+    machine: Machine, run: PreparedRecording, data: Dataset, unknowns: _Unknowns, bandwidth: float
+) -> tuple[PreparedRecording, float]:
+    """Return a run with the most probable voltages in dropped rows, and how much information determines them.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run with a first estimate of the voltages.
+        data: Data set of the run.
+        unknowns: Dropped rows whose voltages are estimated.
+        bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
+
+    Returns:
+        The run with its voltages, and the sum of the logarithms of the information about each, -inf if the prediction
+        diverges.
+    """
+    best, lowest, logarithm = run, np.inf, -np.inf
+    step = np.zeros(unknowns.expected.shape)  # V
+    for _ in range(_EVALUATIONS):
+        cost, gradient, information = _posterior(machine, run, data, unknowns, bandwidth)
+        if cost < lowest:
+            step = spsolve(information.tocsc(), gradient).reshape(step.shape)
+            converged = lowest - cost < _SMALLEST_DECREASE
+            best, lowest, logarithm = run, cost, float(np.sum(np.log(information.diagonal())))
+        else:
+            step, converged = _SHORTER * step, cost - lowest < _SMALLEST_DECREASE
+        if converged or lowest == np.inf:
+            break
+        inputs = best.inputs.copy()
+        inputs[unknowns.rows] -= step
+        run = dataclasses.replace(best, inputs=inputs)
+    return best, logarithm
+
+
+def _posterior(
+    machine: Machine, run: PreparedRecording, data: Dataset, unknowns: _Unknowns, bandwidth: float
+) -> tuple[float, Array, sparse.csr_array]:
+    """Return how improbable the voltages of a run are, and the linear system of a Gauss-Newton step.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run with its voltages.
+        data: Data set of the run.
+        unknowns: Dropped rows whose voltages are estimated.
+        bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
+
+    Returns:
+        Cost: -2 times the logarithm of the posterior density plus a constant, at the most likely variance of the
+        noise; inf if the prediction diverges. Half of its gradient, 1/V, shape (r * drives,). The information about
+        the voltages, 1/V^2, shape (r * drives, r * drives).
+    """
+    weights = 1.0 / unknowns.deviations.ravel() ** 2
+    prior = sparse.csr_array(sparse.diags_array(weights))
+    jacobian, residual = _linearize(machine, run, data, unknowns.rows, bandwidth)
+    if not (np.isfinite(residual).all() and np.isfinite(jacobian.data).all()):
+        return np.inf, np.zeros(len(weights)), prior
+    count = max(int(np.count_nonzero(residual)), 1)
+    squares = float(residual @ residual)
+    variance = max(1.0, squares / count)  # in units of the sensors' noise; what the machine does not explain is noise
+    difference = (run.inputs[unknowns.rows] - unknowns.expected).ravel()  # V
+    cost = count * math.log(variance) + squares / variance + float(weights @ difference**2)
+    return cost, jacobian.T @ residual / variance + weights * difference, jacobian.T @ jacobian / variance + prior
+
+
+def _short_gaps(dropped: NDArray[np.bool_]) -> tuple[Rows, Rows]:
+    """Return the dropped rows in gaps of up to 20 rows, and the length of the gap of each, in rows."""
+    longest = min(_LONGEST_GAP, len(dropped) // 8)  # in a short run, few rows show how accurate interpolation is
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], dropped, [False]])))
+    gaps = [(first, end) for first, end in edges.reshape(-1, 2) if end - first <= longest]
+    rows = [np.arange(first, end) for first, end in gaps]
+    lengths = [np.full(end - first, end - first) for first, end in gaps]
+    empty = np.zeros(0, dtype=np.intp)
+    return np.concatenate([empty, *rows]), np.concatenate([empty, *lengths])
+
+
+def _interpolated(run: PreparedRecording, rows: Rows, lengths: Rows) -> tuple[Array, Array]:
+    """Return interpolated voltages in dropped rows, and the standard deviations of their errors, V, (rows, drives)."""
+    voltages, deviations = np.zeros((2, len(rows), run.inputs.shape[1]))
+    for length in np.unique(lengths):
+        k = lengths == length
+        for j, values in enumerate(run.inputs.T):
+            recorded = np.where(run.dropped, np.nan, values)
+            voltages[k, j], deviations[k, j] = _interpolated_drive(run.time_s, recorded, rows[k], int(length))
+    return voltages, np.maximum(deviations, _SMALLEST_ERROR)
+
+
+def _interpolated_drive(time_s: Array, recorded: Array, rows: Rows, length: int) -> tuple[Array, Array]:
+    """Return interpolated voltages in gaps of one length, and the standard deviations of their errors, V.
+
+    Recorded rows are predicted like the middle of a gap. The square of the error is a constant plus a multiple of the
+    squared change of the voltage across the gap: where a stepping voltage is equal on both sides, it hardly errs.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        recorded: Voltage of a drive, V, NaN in dropped rows, shape (n,).
+        rows: Dropped rows, shape (r,).
+        length: Length of the gaps that they belong to, in rows.
+
+    Returns:
+        Voltages and standard deviations, V, shape (r,) each. If fewer than ten rows can be predicted where the voltage
+        changes, the deviation is the change across the gap.
+    """
+    distance = (length + 2) // 2  # of the middle of a gap from its ends, in rows
+    # Rows before and after each row: the nearest that are known, and those at twice their distance.
+    far_before, before, actual, after, far_after = sliding_window_view(recorded, 4 * distance + 1)[:, ::distance].T
+    mean = 0.5 * (before + after)
+    polynomial = (8.0 * mean - far_before - far_after) / 6.0  # of third degree
+    errors = np.array([mean - actual, polynomial - actual]) ** 2
+    usable = np.isfinite(errors[1])
+    known = np.flatnonzero(np.isfinite(recorded))
+    linear = np.interp(time_s[rows], time_s[known], recorded[known])
+    following = np.searchsorted(known, rows)
+    change = recorded[known[following]] - recorded[known[following - 1]]
+    steady = (far_before == before) & (before == actual) & (actual == after) & (after == far_after)
+    if np.count_nonzero(usable & ~steady) < _MIN_PREDICTIONS:
+        return linear, np.abs(change)
+    best = int(np.argmin(errors[:, usable].sum(axis=1)))
+    voltages = CubicSpline(time_s[known], recorded[known])(time_s[rows]) if best else linear
+    regressors = np.column_stack([np.ones(usable.sum()), (after - before)[usable] ** 2])
+    constant, factor = optimize.nnls(regressors, errors[best, usable])[0]
+    return voltages, np.sqrt(constant + factor * change**2)
+
+
+def _linearize(
+    machine: Machine, run: PreparedRecording, data: Dataset, rows: Rows, bandwidth: float
+) -> tuple[sparse.csr_array, Array]:
+    """Return the derivative of the residual with respect to the voltages in dropped rows, and the residual.
+
+    Rows whose responses do not overlap are perturbed in the same prediction. Every residual lacks its mean, the error
+    of the sensor's zero, which depends on all of these rows; alternating directions keep it small. Residuals within
+    4 ms are combined into one.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict, n samples.
+        data: Data set of the run.
+        rows: Dropped rows, in ascending order, shape (r,).
+        bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
+
+    Returns:
+        Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with m values in n rows.
+
+    References:
+        Curtis, Powell and Reid (1974), on the estimation of sparse Jacobian matrices.
+    """
+    drives = run.inputs.shape[1]
+    length = _response_length(machine, run, data, bandwidth)
+    groups, pulses = _groups(rows, length)
+    per_block = min(mechanical_rows_per_block(data), len(run.time_s))
+    blocks, sensors = len(run.time_s) // per_block, run.outputs.shape[1]
+    measured = np.isfinite(run.outputs[: blocks * per_block]).reshape(blocks, per_block, sensors).mean(axis=1)
+    scales = 1.0 / np.sqrt(np.where(measured > 0.0, measured, 1.0))  # for unit noise where cells of a block are blank
+
+    def predicted(inputs: Array) -> Array:
+        """Return residuals for several histories of the voltages, shape (histories, blocks, sensors)."""
+        motion = predict(machine, run, bandwidth, period=data.period, inputs=inputs, longest_step=POLISH_STEP)
+        return residuals(run, data, motion.readings, per_block).reshape(len(inputs), blocks, sensors) * scales
+
+    residual = predicted(run.inputs[None])[0]
+    begins, ends = rows // per_block, np.minimum(-(-(rows + length) // per_block), blocks)
+    indices = [np.arange(begin * sensors, end * sensors) for begin, end in zip(begins, ends, strict=True)]
+    pointers = np.concatenate([[0], np.cumsum([len(of_row) for of_row in indices for _ in range(drives)])])
+    values = np.zeros(pointers[-1])
+    together = max(1, _VALUES // run.outputs.size // drives)  # groups that are predicted at once
+    for first in range(0, int(groups.max()) + 1, together):
+        members = np.flatnonzero((groups >= first) & (groups < first + together))
+        inputs = np.tile(run.inputs, (int(groups[members].max() + 1 - first) * drives, 1, 1))
+        predictions = (groups[members, None] - first) * drives + np.arange(drives)  # (members, drives)
+        inputs[predictions, rows[members, None], np.arange(drives)] += pulses[members, None]
+        responses = predicted(inputs) - residual
+        for k, of_row in zip(members, predictions, strict=True):
+            response = responses[of_row, begins[k] : ends[k]] / pulses[k]  # (drives, blocks, sensors)
+            values[pointers[k * drives] : pointers[(k + 1) * drives]] = response.ravel()
+    positions = np.concatenate([of_row for of_row in indices for _ in range(drives)])
+    shape = (residual.size, len(rows) * drives)
+    return sparse.csc_array((values, positions, pointers), shape=shape).tocsr(), residual.ravel()
+
+
+def _response_length(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float) -> int:
+    """Return after how many rows the observer has corrected the response to the voltage of a row.
+
+    It corrects in measured rows only. The sensors that measure most often and together see every motion of the machine
+    that stretches no belt count.
+    """
+    seen = machine.sensor_matrix @ rigid_basis(machine)  # (sensors, motions)
+    measured = np.isfinite(run.outputs).mean(axis=0)  # fraction of the rows, of each sensor
+    rank = np.linalg.matrix_rank(seen[measured > 0.0])
+    fraction = max(f for f in measured[measured > 0.0] if np.linalg.matrix_rank(seen[measured >= f]) == rank)
+    return max(1, round(_RESPONSE / (bandwidth * min(data.period, LONGEST_OBSERVER_PERIOD) * fraction)))
+
+
+def _groups(rows: Rows, length: int) -> tuple[Rows, Array]:
+    """Return groups of rows that are at least a length apart, and pulses in alternating directions, V, (r,) each."""
+    groups, pulses, last = np.zeros(len(rows), dtype=int), np.zeros(len(rows)), list[tuple[int, float]]()
+    for k, row in enumerate(rows):
+        groups[k] = next((g for g, (previous, _) in enumerate(last) if row - previous >= length), len(last))
+        pulses[k] = -last[groups[k]][1] if groups[k] < len(last) else _PULSE
+        last[groups[k] : groups[k] + 1] = [(row, pulses[k])]
+    return groups, pulses

@@ -1,0 +1,322 @@
+"""The error of a model beyond the sensors' noise: its size, and whether an effect is larger.
+
+No model of a real machine is exact. A small force that no effect of the library describes (a residue) accumulates in a
+simulation to many times the sensors' noise, and effects that do not exist can reproduce parts of this error. Three
+measures distinguish true effects from the residue:
+
+- An observer corrects the prediction by the measurements, as the steady-state Kalman filter for a random force would.
+  The bandwidth, rad/s, that maximizes the likelihood of the innovations (errors before each correction) corresponds to
+  the size of the residue; after every effect it is chosen anew. No residue: no observer (simulation, bandwidth 0).
+- An effect must be larger than the residue: its force is compared with the force by which the observer corrects the
+  prediction.
+- An effect must be confirmed by runs to which its parameters were not fitted (leave-one-run-out, linearized).
+
+The cost is the sum of squared residuals in units of the sensors' noise; chi-squared per sample is its mean.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects.smooth_table import TABLE_FAMILY
+from ...machine import Machine
+from ...preparation.dataset import Dataset
+from ..judge.criteria import SelectionCriteria
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, sensor_bandwidths
+from .estimation import Fit, cross_validation, fit, prediction_cost
+
+Array = NDArray[np.float64]
+
+_CONVERGED_COST = 0.02  # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
+# Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
+BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
+_FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
+_MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
+_MIN_RUNS_COMPARED = 3  # two must agree with each other for another one to contradict them
+CONTRADICTION = 10.0  # chi-squared of a run / that of the other runs; effects that single runs excite reach 30
+_SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer integration steps accumulate
+
+
+def search_step(bandwidth: float) -> float:
+    """Return the integration step that suffices in the search for effects (deviations from the nominal model).
+
+    Args:
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+
+    Returns:
+        Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate.
+    """
+    return SEARCH_STEP if bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
+
+
+def likelihood_loss(fitted: Fit, data: Dataset) -> float:
+    """Return -2 log(likelihood) of the innovations per measured value, without constants.
+
+    Innovations are measured minus predicted values, where an observer corrects the prediction by the measurements.
+    Their expected variance is that of a steady-state Kalman filter, the variance of the sensor's noise / (1 - K) with
+    the position gain K. It depends on the bandwidth; therefore this loss, not the cost, compares fits at different
+    observer bandwidths.
+
+    Args:
+        fitted: Fit at any observer bandwidth.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. The difference of
+        two losses times the number of measured values is -2 log(likelihood ratio).
+
+    References:
+        Ljung (1999), "System Identification", section 7.4.
+    """
+    variance, log_variance = innovation_variance(fitted, data)
+    return fitted.chi2 / variance + log_variance
+
+
+def innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
+    """Return the variance that innovations (errors before an observer's correction) of a correct machine have.
+
+    Args:
+        fitted: Fit with its observer bandwidth.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Means of the ratio (variance / noise variance) and of its logarithm over all measured values, dimensionless.
+    """
+    # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
+    gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
+    variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
+    counts = np.sum([run.weights.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
+    weights = counts / counts.sum()
+    return float(weights @ variance), float(weights @ np.log(variance))
+
+
+def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
+    """Fit a machine again with weaker feedback of measurements: an observer of the next smaller bandwidth.
+
+    Args:
+        fitted: Fit at one of the bandwidths 60, 30, 15, 7 and 3 rad/s (`BANDWIDTHS`).
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Fit, bandwidth in rad/s (after 3: 0, a simulation): machine, parameters (theta, shape (k,)), cost (chi-squared).
+    """
+    return continue_fit(fitted, data, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1])
+
+
+def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
+    """Return by how much chi-squared per sample of a fit must fall to make it as likely as a reference.
+
+    An effect that is added to a less likely fit must reduce chi-squared by this amount in addition.
+
+    Args:
+        fitted: Fit at any observer bandwidth.
+        reference: Fit of the same machine at another observer bandwidth (of the feedback of measurements).
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Reduction of chi-squared per sample, dimensionless; 0 if the fit is at least as likely.
+    """
+    loss = likelihood_loss(fitted, data) - likelihood_loss(reference, data)
+    return max(0.0, loss) * innovation_variance(fitted, data)[0]
+
+
+def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
+    """Fit again at the observer bandwidth that maximizes the likelihood of the data.
+
+    An observer corrects the prediction by the measurements; the larger the error of the model, the larger the bandwidth
+    must be. Starting from the bandwidth of `fitted`, smaller ones are tried as long as the likelihood increases.
+    The simulation (no observer) is always tried, because the likelihood may have a second maximum there: an observer
+    disturbs phases in which friction holds the machine at rest, a simulation does not.
+
+    Args:
+        fitted: Fit (machine, parameters, cost) at 60, 30, 15, 7, 3 or 0 rad/s (`BANDWIDTHS`; 0: simulation).
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Most likely fit: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared), bandwidth, rad/s.
+    """
+    if fitted.bandwidth == SIMULATION:
+        return fitted
+    simulated = continue_fit(fitted, data, SIMULATION)
+    best, least_loss = fitted, likelihood_loss(fitted, data)
+    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
+        narrower = continue_fit(best, data, bandwidth)
+        loss = likelihood_loss(narrower, data)
+        if not loss < least_loss:
+            break
+        best, least_loss = narrower, loss
+    return simulated if likelihood_loss(simulated, data) < least_loss else best
+
+
+def polish(fitted: Fit, data: Dataset) -> Fit:
+    """Fit again until convergence, with the shortest integration step, 0.125 ms, whose error is negligible.
+
+    Args:
+        fitted: Fit to refine; its parameters are the starting values.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Fit, bandwidth as in `fitted`: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared).
+    """
+    model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
+    return fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=POLISH_STEP)
+
+
+def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
+    """Fit the parameters again with weaker feedback of measurements, so that the machine is better in simulation.
+
+    The final machine is used in simulation, whereas an observer (feedback of the measurements) hides slow errors of a
+    fit, and with them information about the parameters. Fits at all smaller bandwidths are therefore compared by the
+    product of two costs (sums of squared residuals): of the simulation, and of the prediction with the bandwidth of
+    `fitted`. The second one is needed because wrong parameters may simulate best by chance, if small differences of the
+    parameters grow without limit. The cost of a fit in simulation is computed by cross-validation, because such a fit
+    adapts to errors of the model.
+
+    Args:
+        fitted: Final fit at any observer bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Fit of the same k parameters (theta, shape (k,)) with the smallest product, polished. `fitted` itself if no fit
+        is better, if it is a simulation, or if there is only one run, which permits no cross-validation.
+    """
+    if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
+        return fitted
+
+    def cost(machine: Machine, bandwidth: float) -> float:
+        return prediction_cost(machine, data, bandwidth, longest_step=POLISH_STEP)
+
+    best, narrower = fitted, fitted
+    least = cost(fitted.machine, SIMULATION) * cost(fitted.machine, fitted.bandwidth)
+    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
+        narrower = continue_fit(narrower, data, bandwidth)
+        product = cost(narrower.machine, SIMULATION) * cost(narrower.machine, fitted.bandwidth)
+        if product < least:
+            best, least = narrower, product
+    simulated = continue_fit(best, data, SIMULATION)
+    if _cross_validated_cost(simulated, data) * cost(simulated.machine, fitted.bandwidth) < least:
+        best = simulated
+    return best if best is fitted else polish(best, data)
+
+
+def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
+    """Return the cost of all runs, each third with parameters that were fitted to the other two thirds."""
+    names = [run.name for run in data.runs]
+    folds = [names[first::_FOLDS] for first in range(min(_FOLDS, len(names)))]
+    total = 0.0
+    for left_out in folds:
+        others = data.with_runs([name for name in names if name not in left_out])
+        refitted = continue_fit(fitted, others, fitted.bandwidth)
+        total += prediction_cost(refitted.machine, data.with_runs(left_out), fitted.bandwidth, longest_step=POLISH_STEP)
+    return total
+
+
+def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
+    """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
+
+    It is the difference of the sums of `left_out_costs` of both fits; each run is left out in turn. Of fewer than four
+    runs, pieces (at least eight in all) are left out instead: too few other runs might not determine the parameters. Of
+    a machine with a table, halves of runs are: some of its values may depend on a single run.
+
+    Args:
+        without: Fit without the effect (deviation from the nominal model).
+        with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
+        fitted runs, and negative if the effect describes single runs rather than the machine.
+    """
+    table = any(e.definition.family == TABLE_FAMILY for e in with_effect.machine.effects)
+    enough = 2 if table else 1  # pieces of each run
+    pieces = enough if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))
+    return sum(left_out_costs(without, data, pieces)) - sum(left_out_costs(with_effect, data, pieces))
+
+
+def left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[float]:
+    """Return the cost of each piece of the runs with parameters that are fitted to all others (cross-validation).
+
+    Args:
+        fitted: Fit of a machine.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+        pieces: Number of pieces into which each run is divided; 1 for complete runs.
+
+    Returns:
+        Costs, dimensionless: sums of squared residuals in units of the noise; infinite if the machine diverges.
+    """
+    return [cost for cost, _ in cross_validation(fitted, data, pieces)]
+
+
+def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
+    """Find the run that contradicts the other runs: the machine that is fitted to them does not explain this run.
+
+    The cause may be a mistake (a slipped belt, another amplifier setting) or an effect that only this run excites.
+
+    Args:
+        fitted: Fitted machine with its observer bandwidth.
+        data: Runs that were fitted.
+
+    Returns:
+        Name of the run with the largest ratio of its chi-squared per sample to the other runs', both for
+        parameters that are fitted to the other runs. None if this ratio is at most 10, or for fewer than three runs.
+    """
+    if len(data.runs) < _MIN_RUNS_COMPARED:
+        return None
+    costs = cross_validation(fitted, data, 1)
+    counts = [run.count for run in data.runs]
+    ratios = [
+        (cost / count) / (others / (sum(counts) - count)) for (cost, others), count in zip(costs, counts, strict=True)
+    ]
+    worst = int(np.argmax(ratios))
+    return data.runs[worst].name if ratios[worst] > CONTRADICTION else None
+
+
+def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:
+    """Return whether a fit explains the data: it leaves only noise, or a negligible part of the initial residual.
+
+    Args:
+        fitted: Fit at the observer bandwidth that `fit_with_model_error` chose.
+        initial_chi2: Chi-squared per sample, dimensionless, of the first fit, without effects.
+        criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
+
+    Returns:
+        True if chi-squared per sample of the fit is below `explained_chi2` (1.5 by default), or below
+        `explained_fraction` times `initial_chi2`.
+    """
+    return fitted.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * initial_chi2)
+
+
+def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
+    """Fit a machine again from the parameters of an earlier fit, to other data or at another observer bandwidth.
+
+    Args:
+        fitted: Earlier fit; its parameters are the starting values.
+        data: Runs to fit (times, voltages, measurements, SI).
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+
+    Returns:
+        Fit with the step of `search_step`: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
+    """
+    step = search_step(bandwidth)
+    return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)
+
+
+def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
+    """Return the smallest reduction of chi-squared per sample for which an effect is selected.
+
+    It is the largest of three limits, by default: 0.01 for one-step prediction (observer of 60 rad/s, strong feedback
+    of the measurements), 0.003 for narrower observers and simulation; 200 / number of samples; and 10 % of the error
+    beyond the noise (chi-squared per sample minus 1).
+
+    Args:
+        current: Fit without the effect, at the observer bandwidth that selects the first limit.
+        criteria: Decision thresholds, from which the limits are taken.
+
+    Returns:
+        Required reduction of chi-squared per sample, dimensionless.
+    """
+    wide = current.bandwidth >= SEARCH_BANDWIDTH
+    min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
+    excess = current.chi2 - 1.0
+    return max(min_gain, criteria.min_total_gain / current.count, criteria.min_gain_fraction * excess)

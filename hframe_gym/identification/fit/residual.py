@@ -1,0 +1,534 @@
+"""Analyze what a fitted machine leaves unexplained: errors per channel, missing forces, and what these depend on.
+
+The missing force, also called force residual, is the force that would have to be added to the model for it to follow
+the measurements. It is estimated from the corrections of an observer, which feeds the measurements back into a
+prediction, see `prediction`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+from scipy.linalg import null_space
+
+from ...machine import Machine
+from ...machine.motion import pulley_names, rigid_motions
+from ...preparation.dataset import Dataset, PreparedRecording
+from ..predict.prediction import (
+    POLISH_STEP,
+    SEARCH_BANDWIDTH,
+    SIMULATION,
+    map_runs,
+    measurements_from,
+    observer_gains,
+    predict,
+    prediction_error,
+)
+from .start_estimation import most_probable_initial_state, start_for_observer
+
+Array = NDArray[np.float64]
+
+# Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
+_RESIDUAL_CUTOFF = 30.0
+HIGHEST_FREQUENCY = 40.0  # Hz, up to which the missing force is estimated
+_WHITENESS_BLOCK_S = 0.02
+_HEAT_S = 2.0  # time constant of a winding's heat; small motors have 1 to 30 s, recordings last a few seconds
+_CONTACT_M = 0.3e-3  # travel after which the contacts of two surfaces are renewed; 0.01 to 1 mm
+_SLOW = 0.03  # of the rms speed; below, the direction of a measured velocity is uncertain
+_MOVES = 3.0  # rms motion over noise beyond which a channel moves
+_WHITE = 0.6  # standard deviation of block means, in units of the noise
+
+
+class ChannelError(NamedTuple):
+    """Simulation error of one output channel; both values are None where the channel was never measured.
+
+    Attributes:
+        rmse: Root mean square error, in the channel's unit (m or rad).
+        noise_ratio: The same divided by the standard deviation of the sensor's noise.
+        motion_ratio: The same divided by the rms motion, the deviation of the measurements from their mean in each run;
+            None also if nothing moves.
+    """
+
+    rmse: float | None
+    noise_ratio: float | None
+    motion_ratio: float | None = None
+
+
+class Dependence(NamedTuple):
+    """Dependence of the force residual on a variable.
+
+    Attributes:
+        variable: Name of the variable, e.g. "velocity of x".
+        coordinate: Coordinate on which the force acts.
+        explained: Fraction of the variance beyond noise, of the residual force or of the disagreement of the sensors,
+            that the variable explains in runs to which the curve was not fitted, in [0, 1].
+        component: Where the cause lies: a coordinate, drive or output channel, "drives", "belts" or "clock".
+    """
+
+    variable: str
+    coordinate: str
+    explained: float
+    component: str = ""
+
+
+def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
+    """Simulate a run; return measured minus simulated values, without the constant errors of uncertain sensor zeros.
+
+    A zero is the measurement at position 0. Its error is estimated from the rows at rest and, within limits, from the
+    complete run.
+
+    Args:
+        machine: Machine, simulated without feedback from its most probable initial state in this run.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period and the sensors' quantization steps.
+
+    Returns:
+        Errors, m or rad, NaN where not measured, shape (n, sensors).
+    """
+    start = most_probable_initial_state(machine, run, data)
+    motion = predict(machine, run, SIMULATION, period=data.period, initial_state=start, longest_step=POLISH_STEP)
+    error = prediction_error(run, data, motion.readings)[0]
+    return np.where(np.isfinite(run.outputs), error, np.nan)
+
+
+def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
+    """Simulate a machine over all runs and return the root mean square error of every output channel.
+
+    Args:
+        machine: Machine to simulate, without feedback of the measurements, from its most probable initial states.
+        data: Measured runs (times, voltages, measurements, SI).
+
+    Returns:
+        By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
+        same divided by the standard deviation of the sensor's noise. Both are None for a channel without measurements.
+    """
+    return errors_by_channel(
+        list(map_runs(lambda run: simulation_error(machine, run, data), data)), machine, data.noise
+    )
+
+
+def errors_by_channel(
+    by_run: Sequence[Array], machine: Machine, noise: Array, measured: Sequence[Array] = ()
+) -> dict[str, ChannelError]:
+    """Return the root mean square of given simulation errors over all runs, for every output channel.
+
+    Args:
+        by_run: Errors by run, m or rad, NaN where not measured, shape (n, sensors) each.
+        machine: Machine with the sensors.
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+        measured: Measurements of the same runs, m or rad, shape (n, sensors) each, for the ratio of error and motion.
+            Default: without this ratio.
+
+    Returns:
+        Errors by name of the output channel, m or rad, and dimensionless relative to noise and motion; None for a
+        channel without measurements.
+    """
+    error = np.concatenate(by_run)
+    motions = np.concatenate([_motion(*run) for run in zip(measured, by_run, strict=True)]) if measured else None
+    errors = {}
+    for j, channel in enumerate(machine.output_channels):
+        column = error[:, j][np.isfinite(error[:, j])]
+        if len(column) == 0:
+            errors[channel] = ChannelError(None, None)
+            continue
+        rmse = float(np.sqrt(np.mean(column**2)))
+        motion = 0.0 if motions is None else float(np.sqrt(np.nanmean(motions[:, j] ** 2)))
+        # A channel that rests measures its noise alone.
+        ratio = rmse / motion if motion > _MOVES * float(noise[j]) else None
+        errors[channel] = ChannelError(rmse, rmse / float(noise[j]), ratio)
+    return errors
+
+
+def _motion(outputs: Array, error: Array) -> Array:
+    """Return the deviations of the measurements (n, sensors) from their mean, NaN where there is no error."""
+    values = np.where(np.isfinite(error), outputs, np.nan)
+    known = np.isfinite(values)
+    return np.asarray(values - np.where(known, values, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+
+
+def _innovations(
+    machine: Machine, run: PreparedRecording, data: Dataset, start: Array, noise: Array | None = None
+) -> Array:
+    """Return measured minus predicted values, 0 where not measured, and their change by noise, (1 or 2, n, sensors)."""
+    added = None if noise is None else np.stack([np.zeros_like(noise), -noise])
+    motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, extra_measurement=added)
+    innovation = _innovation(motion.readings, machine, run, start)
+    innovation[1:] -= innovation[:1]
+    return innovation
+
+
+def _innovation(readings: Array, machine: Machine, run: PreparedRecording, start: Array) -> Array:
+    """Return measured minus predicted values, 0 where not measured, of a prediction from a given start, same shape."""
+    return np.nan_to_num(measurements_from(start, machine, run) - readings)
+
+
+def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
+    """Estimate the force that the model lacks in a run, on each coordinate alone, low-pass filtered at 30 Hz.
+
+    The observer divides this force among a carriage and its pulleys in the ratio of its gains, wherever the force acts.
+    Its corrections are therefore added along the motions that stretch no belt: the force on a carriage does the same
+    virtual work as all corrections if only carriages have forces; that on a pulley, if only pulleys do. Corrections of
+    positions count too: the predicted velocity, on which viscous friction and back-EMF act, lacks them.
+
+    Args:
+        machine: Machine that predicts.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
+
+    Returns:
+        Force on every coordinate, N or Nm, without phase lag, shape (n, coordinates).
+    """
+    start = start_for_observer(machine, run, data)
+    force = _innovations(machine, run, data, start)[0] @ _observed_forces(machine, data.period).gains
+    return _low_pass(force, _RESIDUAL_CUTOFF, data.period)
+
+
+class MissingMotion(NamedTuple):
+    """What a prediction with feedback of the measurements says about a run of n samples, on a machine with m motions.
+
+    Attributes:
+        force: Force that the model lacks along each rigid motion (`rigid_motions`; coordinates without one move alone),
+            N or Nm, below 30 Hz, shape (n, m).
+        correction: Force along each motion by which the observer corrects the prediction. It follows the missing force
+            with a lag (`correction_filters`), but has white noise; shape (n, m).
+        correction_noise: The part of it that synthetic noise (fixed seed) in the measurements causes, same shape.
+        disagreement: Combinations of the sensors' errors that no rigid motion causes, in standard deviations of the
+            sensors' noise, shape (n, sensors - m).
+        disagreement_noise: The part of it that the same noise causes, same shape.
+        positions: Predicted positions, m or rad, shape (n, coordinates).
+        velocities: Predicted velocities, m/s or rad/s, shape (n, coordinates).
+    """
+
+    force: Array
+    correction: Array
+    correction_noise: Array
+    disagreement: Array
+    disagreement_noise: Array
+    positions: Array
+    velocities: Array
+
+
+def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
+    """Estimate, run by run, the force that the model lacks and how far the sensors disagree, each beside its noise.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs (times, voltages, measurements, SI).
+
+    Returns:
+        Forces, N or Nm, disagreements and motion, arrays of shape (n, ...), one entry per run of n samples.
+    """
+    observed, combinations = _observed_forces(machine, data.period), sensor_combinations(machine, data)
+    rng, motions = np.random.default_rng(0), []
+    for run in data.runs:
+        start = start_for_observer(machine, run, data)
+        innovations = _innovations(machine, run, data, start, _synthetic_noise(machine, run, data, rng))
+        correction, correction_noise = innovations @ observed.motion_gains
+        force = _inverted(correction, observed, run, data, _RESIDUAL_CUTOFF)
+        state = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
+        disagreement, disagreement_noise = innovations @ combinations
+        positions, velocities = state.positions[0], state.velocities[0]
+        corrections = correction, correction_noise, disagreement, disagreement_noise
+        motions.append(MissingMotion(force, *corrections, positions, velocities))
+    return motions
+
+
+def motion_directions(machine: Machine, data: Dataset) -> Array:
+    """Return the force along each rigid motion per force on a coordinate.
+
+    Args:
+        machine: Machine with its coordinates and belts.
+        data: Data set, for the sampling period.
+
+    Returns:
+        Displacement of each coordinate per unit of the motion, m or rad, shape (motions, coordinates).
+    """
+    return _observed_forces(machine, data.period).modes
+
+
+def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Array]]:
+    """Return by which filter the correction along each motion follows the missing force.
+
+    Args:
+        machine: Machine that predicts.
+        data: Data set, for the sampling period.
+
+    Returns:
+        Numerator and denominator of a digital filter at the sampling period, shape (order + 1,) each, by motion.
+    """
+    observed = _observed_forces(machine, data.period)
+    filters = []
+    for first, second in zip(observed.first, observed.second, strict=True):
+        if second > 0.0:
+            filters.append(signal.bilinear([1.0], [second, first, 1.0], 1.0 / data.period))
+        else:
+            filters.append((np.ones(1), np.ones(1)))
+    return filters
+
+
+def sensor_combinations(machine: Machine, data: Dataset) -> Array:
+    """Return the combinations of the sensors' errors that no rigid motion causes.
+
+    Args:
+        machine: Machine with its sensors.
+        data: Data set with the standard deviations of their noise.
+
+    Returns:
+        Combinations as columns, 1/m or 1/rad, whose noise has the standard deviation 1, shape (sensors, sensors -
+        motions).
+    """
+    noise = np.asarray(data.noise, float)
+    scaled = (machine.sensor_matrix @ _observed_forces(machine, data.period).modes.T) / noise[:, None]
+    return np.asarray(null_space(scaled.T)) / noise[:, None]
+
+
+def _synthetic_noise(machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator) -> Array:
+    """Return noise of the measurements of a run, m or rad, shape (n, sensors); quantized sensors round the motion."""
+    noise = rng.normal(size=run.outputs.shape) * np.sqrt(np.maximum(run.noise**2 - data.quantum**2 / 12, 0.0))
+    exact = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
+    for j in np.flatnonzero(data.quantum > 0.0):
+        offset, quantum = rng.random(), data.quantum[j]
+        noise[:, j] = (np.round((exact[:, j] + noise[:, j]) / quantum + offset) - offset) * quantum - exact[:, j]
+        noise[:, j] -= noise[: max(run.initial.resting_rows, 1), j].mean()  # as the zero of the sensor does
+    return noise
+
+
+class _ObservedForces(NamedTuple):
+    """What the corrections of an observer say about the force on each coordinate.
+
+    A rigid motion stretches no belt: a carriage moves with its pulleys. Other coordinates move alone. The error e of a
+    rigid motion obeys M e'' + (D + M l1) e' + (D l1 + M l2) e = missing force, with mass M, damping D, and the gains of
+    position and velocity l1, 1/s, and l2, 1/s^2. The last term on the left is the force that corrects the motion.
+
+    Attributes:
+        gains: Correcting force on each coordinate per innovation, N or Nm per m or rad, shape (sensors, coordinates).
+        motion_gains: Correcting force along each motion, N or Nm per m or rad, shape (sensors, motions).
+        first: (D + M l1) / (D l1 + M l2), s, shape (motions,).
+        second: M / (D l1 + M l2), s^2, shape (motions,).
+        modes: Displacement of the coordinates along each motion, shape (motions, coordinates).
+        distribution: Force on a coordinate, if only carriages or only pulleys have forces, per force along a motion,
+            shape (motions, coordinates).
+    """
+
+    gains: Array
+    motion_gains: Array
+    first: Array
+    second: Array
+    modes: Array
+    distribution: Array
+
+
+def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
+    """Return what corrections say about forces, for an observer of `SEARCH_BANDWIDTH` at a sampling period, s."""
+    names, motions = machine.coordinate_names, rigid_motions(machine)
+    pulleys = [names.index(name) for name in pulley_names(machine)] if machine.belts and motions else []
+    leading = [names.index(name) for name in motions]
+    leading += [i for i in range(len(names)) if i not in leading and i not in pulleys]
+    modes = np.vstack([*motions.values(), *np.eye(len(names))[leading[len(motions) :]]])  # (motions, coordinates)
+    distribution = np.eye(len(names))[leading]
+    if pulleys:
+        distribution[:, pulleys] = np.linalg.pinv(modes[:, pulleys].T)
+    mass, damping = np.array([(c.mass, c.viscous) for c in machine.coordinates], float).T
+    for drive in machine.drives:
+        damping[names.index(drive.coordinate)] += drive.gain * drive.emf_constant
+    position_gains, velocity_gains = np.split(observer_gains(machine, period) / period, 2)  # (coordinates, sensors)
+    measured = machine.sensor_matrix @ modes.T  # (sensors, motions)
+    motion_gains = ((modes * mass) @ velocity_gains + (modes * damping) @ position_gains).T
+    stiffness = np.sum(motion_gains * measured, axis=0)  # D l1 + M l2
+    resistance = np.sum(((modes * mass) @ position_gains).T * measured, axis=0) + modes**2 @ damping
+    first, second = (
+        np.divide(values, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0)  # 0 where nothing is measured
+        for values in (resistance, modes**2 @ mass)
+    )
+    return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, modes, distribution)
+
+
+def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUTOFF) -> dict[str, Array]:
+    """Estimate the force that the model lacks along all runs, together with the motion.
+
+    An observer corrects the prediction by the measurements. Above its bandwidth (60 rad/s), its correcting force lags
+    behind the missing one and falls. Both are inverted; but as the inversion amplifies the noise of the sensors with
+    the square of the frequency, the result is attenuated above a cut-off frequency, without phase lag.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs with n rows in total (times, voltages, measurements, SI).
+        cutoff: Cut-off frequency, Hz. Default: 30, for small periodic forces; narrow forces need more.
+
+    Returns:
+        By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m, m/s, N
+        for a linear and rad, rad/s, Nm for a rotary coordinate. The force on a carriage is the one that does the same
+        work as all corrections if only carriages have forces; that on a pulley, if only pulleys do.
+    """
+    observed = _observed_forces(machine, data.period)
+
+    def of_run(run: PreparedRecording) -> Array:
+        start = start_for_observer(machine, run, data)
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
+        correcting = _innovation(motion.readings, machine, run, start)[0] @ observed.motion_gains
+        force = _inverted(correcting, observed, run, data, cutoff)
+        return np.stack([motion.positions[0], motion.velocities[0], force @ observed.distribution], axis=2)
+
+    by_coordinate = np.concatenate(list(map_runs(of_run, data)))  # (n, coordinates, 3)
+    return {name: by_coordinate[:, i] for i, name in enumerate(machine.coordinate_names)}
+
+
+def _inverted(
+    correcting: Array, observed: _ObservedForces, run: PreparedRecording, data: Dataset, cutoff: float
+) -> Array:
+    """Return the missing force along each motion, N or Nm, from the correcting one, both (n, motions)."""
+    correcting = _low_pass(correcting, cutoff, data.period)
+    slope = np.gradient(correcting, run.time_s, axis=0)
+    return correcting + observed.first * slope + observed.second * np.gradient(slope, run.time_s, axis=0)
+
+
+def low_pass(values: Array, period: float) -> Array:
+    """Return what the missing force would show of a signal: its part below 30 Hz, without phase lag.
+
+    Args:
+        values: Signal, shape (n, k).
+        period: Sampling period, s.
+
+    Returns:
+        Its part below 30 Hz, shape (n, k).
+    """
+    return _low_pass(values, _RESIDUAL_CUTOFF, period)
+
+
+def _low_pass(values: Array, cutoff: float, period: float) -> Array:
+    """Return values (n, k) below a cut-off frequency, Hz, filtered without phase lag."""
+    filtered: Array = signal.sosfiltfilt(_butterworth(min(0.9, 2 * cutoff * period)), values, axis=0)
+    return filtered
+
+
+@cache
+def _butterworth(relative_cutoff: float) -> Array:
+    """Return a low-pass filter of second order, whose cut-off frequency is relative to half the sampling rate."""
+    return np.asarray(signal.butter(2, relative_cutoff, output="sos"))
+
+
+def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
+    """Return the variables of a run on which the force of a missing effect (deviation from the model) may depend.
+
+    Args:
+        machine: Machine that predicts positions and velocities, corrected by an observer at every sample.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
+
+    Returns:
+        By name, shape (n,) each, as `variables_of_motion`.
+    """
+    motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+    return variables_of_motion(machine, run, data, motion.positions[0], motion.velocities[0])
+
+
+def variables_of_motion(
+    machine: Machine, run: PreparedRecording, data: Dataset, positions: Array, velocities: Array
+) -> dict[str, Array]:
+    """Return the variables of a run on which a missing effect may depend, for given positions and velocities.
+
+    Args:
+        machine: Machine, whose parameters give currents and loads.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+
+    Returns:
+        By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C", "acceleration of
+        C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of its contacts (s). For each
+        drive D: "current of D" (A; the inductance neglected), "heat of D" (A^2), "load of D", the force that is left
+        for the belts (N or Nm), "impulse of D", the integral of the load. The input channels (V); sums over the drives:
+        "current of drives", "power of drives" (W), "load of drives", and its rate, "tension rate of belts"; "time" and
+        "time in the run" (s).
+    """
+    names, period = machine.coordinate_names, data.period
+    accelerations = np.gradient(low_pass(velocities, period), run.time_s, axis=0)
+    variables: dict[str, Array] = {}
+    for i, name in enumerate(names):
+        speed = np.abs(velocities[:, i])
+        variables[f"position of {name}"] = positions[:, i]
+        variables[f"velocity of {name}"] = velocities[:, i]
+        variables[f"acceleration of {name}"] = accelerations[:, i]
+        variables[f"path of {name}"] = np.cumsum(speed) * period
+        variables[f"dwell of {name}"] = _contact_age(speed * machine.travel_per_unit[i], period)
+    power, rate, loads, currents = np.zeros((4, len(run.time_s)))
+    for j, drive in enumerate(machine.drives):
+        i = names.index(drive.coordinate)
+        coordinate = machine.coordinates[i]
+        amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
+        load = (
+            drive.gain * drive.resistance * amps
+            - coordinate.mass * accelerations[:, i]
+            - coordinate.viscous * velocities[:, i]
+        )
+        load -= coordinate.coulomb * smooth_sign(velocities[:, i])
+        variables[machine.input_channels[j]] = run.inputs[:, j]
+        variables[f"current of {drive.name}"] = amps
+        forgotten = np.exp(-period / _HEAT_S)
+        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - forgotten], [1.0, -forgotten], amps**2)
+        variables[f"load of {drive.name}"] = load
+        variables[f"impulse of {drive.name}"] = np.cumsum(load) * period
+        loads += load
+        power += run.inputs[:, j] * amps
+        currents += amps
+        rate += np.gradient(low_pass(load[:, None], period)[:, 0], run.time_s)
+    variables |= {"current of drives": currents, "power of drives": power, "load of drives": loads}
+    variables["tension rate of belts"] = rate
+    return variables | {"time": run.time_s, "time in the run": run.time_s - run.time_s[0]}
+
+
+def smooth_sign(velocity: Array) -> Array:
+    """Return the direction of a motion, between -1 and 1 where it is slow.
+
+    Args:
+        velocity: Velocity, m/s or rad/s, shape (n,).
+
+    Returns:
+        Direction, dimensionless, shape (n,).
+    """
+    slow = _SLOW * float(np.sqrt(np.mean(velocity**2)))
+    return velocity / (np.abs(velocity) + slow) if slow > 0.0 else np.zeros_like(velocity)
+
+
+def _contact_age(speed: Array, period: float) -> Array:
+    """Return for how long the contacts of a coordinate have rested, s, from its speed, m/s: age' = 1 - speed age/D."""
+    age, ages = 0.0, np.empty(len(speed))
+    for row, kept in enumerate(np.exp(-speed * period / _CONTACT_M)):
+        ages[row] = age = (age + period) * kept
+    return ages
+
+
+def white_sensors(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
+    """Test for each sensor whether its simulation error is white noise with the standard deviation of its noise.
+
+    The test evaluates means over blocks of n measurements (20 ms if none is missing), minus the mean over the run. The
+    standard deviation of such a mean is 1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller
+    if it is correlated in time. The repeated rounding error of a sensor at rest counts once (`run.weights`).
+
+    Args:
+        machine: Machine to simulate.
+        data: Measured runs (times, voltages, measurements, SI).
+
+    Returns:
+        True where the standard deviation of the block means is at most 0.6 times that of the noise, shape (sensors,);
+        False where the simulation diverges.
+    """
+    rows = max(2, round(_WHITENESS_BLOCK_S / data.period))
+    squares, count = np.zeros(len(machine.sensors)), np.zeros(len(machine.sensors))
+    for run in data.runs:
+        measured, error = np.isfinite(run.outputs), simulation_error(machine, run, data)
+        for j in range(len(machine.sensors)):
+            values, weights = error[measured[:, j], j], run.weights[measured[:, j], j]
+            if not np.isfinite(values).all():
+                squares[j] = np.inf
+            elif len(values) >= rows:
+                means, weights = (v[: len(v) // rows * rows].reshape(-1, rows).mean(axis=1) for v in (values, weights))
+                squares[j] += np.sum(weights * (means - np.average(means, weights=weights)) ** 2)
+                count[j] += weights.sum()
+    return np.asarray(np.sqrt(squares / np.where(count > 0.0, count, 1.0)) <= _WHITE * data.noise)

@@ -1,0 +1,369 @@
+"""Find a quantity that differs between runs, such as a payload or the supply voltage.
+
+Identification assumes one machine for all runs. If a parameter had another value in every run, no effect explains the
+runs together, although each of them is explained by itself. Here one quantity at a time has a separate value in each
+run, fitted together with the parameters that the runs have in common. The result is a hint for the user: no machine
+contains it.
+
+Notation: theta (k,) are the optimizer's variables of the free parameters, as in `linearization`; a (n,) are the
+dimensionless amounts by which a quantity differs in the n runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset
+from ..judge.criteria import SelectionCriteria
+from ..predict.free_parameters import FreeParameter, prior_precision, values_at
+from ..predict.linearization import Linearization, ResidualModel
+from ..predict.prediction import SEARCH_BANDWIDTH
+from .estimation import Fit
+from .model_error import continue_fit, innovation_variance
+
+Array = NDArray[np.float64]
+
+_MIN_RUNS = 3  # two runs may differ in almost any parameter
+_AMOUNT_PRIOR = 0.5  # standard deviation of the amounts
+_LARGEST_AMOUNT = 1.5
+_CANDIDATES = 3  # quantities that are fitted: those that promise most by the linearized residual
+_ITERATIONS = 25
+_TOLERANCE = 1e-3  # relative decrease of the cost below which a fit ends
+_DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+_EQUAL = 0.1  # range of the amounts / their mean below which all runs need the same other value
+_SAME = 0.05  # fraction of the range of the amounts below which two are the same
+_LEAST_FACTOR = 0.05  # of a mass that is reduced
+_STEP = 1e-6  # of finite differences between optimizer variables, which need no simulation
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that may differ between runs.
+
+    Attributes:
+        name: Name of the quantity, for messages.
+        exponents: Exponent by full name of a parameter. The parameter of a run is value * exp(exponent * amount).
+        additions: Addition (SI) by full name of a parameter. The parameter of a run is value + addition * amount.
+    """
+
+    name: str
+    exponents: Mapping[str, float] = field(default_factory=dict)
+    additions: Mapping[str, float] = field(default_factory=dict)
+
+    def changed(self, values: Mapping[str, float], amount: float) -> dict[str, float]:
+        """Compute the parameters of a run in which the quantity differs by a given amount.
+
+        Args:
+            values: Parameters that the runs have in common, SI, by full name.
+            amount: Dimensionless amount. With 0, the run has the common parameters.
+
+        Returns:
+            Parameters of the run, SI, by full name: value * exp(exponent * amount) for those in `exponents`, value +
+            addition * amount (at least 5 % of value) for those in `additions`, and the common value for all others.
+        """
+        changed = dict(values)
+        for name, exponent in self.exponents.items():
+            changed[name] = values[name] * math.exp(exponent * amount)
+        for name, addition in self.additions.items():
+            changed[name] = max(values[name] + addition * amount, _LEAST_FACTOR * values[name])
+        return changed
+
+    def describe(self, amount: float) -> str:
+        """Describe by how much the quantity differs between two runs.
+
+        Args:
+            amount: Amount of one run minus that of the other, dimensionless.
+
+        Returns:
+            Ratio exp(amount), such as "1.12"; for a quantity with `additions` (a payload), the difference, such as
+            "+0.31 kg".
+        """
+        if self.additions:
+            return f"{amount * next(iter(self.additions.values())):+.2g} kg"
+        return f"{math.exp(amount):.3g}"
+
+
+class RunDifferences(NamedTuple):
+    """A quantity with a separate value in each run, and the error with and without these values.
+
+    Attributes:
+        quantity: The quantity.
+        amounts: Amount of each run minus the smallest amount, dimensionless, by name of the run, in the order of the
+            runs' times.
+        chi2_before: Chi-squared per sample with one machine for all runs.
+        chi2: The same with the differences.
+        shared: Smallest amount, dimensionless: by how much every run departs from the fit that the amounts start from.
+    """
+
+    quantity: Quantity
+    amounts: dict[str, float]
+    chi2_before: float
+    chi2: float
+    shared: float = 0.0
+
+    @property
+    def differs(self) -> bool:
+        """Whether the runs differ; otherwise the amounts are equal, and all runs need the same other value."""
+        amounts = np.array(list(self.amounts.values()))
+        return bool(np.ptp(amounts) > _EQUAL * abs(self.shared + float(np.mean(amounts))))
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the amounts only rise or only fall in the order of the runs' times, as in a slow change over time."""
+        amounts = np.array(list(self.amounts.values()))
+        steps, tolerance = np.diff(amounts), _SAME * np.ptp(amounts)
+        return bool(np.all(steps > -tolerance) or np.all(steps < tolerance))
+
+    @property
+    def different_run(self) -> str | None:
+        """Name of the only run whose amount differs from the others'; None if several do."""
+        amounts = np.array(list(self.amounts.values()))
+        for i, name in enumerate(self.amounts):
+            if np.ptp(np.delete(amounts, i)) <= _SAME * np.ptp(amounts):
+                return name
+        return None
+
+    def __str__(self) -> str:
+        """Return a sentence for the user."""
+        chi2 = f"chi-squared per sample {self.chi2:.3g} instead of {self.chi2_before:.3g}"
+        if not self.differs:
+            amount = self.shared + float(np.mean(list(self.amounts.values())))
+            change = self.quantity.describe(amount) + ("" if self.quantity.additions else " times the fitted value")
+            return (
+                f"One machine explains all runs with another value of {self.quantity.name} than the fit permits, the "
+                f"same in every run: {change} ({chi2}). That is no difference between runs but a common factor, such "
+                "as a wrong unit of a column or a wrong gain: check the units, the constants of the drives and the "
+                "gear ratios."
+            )
+        run = self.different_run
+        if run is not None:
+            amount = self.amounts[run] - float(np.mean([a for name, a in self.amounts.items() if name != run]))
+            change = self.quantity.describe(amount) + ("" if self.quantity.additions else " times that of the others")
+            return (
+                f"{run} differs from the other runs in {self.quantity.name}: {change}. With this, one machine explains "
+                f"all runs ({chi2})."
+            )
+        runs = ", ".join(f"{run} {self.quantity.describe(amount)}" for run, amount in self.amounts.items())
+        kind = "Difference from the lightest run" if self.quantity.additions else "Ratio to the smallest value"
+        return (
+            f"The runs differ: one machine explains all of them if {self.quantity.name} has a value of its own in each "
+            f"run ({chi2}). {kind}: {runs}. Keep it constant while you record, or identify runs with the same value by "
+            "themselves."
+        )
+
+
+def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> RunDifferences | None:
+    """Find the quantity that explains all runs together if it has a separate value in each of them.
+
+    Each free parameter is tried alone, then quantities that change several parameters: the voltage of all drives, a
+    payload, the friction of all coordinates and the stiffness of all belts.
+
+    Args:
+        fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
+        data: All runs (times, voltages, measurements, SI).
+        criteria: Decision thresholds for what explains the data.
+
+    Returns:
+        The quantity with the smallest remaining error, if it explains the data and differs between the runs. None if
+        there is no such quantity, if one machine explains all runs, for fewer than three runs, or if the machine
+        diverges.
+    """
+    found = [each for each in _explanations(fitted, data, criteria) if each.differs]
+    return min(found, key=lambda each: each.chi2, default=None)
+
+
+def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[str, ...]:
+    """Describe the quantity that explains all runs with values of their own, or with a common one beyond its limits.
+
+    Args:
+        fitted: Machine from whose parameters the fits start, fitted to all runs or to those that agree.
+        data: All runs (times, voltages, measurements, SI).
+        criteria: Decision thresholds for what explains the data.
+
+    Returns:
+        One sentence about a quantity that differs between the runs; if there is none, about a quantity that needs the
+        same other value in all runs; nothing if no quantity explains the runs.
+    """
+    found = _explanations(fitted, data, criteria)
+    best = min(found, key=lambda each: (not each.differs, each.chi2), default=None)
+    return (str(best),) if best else ()
+
+
+def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
+    """Return the quantities that explain all runs with values of their own, whether these differ or not."""
+    if len(data.runs) < _MIN_RUNS:
+        return []
+    common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
+    explained = criteria.explained_chi2 * innovation_variance(common, data)[0]
+    if common.chi2 < explained:
+        return []
+    # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
+    model = _ModelByRun(fitted, data)
+    start = model.linearize(model.start, Quantity("nothing"))
+    if not math.isfinite(start.cost):
+        return []
+    promising = sorted(_quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity))
+    found: list[RunDifferences] = []
+    for quantity in promising[:_CANDIDATES]:
+        cost, amounts = model.fit(quantity)
+        if cost / data.count < explained:
+            relative = (amounts - amounts.min()).tolist()
+            in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
+            by_run = {run.name: amount for run, amount in in_time}
+            shared = float(amounts.min())
+            found.append(RunDifferences(quantity, by_run, common.chi2, cost / data.count, shared))
+    return found
+
+
+def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantity]:
+    """Return everything whose difference between runs is tried."""
+    names = [f.name for f in free if f.center != 0.0]
+    drives = [drive.name for drive in machine.drives]
+    found = [Quantity(name, {name: 1.0}) for name in names if name not in [f"{drive}.Kt" for drive in drives]]
+    groups = {"dry friction": ".coulomb", "viscous friction": ".viscous", "stiffness of all belts": ".EA"}
+    for text, ending in groups.items():
+        members = [name for name in names if name.endswith(ending)]
+        if len(members) > 1:
+            found.append(Quantity(f"the {text}", dict.fromkeys(members, 1.0)))
+    for some in [[drive] for drive in drives] + [drives] * (len(drives) > 1):
+        of = "all drives" if len(some) > 1 else some[0]
+        # Less voltage acts like a smaller torque constant with the same product of torque and back-EMF constant, and
+        # larger voltages of effects, such as a dead band; a larger resistance like a smaller torque constant.
+        torque, emf = ({name: 1.0 for d in some if (name := f"{d}.{key}") in names} for key in ("Kt", "Ke"))
+        if torque:
+            inverse = [*emf, *_voltages_of_effects(machine, some, names)]
+            found.append(Quantity(f"the voltage of {of}", torque | dict.fromkeys(inverse, -1.0)))
+            found.append(Quantity(f"the conductance (1 / winding resistance) of {of}", torque))
+    axes = [f"{c.name}.mass" for c in machine.coordinates if c.kind == "linear" and f"{c.name}.mass" in names]
+    if len(axes) > 1:
+        found.append(Quantity("the payload", additions=dict.fromkeys(axes, 1.0)))
+    return found
+
+
+def _voltages_of_effects(machine: Machine, drives: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return those of some parameters that are voltages of effects on some drives and on no other."""
+    return [
+        name
+        for effect in machine.effects
+        for p in effect.definition.parameters
+        if p.unit == "V" and (name := f"{effect.label}.{p.name}") in names
+        if effect.site in drives or (effect.site == "drives" and len(drives) == len(machine.drives))
+    ]
+
+
+class _Expansion(NamedTuple):
+    """Linearized residual of all runs at one point.
+
+    Attributes:
+        point: Theta and the amounts, z, shape (k + n,).
+        runs: Linearized residual of each run with respect to all K parameters.
+        cost: Sum of squared residuals in units of the noise.
+    """
+
+    point: Array
+    runs: tuple[Linearization, ...]
+    cost: float
+
+
+class _ModelByRun:
+    """Residual of runs whose machines differ in one quantity.
+
+    The unknowns z (k + n,) are theta of the k common parameters and the amounts of the n runs. A run is simulated with
+    K parameters: torque constants that fits leave as declared, such as that of the first drive, may differ as well.
+
+    Args:
+        fitted: Machine from which the fits start, with its free parameters.
+        data: The runs.
+
+    Attributes:
+        free: The K parameters.
+        start: z of the machine from which the fits start.
+    """
+
+    def __init__(self, fitted: Fit, data: Dataset) -> None:
+        machine, n = fitted.machine, len(data.runs)
+        not_fixed = {*(f.name for f in fitted.free), *machine.ties}
+        gains = {f"{d.name}.Kt": d.Kt for d in machine.drives}
+        self._fixed = tuple(FreeParameter(name, Kt, 1.0) for name, Kt in gains.items() if name not in not_fixed)
+        self.free = (*fitted.free, *self._fixed)
+        self.start = np.concatenate([fitted.theta, np.zeros(n)])
+        self._k, self._count = len(fitted.free), data.count
+        self._models = [ResidualModel(machine, self.free, run, SEARCH_BANDWIDTH) for run in data.single_runs()]
+        self._precision = np.diag(np.full(self._k + n, _AMOUNT_PRIOR**-2))
+        self._precision[: self._k, : self._k] = prior_precision(fitted.free)
+        low, high = np.array([f.theta_limits for f in fitted.free]).T
+        self._low = np.concatenate([low, np.full(n, -_LARGEST_AMOUNT)])
+        self._high = np.concatenate([high, np.full(n, _LARGEST_AMOUNT)])
+
+    def _theta_of_run(self, z: Array, run: int, quantity: Quantity) -> Array:
+        """Return the optimizer's variables of the parameters of a run, shape (K,)."""
+        values = values_at(self.free, np.append(z[: self._k], np.zeros(len(self._fixed))))
+        changed = quantity.changed(values, float(z[self._k + run]))
+        return np.array([f.theta(changed[f.name]) for f in self.free])
+
+    def _derivatives(self, z: Array, run: int, quantity: Quantity) -> Array:
+        """Return the derivatives of `_theta_of_run` with respect to z, shape (K, k + n)."""
+        derivatives, steps = np.eye(len(self.free), len(z)), np.eye(len(z)) * _STEP
+        derivatives[:, self._k :] = 0.0  # amounts of other runs do not affect this one
+        differing = {*quantity.exponents, *quantity.additions}
+        for j in (*(j for j in range(self._k) if self.free[j].name in differing), self._k + run):
+            ends = [self._theta_of_run(z + sign * steps[j], run, quantity) for sign in (1.0, -1.0)]
+            derivatives[:, j] = (ends[0] - ends[1]) / (2.0 * _STEP)
+        return derivatives
+
+    def linearize(self, z: Array, quantity: Quantity) -> _Expansion:
+        """Simulate all runs and linearize their residuals at z, shape (k + n,)."""
+        thetas = (self._theta_of_run(z, run, quantity) for run in range(len(self._models)))
+        runs = tuple(model.linearize(theta) for model, theta in zip(self._models, thetas, strict=True))
+        finite = all(run.normal_equations.finite for run in runs)
+        return _Expansion(z, runs, sum(run.normal_equations.cost for run in runs) if finite else math.inf)
+
+    def _equations(self, expansion: _Expansion, quantity: Quantity) -> tuple[Array, Array, Array]:
+        """Return Hessian, gradient and precision of the prior with respect to z."""
+        z = expansion.point
+        hessian, gradient = np.zeros((len(z), len(z))), np.zeros(len(z))
+        for i, run in enumerate(expansion.runs):
+            equations, derivatives = run.normal_equations, self._derivatives(z, i, quantity)
+            hessian += derivatives.T @ equations.information @ derivatives
+            gradient += derivatives.T @ equations.gradient
+        # The prior keeps its weight relative to the data, as in `estimation.fit`.
+        precision = self._precision * max(1.0, expansion.cost / self._count)
+        return hessian + precision, gradient + precision @ z, precision
+
+    def promise(self, start: _Expansion, quantity: Quantity) -> float:
+        """Return the change of the cost by a difference of a quantity, to first order."""
+        hessian, gradient, _ = self._equations(start, quantity)
+        return -float(gradient @ np.linalg.solve(hessian, gradient))
+
+    def fit(self, quantity: Quantity) -> tuple[float, Array]:
+        """Fit theta and the amounts by the Levenberg-Marquardt method.
+
+        Returns:
+            Cost without the prior, and the amounts, dimensionless, shape (n,).
+        """
+        z, cost = self.start, math.inf
+        for _ in range(_ITERATIONS):
+            expansion = self.linearize(z, quantity)
+            if not math.isfinite(expansion.cost):
+                break
+            hessian, gradient, precision = self._equations(expansion, quantity)
+            cost, penalty = expansion.cost, float(z @ precision @ z)
+            scaling = np.diag(np.diag(hessian))
+            steps = np.array([np.linalg.solve(hessian + d * scaling, -gradient) for d in _DAMPINGS])
+            trials = np.clip(z + steps, self._low, self._high)
+            costs = np.zeros(len(trials))
+            for i, run in enumerate(expansion.runs):
+                costs += run.costs(np.array([self._theta_of_run(trial, i, quantity) for trial in trials]))
+            totals = costs + np.einsum("bi,ij,bj->b", trials, precision, trials)
+            best = int(np.argmin(totals))
+            if not totals[best] < (1.0 - _TOLERANCE) * (cost + penalty):
+                break
+            z, cost = trials[best], float(costs[best])
+        return cost, z[self._k :]

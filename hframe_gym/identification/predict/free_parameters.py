@@ -1,0 +1,340 @@
+"""Free parameters of a fit: which parameters of a machine are estimated, in which coordinates, with which prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from ...machine import Machine
+
+Array = NDArray[np.float64]
+
+# Standard deviations of the priors, relative to the declared value.  Dry friction and viscous friction vary most from
+# one machine to the next, belt lengths least.
+_MASS_PRIOR = 0.3
+_FRICTION_PRIOR = 0.7
+_BELT_PRIOR = 0.3
+_LENGTH_PRIOR = 0.1
+_MOTOR_PRIOR = 0.2
+_EFFECT_PRIOR = 0.5
+# The logarithm of a parameter of the machine may move this many standard deviations of its prior. With wider limits, a
+# refit without the missing effects may end so far away (a mass twenty times the declared one instead of a spring) that
+# the search does not return. Linear parameters of effects have no such limit, because the typical sizes by which they
+# are divided are only rough estimates (a spring may be stronger than the drives).
+_MAXIMUM_DEVIATION = 4.0
+_LIMIT_TOLERANCE = 0.01  # relative
+# Friction of a coordinate that declares none: unit of theta as a fraction of the typical force.
+_UNDECLARED_COULOMB, _UNDECLARED_VISCOUS = 0.01, 0.1
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """One fitted parameter of a machine and the dimensionless variable theta that the optimizer changes.
+
+    The parameter's value is `center * exp(theta)`, or `center + scale * theta` where `scale` is given.
+
+    Attributes:
+        name: Full name of the machine parameter, e.g. `x.coulomb`.
+        center: Value at theta = 0, SI.
+        prior: Standard deviation of theta around 0.
+        scale: Change of the value per unit of theta, SI; None for a parameter that is fitted as a logarithm.
+        lower: Lower bound of the value.
+        upper: Upper bound of the value.
+        along: Name of the table (curve given by its values at knots) of which this parameter is one value; "" if it
+            belongs to no table. Values of one table follow each other in order; the prior also penalizes their second
+            differences.
+        switch: Whether the parameter is a threshold: predictions change in steps as it changes. Derivatives do not lead
+            to its value, so a fit also tries values at a distance.
+    """
+
+    name: str
+    center: float
+    prior: float
+    scale: float | None = None
+    lower: float = 0.0
+    upper: float = math.inf
+    along: str = ""
+    switch: bool = False
+
+    @property
+    def of_effect(self) -> bool:
+        """Whether it is a parameter of an effect (deviation from the nominal model), not of the machine itself."""
+        return "@" in self.name  # the label of an effect is name@site
+
+    @property
+    def theta_limits(self) -> tuple[float, float]:
+        """Smallest and largest theta (dimensionless variable of the optimizer) that a fit may reach.
+
+        They are +-4 standard deviations of the prior for a parameter that is fitted as a logarithm. For any other
+        parameter, the bounds of its value determine them.
+        """
+        if self.scale is None:
+            return -_MAXIMUM_DEVIATION * self.prior, _MAXIMUM_DEVIATION * self.prior
+        low, high = sorted((self.theta(self.lower), self.theta(self.upper)))
+        return low, high
+
+    def at_limit(self, theta: float) -> bool:
+        """Return whether a fit has moved the parameter to its limit, so that its value is not reliable.
+
+        Args:
+            theta: Dimensionless optimizer variable that the fit returned.
+
+        Returns:
+            True if theta has passed 99 % of the way from 0 to its smallest or largest permitted value (`theta_limits`).
+            A limit at 0 does not count: friction that is declared as zero may remain zero.
+        """
+        low, high = ((1.0 - _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
+        return theta < low < 0.0 or 0.0 < high < theta
+
+    def value(self, theta: Array) -> Array:
+        """Convert theta to the parameter's value, clipped to its bounds.
+
+        Args:
+            theta: Dimensionless optimizer variable, any shape.
+
+        Returns:
+            Values of the parameter, SI, within its bounds, in the shape of theta.
+        """
+        raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
+        return np.clip(raw, self.lower, self.upper)
+
+    def theta(self, value: float) -> float:
+        """Convert a value of the parameter to theta, the dimensionless variable of the optimizer.
+
+        Args:
+            value: Value of the parameter, SI. If the parameter is fitted as a logarithm, the value must have the sign
+                of the attribute `center`.
+
+        Returns:
+            Theta, dimensionless.
+
+        Raises:
+            ValueError: If the parameter is fitted as a logarithm and the value is zero or has the opposite sign.
+        """
+        return math.log(value / self.center) if self.scale is None else (value - self.center) / self.scale
+
+    def slope(self, theta: float) -> float:
+        """Return the derivative of the parameter's value with respect to theta, the optimizer's dimensionless variable.
+
+        Args:
+            theta: Theta at which the derivative is computed.
+
+        Returns:
+            d value / d theta, in the SI unit of the value. The bounds are not considered.
+        """
+        return self.center * math.exp(theta) if self.scale is None else self.scale
+
+    def prior_std(self, value: float) -> float:
+        """Convert the prior's standard deviation from theta to the parameter's value.
+
+        Args:
+            value: Value of the parameter, SI. It is used only if the parameter is fitted as a logarithm.
+
+        Returns:
+            Standard deviation in the SI unit of the value: `prior` * |value| for a parameter that is fitted as a
+            logarithm, otherwise `prior` * `scale`.
+        """
+        return self.prior * (abs(value) if self.scale is None else self.scale)
+
+
+def values_at(free: Sequence[FreeParameter], theta: Array) -> dict[str, float]:
+    """Convert the optimizer's variables theta to values: center * exp(theta), or center + scale * theta.
+
+    Args:
+        free: Free parameters, k of them.
+        theta: Dimensionless variable of each free parameter, shape (k,).
+
+    Returns:
+        Value, SI, by full parameter name such as "x.coulomb".
+    """
+    return {f.name: float(f.value(t)) for f, t in zip(free, theta, strict=True)}
+
+
+def parameter_table(machine: Machine, free: Sequence[FreeParameter], thetas: Array) -> Array:
+    """Convert the optimizer's variables theta of several simulations to complete parameter vectors of the machine.
+
+    Args:
+        machine: Machine that supplies all parameters that are not free.
+        free: Free parameters, k of them.
+        thetas: Dimensionless variable of each free parameter for every simulation of a batch, shape (batch, k).
+
+    Returns:
+        All parameters of the machine, SI, in the order of `Machine.parameters`, shape (batch, parameters), as
+        `simulate_batch` takes them.
+
+    Raises:
+        ValueError: If the name of a free parameter is not one of the machine's parameters.
+    """
+    names = list(machine.parameters)
+    table = np.tile(np.array(list(machine.parameters.values())), (len(thetas), 1))
+    for j, parameter in enumerate(free):
+        table[:, names.index(parameter.name)] = parameter.value(thetas[:, j])
+    return table
+
+
+def second_difference_penalty(count: int) -> Array:
+    """Return the matrix P for which y^T P y is the sum of squared second differences of the ordinates y of a curve.
+
+    Args:
+        count: Number of ordinates.
+
+    Returns:
+        P = D^T D with the second-difference operator D, dimensionless, shape (count, count).
+    """
+    second_difference = np.diff(np.eye(count), n=2, axis=0)
+    penalty: Array = second_difference.T @ second_difference
+    return penalty
+
+
+def prior_precision(free: Sequence[FreeParameter]) -> Array:
+    """Return the inverse covariance of the Gaussian prior of theta, the dimensionless variables of the optimizer.
+
+    The prior has mean 0 and independent components with the standard deviations `FreeParameter.prior`. Parameters that
+    are the ordinates of one table (a curve given by its values at knots) have a further prior: their second differences
+    have unit variance, which favors smooth curves.
+
+    Args:
+        free: Free parameters, k of them.
+
+    Returns:
+        Inverse covariance, dimensionless, shape (k, k).
+    """
+    precision = np.diag([1.0 / f.prior**2 for f in free])
+    for curve in dict.fromkeys(f.along for f in free if f.along):
+        ordinates = np.array([f.along == curve for f in free])
+        precision[np.ix_(ordinates, ordinates)] += second_difference_penalty(int(ordinates.sum()))
+    return precision
+
+
+def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gradient: Array) -> Array:
+    """Return the step of the optimizer's variables theta that minimizes a quadratic model of the cost within limits.
+
+    The model is cost + 2 gradient^T step + step^T hessian step. Each theta stays within `FreeParameter.theta_limits`.
+
+    Args:
+        free: Free parameters, k of them, with the limits of theta.
+        theta: Dimensionless variables before the step, within their limits, shape (k,).
+        hessian: Positive definite matrix of the model, dimensionless, shape (k, k).
+        gradient: Half the derivative of the cost at theta, dimensionless, shape (k,).
+
+    Returns:
+        Step of theta, shape (k,): -hessian^-1 gradient if this stays within the limits, otherwise the minimum of the
+        model within the limits.
+    """
+    step = np.asarray(np.linalg.solve(hessian, -gradient), float)
+    low, high = np.array([f.theta_limits for f in free]).reshape(-1, 2).T
+    if np.all((low <= theta + step) & (theta + step <= high)):
+        return step
+    # The quadratic model as a sum of squares, |A step - b|^2; eigenvalues may be negative by rounding.
+    eigenvalues, axes = np.linalg.eigh(hessian)
+    scales = np.sqrt(np.maximum(eigenvalues, np.finfo(np.float64).eps * eigenvalues.max()))
+    A, b = scales[:, None] * axes.T, -(axes.T @ gradient) / scales
+    solution = lsq_linear(A, b, (low - theta, high - theta), method="bvls")
+    return np.clip(theta + solution.x, low, high) - theta
+
+
+def typical_force(machine: Machine) -> float:
+    """Return a typical size of forces: a tenth of the force of all drives together at standstill and rated voltage.
+
+    A fit expresses the amplitudes of effects and undeclared friction relative to it.
+
+    Args:
+        machine: Machine with its drives.
+
+    Returns:
+        Force at the belt (torque / pulley radius for a rotary coordinate), N.
+    """
+    total = 0.0
+    for drive in machine.drives:  # drive.gain: force or torque per volt at standstill
+        total += drive.gain * drive.rated_voltage / machine.coordinate(drive.coordinate).travel_per_unit
+    return 0.1 * total
+
+
+def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:
+    """Return the parameters that identification refits by default.
+
+    These are:
+
+    - Mass, viscous friction and dry friction of every coordinate.
+    - The stiffness EA of every belt section. For a section whose length changes with the position of the machine, also
+      its constant part `rest_length`, the length at position 0.
+    - The torque constant Kt of every drive but the first, and nonzero back-EMF constants Ke.
+    - The parameters of declared effects.
+
+    Left out are parameters that the machine ties to others, and the torque constant of the first drive. If all torque
+    constants, masses, friction forces and stiffnesses are multiplied by the same factor, the same voltages cause the
+    same motion. Recordings therefore do not determine this factor; the first torque constant sets it.
+
+    Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
+    only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
+
+    Args:
+        machine: Declared machine.
+        effects: Whether the nonzero parameters of the declared effects (deviations from the nominal model) are
+            included, unless an effect declares a parameter as fixed.
+
+    Returns:
+        Free parameters with their priors, centered on the declared values.
+    """
+    free = [*_coordinate_parameters(machine)]
+    for belt in machine.belts:
+        free.append(FreeParameter(f"{belt.name}.EA", belt.EA, prior=_BELT_PRIOR))
+        if belt.length:
+            free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
+    free += [FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR) for drive in machine.drives[1:]]
+    free += [_damping(f"{drive.name}.Ke", drive.Ke, _MOTOR_PRIOR) for drive in machine.drives if drive.Ke > 0]
+    if effects:
+        free += _declared_effect_parameters(machine)
+    return tuple(parameter for parameter in free if parameter.name not in machine.ties)
+
+
+def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:
+    """Return mass and friction of every coordinate as free parameters."""
+    force = typical_force(machine)
+    free = []
+    for c in machine.coordinates:
+        radius = c.travel_per_unit
+        free.append(FreeParameter(f"{c.name}.mass", c.mass, prior=_MASS_PRIOR))
+        undeclared = {
+            "viscous": _UNDECLARED_VISCOUS * force * radius**2,
+            "coulomb": _UNDECLARED_COULOMB * force * radius,
+        }
+        for key, scale in undeclared.items():
+            value = getattr(c, key)
+            if value > 0:
+                parameter = _damping if key == "viscous" else FreeParameter
+                free.append(parameter(f"{c.name}.{key}", value, _FRICTION_PRIOR))
+            else:
+                free.append(FreeParameter(f"{c.name}.{key}", value, prior=1.0, scale=scale))
+    return free
+
+
+def _damping(name: str, value: float, prior: float) -> FreeParameter:
+    """Return a viscous friction or a back-EMF constant as a linear parameter, with the range of a logarithmic one.
+
+    The data determine the sum of viscous friction and back-EMF only. The set of equal sums is straight in linear
+    parameters. In logarithms it is curved, and a fit that follows it to the most probable values does not converge.
+    """
+    factor = math.exp(_MAXIMUM_DEVIATION * prior)
+    return FreeParameter(name, value, prior, scale=value, lower=value / factor, upper=value * factor)
+
+
+def _declared_effect_parameters(machine: Machine) -> list[FreeParameter]:
+    """Return the nonzero parameters of a machine's effects as free parameters."""
+    free = []
+    for effect in machine.effects:
+        for p in effect.definition.parameters:
+            value = effect.parameters[p.name]
+            if p.role == "fixed" or value == 0.0:
+                continue
+            scale = None
+            if p.lower < 0.0:  # the sign is free: linear, not logarithmic
+                scale = 1.0 if p.role == "phase" else abs(value)
+            name = f"{effect.label}.{p.name}"
+            free.append(FreeParameter(name, value, prior=_EFFECT_PRIOR, scale=scale, lower=p.lower, upper=p.upper))
+    return free

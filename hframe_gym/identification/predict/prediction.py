@@ -1,0 +1,292 @@
+"""Predict a run with a machine, for a batch of parameter values at once, and compare it with the measurements.
+
+A Luenberger observer feeds the difference of measured and predicted values back into position and velocity at every
+sample, so that the error of a wrong model remains local in time. Its bandwidth is an argument of every prediction:
+
+- `SEARCH_BANDWIDTH` (60 rad/s), the largest, suits a model that is still wrong (one-step prediction);
+- `SIMULATION` (0) means no feedback: the machine runs from its initial state;
+- between them, `model_error` chooses the bandwidth that the model's remaining error requires.
+
+`start_uncertainty` removes from the residual the part that an uncertain initial state explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...distributed import single_threaded_linear_algebra
+from ...dynamics import resolved_step, simulate_batch
+from ...dynamics.simulation import Motion, threads
+from ...machine import Machine
+from ...preparation.dataset import Dataset, PreparedRecording
+from ...preparation.rest_measurement import max_fitted_zero_means, max_zero_means, sensor_zero_error
+from ..judge.criteria import SelectionCriteria
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+SEARCH_BANDWIDTH = 60.0  # rad/s; confines the error of a wrong model to a few hundredths of a second
+SIMULATION = 0.0  # rad/s; no feedback
+
+SEARCH_STEP = 0.5e-3  # s; integration step of the search
+POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometer at twice this step
+
+# Bandwidth of lasers relative to that of encoders beside them, whose noise is smaller.
+_LASER_BANDWIDTH_RATIO = 25.0 / 60.0
+LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
+_BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
+
+
+def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Iterator[T]:
+    """Apply a function to every run (one recording) of a data set, in parallel threads.
+
+    Args:
+        function: Function of one run; it is called from several threads.
+        data: Data set with the runs (times, voltages, measurements, SI).
+
+    Yields:
+        Result of the function for each run, in the order of the runs.
+    """
+    count = min(threads(), len(data.runs))
+    # The runs occupy all cores; threads of the linear algebra library beside them would only wait for each other.
+    with single_threaded_linear_algebra():
+        if count == 1:
+            yield from map(function, data.runs)
+            return
+        with ThreadPoolExecutor(count) as pool:
+            yield from pool.map(function, data.runs)
+
+
+def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
+    """Return the observer bandwidth of every sensor: how fast its measurements correct a prediction.
+
+    If the machine has encoders, the bandwidth of its lasers is 5/12 of theirs, because lasers are noisier and only need
+    to correct what encoders cannot measure.
+
+    Args:
+        machine: Machine with its sensors.
+        bandwidth: Observer bandwidth of the encoders, or of all sensors if there are no encoders, rad/s.
+
+    Returns:
+        Bandwidths, rad/s, shape (sensors,).
+    """
+    incremental = np.array([sensor.incremental for sensor in machine.sensors])
+    ratio = _LASER_BANDWIDTH_RATIO if incremental.any() else 1.0
+    return np.asarray(bandwidth * np.where(incremental, 1.0, ratio))
+
+
+def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BANDWIDTH) -> Array:
+    """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
+
+    Each sensor corrects its coordinate by an observer of second order with two equal poles at the bandwidth.
+
+    Args:
+        machine: Machine whose sensors are fed back.
+        period: Sampling period, s.
+        bandwidth: Observer bandwidth of the encoders, rad/s. Lasers get 5/12 of it; without encoders, they get all.
+
+    Returns:
+        Corrections at each sample per m or rad of measured minus predicted value: of the positions (first half of the
+        rows), m or rad, and of the velocities (second half), m/s or rad/s, shape (2 * coordinates, sensors).
+    """
+    count = len(machine.coordinates)
+    gains = np.zeros((2 * count, len(machine.sensors)))
+    rates = sensor_bandwidths(machine, bandwidth) * min(period, LONGEST_OBSERVER_PERIOD)  # rad per sample
+    for j, (sensor, rate) in enumerate(zip(machine.sensors, rates, strict=True)):
+        name = sensor.coordinate
+        i = machine.coordinate_names.index(name)
+        # Poles (s + bandwidth)^2, discretized; sensor.row: change of the measurement per unit of the coordinate.
+        gains[i, j] = 2 * rate / sensor.row[name]
+        gains[count + i, j] = rate**2 / period / sensor.row[name]
+    return gains
+
+
+def predict(
+    machine: Machine,
+    run: PreparedRecording,
+    bandwidth: float,
+    *,
+    period: float,
+    parameters: Array | None = None,
+    inputs: Array | None = None,
+    extra_force: Array | None = None,
+    extra_measurement: Array | None = None,
+    initial_state: Array | None = None,
+    longest_step: float = SEARCH_STEP,
+    states: bool = False,
+) -> Motion:
+    """Predict the measurements of a run, for several sets of parameters, perturbations or initial states at once.
+
+    Args:
+        machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
+        run: Run to predict, n samples.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none. A run
+            may have another one (`PreparedRecording.observer_bandwidth`).
+        period: Sampling period, s.
+        parameters: All parameters, SI, as in `Machine.parameters`, shape (batch, parameters). Default: the machine's.
+        inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
+        extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
+            (batch, n, coordinates). Default: none.
+        extra_measurement: Value added to the sensors' output, m or rad, shape (batch, n or 1, sensors). Default: none.
+        initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero), shape
+            (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
+            observer shifts the measurements of encoders so that they agree with the first of these states.
+        longest_step: Maximum integration step, s; stiff belts may need shorter ones (`resolved_step`).
+        states: Whether to return positions and velocities too.
+
+    Returns:
+        `readings`: predicted measurements, m or rad, shape (batch, n, sensors), not finite if the prediction diverges.
+        With `states` also `positions`, m or rad, and `velocities`, m/s or rad/s, shape (batch, n, coordinates) each.
+    """
+    starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
+    measured = gains = None
+    bandwidth = run.bandwidth(bandwidth)
+    if bandwidth > 0.0:
+        measured = measurements_from(starts[0], machine, run)
+        measured = measured if extra_measurement is None else measured - extra_measurement
+        gains = observer_gains(machine, period, bandwidth)
+    motion = simulate_batch(
+        machine,
+        run.time_s,
+        run.inputs if inputs is None else inputs,
+        parameters=parameters,
+        start=starts,
+        extra_force=extra_force,
+        measured=measured,
+        gains=gains,
+        longest_step=resolved_step(machine, longest_step),
+        states=states,
+        parallel=False,
+    )
+    return motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
+
+
+def measurements_from(start: Array, machine: Machine, run: PreparedRecording) -> Array:
+    """Return the measurements of a run for an initial state other than the measured one.
+
+    Encoders count from the initial position. If effects change what sensors measure, the position at the start differs
+    from the measured one, and the encoders measure that much more or less in all rows.
+
+    Args:
+        start: Initial state: positions, m or rad, first, shape (coordinates or more,).
+        machine: Machine with its sensors.
+        run: Run, n samples.
+
+    Returns:
+        Measurements, m or rad, shape (n, sensors).
+    """
+    measured_start = run.initial.position
+    displacement = machine.sensor_matrix[:, : len(measured_start)] @ (start[: len(measured_start)] - measured_start)
+    return run.outputs + np.where([sensor.incremental for sensor in machine.sensors], displacement, 0.0)
+
+
+def noise_floor(bandwidth: float, criteria: SelectionCriteria) -> float:
+    """Return chi-squared per sample (mean squared error / noise variance) of predictions by a correct model.
+
+    Args:
+        bandwidth: Bandwidth of the observer that corrects the predictions, rad/s; 0 for a simulation.
+        criteria: Decision thresholds.
+
+    Returns:
+        Chi-squared per sample, dimensionless: 1, or `one_step_floor` (1.1 by default) with the widest observer
+        (60 rad/s), which feeds back the sensors' noise.
+    """
+    return criteria.one_step_floor if bandwidth >= SEARCH_BANDWIDTH else 1.0
+
+
+def mechanical_rows_per_block(data: Dataset) -> int:
+    """Return how many rows of a residual may be combined into one, which saves time in the search for effects.
+
+    Mechanical effects hardly change the residual within 4 ms. Combined rows are summed and divided by the root of
+    their number.
+
+    Args:
+        data: Data set, for its sampling period.
+
+    Returns:
+        Number of rows in 4 ms, at least one.
+    """
+    return max(1, round(_BLOCK_S / data.period))
+
+
+def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
+    """Return how many values of the residual belong to a block of consecutive rows of a given duration.
+
+    Statistics that must permit correlation in time take such blocks, not single values, as independent.
+
+    Args:
+        seconds: Duration of the block, s.
+        machine: Machine with its sensors.
+        data: Data set, for the sampling period.
+
+    Returns:
+        Number of values (rows times sensors), at least one row of them.
+    """
+    return max(1, round(seconds / data.period)) * len(machine.sensors)
+
+
+def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
+    """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
+
+    A zero is the measurement at position 0. For encoders behind belts, the constant error is the mean error over the
+    complete run. For all other sensors, it is the mean error over the rows at rest, changed by at most half a
+    quantization step towards the mean over the complete run.
+
+    Args:
+        run: Measured run, n samples.
+        data: Data set of the run, for the sensors' quantization steps.
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
+        fitted: True for the residual of a fit: sensors without quantization that measured at rest are treated like
+            encoders behind belts, and measurements with the same rounding error count as one in the means
+            (`run.weights`). False for an evaluation: equal weights.
+
+    Returns:
+        Errors, m or rad, shape (batch, n, sensors); meaningless numbers where nothing was measured.
+    """
+    measured = np.isfinite(run.outputs)
+    error: Array = run.outputs - measurements
+    if not measured.all():
+        error = np.where(measured, error, 0.0)
+    max_mean = (
+        max_fitted_zero_means(data.behind_belts, data.quantum, run.initial.measured_at_rest)
+        if fitted
+        else max_zero_means(data.behind_belts, data.quantum)
+    )
+    weights = run.weights if fitted else measured
+    error -= sensor_zero_error(error, weights, run.initial.resting_rows, max_mean, data.quantum)
+    return error
+
+
+def residuals(
+    run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1, *, fitted: bool = True
+) -> Array:
+    """Return measured minus predicted values, divided by the standard deviations of the measurements' noise.
+
+    The constant error that uncertain sensor zeros (measurements at position 0) cause is estimated and subtracted first.
+
+    Args:
+        run: Measured run, n samples, with the standard deviation of each value's noise.
+        data: Data set of the run, for the sensors' quantization steps.
+        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
+        rows_per_block: Number of consecutive rows that are combined into one: their sum divided by the root of this
+            number. White noise keeps its standard deviation, slow residuals keep their sum of squares.
+        fitted: True for the residual of a fit: measurements with the same rounding error count as one, and the zeros
+            of sensors that measured at rest without quantization are corrected without limit. False: evaluation.
+
+    Returns:
+        Residuals, dimensionless, shape (batch, n // rows_per_block * sensors), all sensors of one row before the next;
+        zero where a value was not measured.
+    """
+    scales = np.sqrt(run.weights if fitted else run.weights > 0.0) / run.noise
+    with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
+        error = prediction_error(run, data, measurements, fitted=fitted) * scales
+    batch, rows, sensors = error.shape
+    if rows_per_block > 1:
+        blocks = rows // rows_per_block
+        error = error[:, : blocks * rows_per_block].reshape(batch, blocks, rows_per_block, sensors)
+        error = error.sum(axis=2) / np.sqrt(rows_per_block)
+    return error.reshape(batch, -1)

@@ -1,0 +1,322 @@
+"""The uncertain start of a run: what may be wrong with it, and how residuals are freed from its influence.
+
+Static friction holds an unknown stretch of the belts when a run begins: encoders behind belts do not resolve it, and an
+encoder that was switched on anew does not measure it at all. Where no laser measures at rest, the position is uncertain
+as well. A bristle or a cable with hysteresis remembers motion that was not recorded. A fit removes the response to all
+of these from its residual (variable projection); `start_estimation` estimates them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+
+from ...dynamics import Equations
+from ...dynamics.simulation import Motion, parameter_batch
+from ...machine import Machine
+from ...preparation.belt_stretch import linear_coordinates, rigid_basis, stretch_angles, vibration_speeds
+from ...preparation.dataset import Dataset, PreparedRecording
+from ...preparation.initial_state import model_initial_states
+from ...preparation.rest_measurement import InitialState
+from .prediction import SEARCH_STEP, predict, residuals
+
+Array = NDArray[np.float64]
+_UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
+
+
+class UncertainStart(NamedTuple):
+    """State from which a run is predicted, and by how much it may be wrong.
+
+    Attributes:
+        state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + states,).
+        displacements: Independent displacements of this state, one per row, each of the size of one standard deviation,
+            shape (displacements, 2 * coordinates + states); no rows if nothing is uncertain.
+    """
+
+    state: Array
+    displacements: Array
+
+    @property
+    def displaced_states(self) -> Array:
+        """The state with each of the displacements added in turn, SI, shape (displacements, state)."""
+        return self.state + self.displacements
+
+
+def uncertain_starts(machine: Machine, runs: Sequence[PreparedRecording]) -> dict[str, UncertainStart]:
+    """Return where predictions of runs by a machine start, and by how much these states may be wrong.
+
+    Args:
+        machine: Machine that predicts; its effects (deviations from the nominal model) also determine the state.
+        runs: Runs to predict. What depends on the machine alone is computed once for all of them.
+
+    Returns:
+        State, shape (2 * coordinates + effect states,), and displacements (`start_displacements`), by name of the run.
+    """
+    states = model_initial_states(machine, [run.initial for run in runs])
+    displacements = start_displacements(machine, [run.initial for run in runs])
+    starts = map(UncertainStart, states, displacements)
+    return dict(zip((run.name for run in runs), starts, strict=True))
+
+
+def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> list[Array]:
+    """Return the independent displacements by which the states at the start of runs may differ from the measured ones.
+
+    They have four causes:
+
+    - Static friction holds an unknown stretch of the belts: one displacement per pulley with an encoder.
+    - In a machine with belts, lasers (sensors with a fixed zero) do not measure the complete position before the motion
+      begins: one displacement per motion that stretches no belt and that no laser measures at rest.
+    - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that stretches
+      no belt, and one per pulley with an encoder, because the belts vibrate.
+    - An effect such as hysteresis remembers motion before the recording: one per state of an effect that defines an
+      `initial_spread`.
+
+    Args:
+        machine: Machine whose simulation starts from these states.
+        initial: Measured initial state of each run.
+
+    Returns:
+        For each run its displacements, one per row, each of the size of one standard deviation: positions (m, rad),
+        velocities (m/s, rad/s), states of the effects (SI), shape (displacements, 2 * coordinates + effect states).
+    """
+    count, spreads = len(machine.coordinates), effect_state_spreads(machine)
+    of_effects = np.pad(np.diag(spreads)[spreads > 0.0], ((0, 0), (2 * count, 0)))
+    # The typical stretch depends on the machine, and on whether the run begins in motion.
+    angles = {
+        moving: stretch_angles(machine, moving=moving)
+        for moving in {len(state.velocity_deviations) > 0 for state in initial}
+    }
+    displacements = []
+    for state in initial:
+        positions = _position_displacements(machine, state, angles[len(state.velocity_deviations) > 0])
+        velocities = _velocity_displacements(machine, state)
+        blocks = (
+            np.pad(positions, ((0, 0), (0, count + len(spreads)))),
+            np.pad(velocities, ((0, 0), (count, len(spreads)))),
+            of_effects,
+        )
+        displacements.append(np.vstack(blocks))
+    return displacements
+
+
+def _position_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
+    """Return the uncertain positions of a run, each of the size of its error, shape (k, coordinates).
+
+    Zeros that scatter from run to run show the stretch that friction holds on this rig; a zero is then uncertain, too.
+    """
+    spreads = {
+        sensor.coordinate: spread / abs(sensor.row[sensor.coordinate])
+        for sensor, spread in zip(machine.sensors, initial.zero_spread, strict=True)
+    }
+    stretches = np.zeros((len(held_angles), len(machine.coordinates)))
+    for k, (name, angle) in enumerate(held_angles.items()):
+        stretches[k, machine.coordinate_names.index(name)] = max(angle, spreads.get(name, 0.0))
+    if not held_angles or initial.lasers_measured:
+        return stretches
+    return np.vstack([stretches, _rigid_displacements(machine, initial, held_angles)])
+
+
+def _velocity_displacements(machine: Machine, initial: InitialState) -> Array:
+    """Return the uncertain velocities of a run that begins in motion, each of the size of its error (k, coordinates).
+
+    Beside the motions that stretch no belt, every pulley vibrates against the belts.
+    """
+    rigid, count = initial.velocity_deviations, len(machine.coordinates)
+    if not len(rigid):
+        return np.zeros((0, count))
+    speeds = vibration_speeds(machine)
+    vibrations = [machine.coefficients({name: 1.0}) * speed for name, speed in speeds.items()]
+    # `rigid` lacks the coordinates of structural effects, which are the last ones.
+    return np.vstack([np.pad(rigid, ((0, 0), (0, count - rigid.shape[1]))), *vibrations])
+
+
+def effect_state_spreads(machine: Machine) -> Array:
+    """Return the standard deviation of the state that each effect has at the start of a run.
+
+    Args:
+        machine: Machine with its effects (deviations from the nominal model).
+
+    Returns:
+        Standard deviations, SI, in the order of the effects' states, shape (effect states,); 0 for a state that is zero
+        at rest, such as the current of a motor.
+    """
+    equations = Equations(machine)
+    spreads = []
+    for k in equations.states:
+        effect, i = equations.instances[k].effect, equations.instances[k].coordinate
+        level = machine.coordinates[i].coulomb if i >= 0 else 0.0
+        known = effect.definition.initial_spread is None
+        spreads.append(0.0 if known else float(equations.evaluate(effect, "initial_spread", {"level": level})))
+    return np.array(spreads)
+
+
+def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: dict[str, float]) -> Array:
+    """Return the rigid motions that no laser measured at rest, of the size of their uncertainty, (k, coordinates)."""
+    travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
+    size = max(travel) if initial.position_measured else _UNMEASURED_POSITION
+    rigid = rigid_basis(machine)
+    lasers = np.array([not sensor.incremental for sensor in machine.sensors]) & initial.measured_at_rest
+    unseen = rigid @ null_space((machine.sensor_matrix @ rigid)[lasers])  # (coordinates, k)
+    return np.asarray(size * (unseen / np.linalg.norm(unseen[linear_coordinates(machine)], axis=0)).T)
+
+
+@dataclass(frozen=True)
+class InitialStateProjection:
+    """Projection that removes from residuals what an uncertain initial state, such as a belt stretch, explains.
+
+    The squared norm of a projected residual r is the minimum over w of |r - C w|^2 + |w|^2, where the columns of C are
+    the changes of r by displacements of the initial state, each of the size of one standard deviation (variable
+    projection). A fit therefore need not estimate the displacements w.
+
+    Attributes:
+        directions: Orthonormal basis of the s columns of C, shape (rows, s).
+        weights: Fraction of the residual along each direction that is removed, 0 (the prior determines the
+            displacement) to 1 (the data determine it), shape (s,).
+
+    References:
+        Golub and Pereyra (1973), variable projection.
+    """
+
+    directions: Array
+    weights: Array
+
+    @classmethod
+    def from_displaced(cls, residual: Array, displaced: Array) -> InitialStateProjection | None:
+        """Build the projection from the residuals of predictions that start from displaced states.
+
+        Args:
+            residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).
+            displaced: Residuals of predictions from `UncertainStart.displaced_states`, shape (displacements, rows).
+
+        Returns:
+            Projection for residuals of shape (batch, rows); None without displacements, or if a prediction diverges.
+        """
+        columns = (displaced - residual).T
+        if not columns.shape[1] or not np.all(np.isfinite(columns)):
+            return None
+        directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        return cls(directions, 1.0 - 1.0 / np.hypot(1.0, sizes))  # no overflow close to divergence
+
+    def __call__(self, residual: Array) -> Array:
+        """Remove the part of residuals that the optimal displacement of the initial state explains, given its prior.
+
+        Args:
+            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
+
+        Returns:
+            Projected residuals, same shape; their sum of squares is the cost at the optimal displacement.
+        """
+        return residual - (residual @ self.directions) * self.weights @ self.directions.T
+
+
+def projected(residuals_of_predictions: Array, displacements: int) -> tuple[Array, InitialStateProjection | None]:
+    """Remove from residuals what an uncertain initial state explains.
+
+    Args:
+        residuals_of_predictions: Residuals in units of the noise, shape (batch + displacements, rows). The first one is
+            that of the prediction around which the initial state is displaced; the last ones are those of the displaced
+            states, from `predict_with_displaced_starts`.
+        displacements: Number of displaced states.
+
+    Returns:
+        residuals: Projected residuals, without those of the displaced states, shape (batch, rows).
+        projection: Projection for further residuals, shape (batch, rows). None if nothing is uncertain or a prediction
+            diverges.
+    """
+    batch, displaced = np.split(residuals_of_predictions, [len(residuals_of_predictions) - displacements])
+    projection = InitialStateProjection.from_displaced(batch[0], displaced)
+    return (batch if projection is None else projection(batch)), projection
+
+
+def predict_with_displaced_starts(
+    machine: Machine,
+    run: PreparedRecording,
+    bandwidth: float,
+    start: UncertainStart,
+    *,
+    period: float,
+    parameters: Array | None = None,
+    longest_step: float = SEARCH_STEP,
+    states: bool = False,
+) -> Motion:
+    """Predict a run for several sets of parameters, and from displaced initial states, as one batch.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict, n samples.
+        bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
+        start: State from which the run is predicted, with s displacements.
+        period: Sampling period, s.
+        parameters: Parameters, SI, as in `Machine.parameters`, shape (batch, parameters); the first set is also that
+            for the displaced states. Default: those of the machine, a batch of one.
+        longest_step: Maximum integration step, s.
+        states: Whether to return positions and velocities too.
+
+    Returns:
+        Motion as from `predict`, shape (batch + s, n, ...): first the sets of parameters, then the displaced states.
+    """
+    table = parameter_batch(machine) if parameters is None else parameters
+    displaced = start.displaced_states
+    rows = np.vstack([table, np.repeat(table[:1], len(displaced), axis=0)])
+    initial_states = np.vstack([np.tile(start.state, (len(table), 1)), displaced])
+    return predict(
+        machine,
+        run,
+        bandwidth,
+        period=period,
+        parameters=rows,
+        initial_state=initial_states,
+        extra_measurement=_displaced_zeros(machine, run, initial_states) if run.bandwidth(bandwidth) else None,
+        longest_step=longest_step,
+        states=states,
+    )
+
+
+def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array | None:
+    """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, 1, sensors).
+
+    An encoder without a known zero counts from the state at the start. If that state is displaced, all of its
+    measurements are, which an observer feeds back throughout the run. None if there is no such encoder.
+    """
+    unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.resolves_stretch
+    positions = initial_states[:, : len(machine.coordinates)]
+    changes = np.where(unknown, (positions - positions[0]) @ machine.sensor_matrix.T, 0.0)  # (batch, sensors)
+    return -changes[:, None] if np.any(changes) else None
+
+
+def prediction_residuals(
+    machine: Machine,
+    run: PreparedRecording,
+    data: Dataset,
+    bandwidth: float,
+    *,
+    start: UncertainStart | None = None,
+    longest_step: float = SEARCH_STEP,
+) -> Array:
+    """Return a machine's prediction errors over a run, each divided by the standard deviation of the sensor's noise.
+
+    The part of the errors that an unknown initial stretch of the belts (or another unknown part of the initial state)
+    can explain is removed, as in a fit.
+
+    Args:
+        machine: Machine that predicts.
+        run: Run to predict (times, voltages, measurements, SI), n samples.
+        data: Data set of the run.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        start: State from which the run is predicted. Default: that of `uncertain_starts`.
+        longest_step: Maximum integration step, s.
+
+    Returns:
+        Residuals, dimensionless, shape (n * sensors,), 0 where not measured; not finite if the prediction diverges.
+    """
+    start = start or uncertain_starts(machine, [run])[run.name]
+    motion = predict_with_displaced_starts(
+        machine, run, bandwidth, start, period=data.period, longest_step=longest_step
+    )
+    residual, _ = projected(residuals(run, data, motion.readings), len(start.displacements))
+    return residual[0]

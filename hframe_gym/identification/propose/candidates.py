@@ -1,0 +1,318 @@
+"""List the candidates of the search: every effect of the library at every site, with several starting values.
+
+An effect is a deviation from the nominal model, such as cogging. A site is the component that an effect acts on: a
+coordinate, a drive, a sensor or the machine. The library gives starting values relative to typical sizes (0.3 of the
+typical force, a tenth of the top speed); `TypicalScales` holds these sizes. The starting values of periods are the
+peaks of a periodogram of the missing force, the force that the model lacks.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS, effect_sites
+from ...effects.smooth_table import TABLE_FAMILY
+from ...machine import AppliedEffect, Effect, EffectParameter, Machine
+from ...preparation.dataset import Dataset
+from ...preparation.sensor_properties import UNLIMITED
+from ..fit.force_sizes import SESSION, TypicalScales
+from ..predict.free_parameters import FreeParameter
+from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_peaks, slow_rates
+
+Array = NDArray[np.float64]
+_MAX_SHAPES = 64  # Sets of starting values per effect and site.
+_END_FRACTION = 0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
+
+_LEAST_PERIOD_PRIOR = 0.1  # relative
+_ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a site with starting values of its shape parameters (widths, speeds, spatial rates).
+
+    Attributes:
+        effect: Definition of the effect.
+        site: Name of the coordinate, drive or sensor on which the effect acts, or "machine".
+        columns: Basis functions of the effect (for example sine and cosine), whose weighted sum is the effect. Each is
+            a complete set of effect parameters, by parameter name, with the amplitude at its typical size. An effect
+            without an amplitude has a single set, which is the effect itself.
+        scales: Typical sizes at the site (force, speed, ...), by unit of the effect's parameters.
+    """
+
+    effect: Effect
+    site: str
+    columns: tuple[Mapping[str, float], ...]
+    scales: Mapping[str, float]
+
+    @property
+    def label(self) -> str:
+        """Name of the effect (deviation from the nominal model) and its component, such as "stribeck_friction@x"."""
+        return f"{self.effect.name}@{self.site}"
+
+    @property
+    def has_no_amplitude(self) -> bool:
+        """Whether the effect has no amplitude parameter; its only basis function then has no weight to fit."""
+        return not self.effect.amplitudes
+
+    def differs_in_thresholds(self, other: Candidate) -> bool:
+        """Check whether another candidate for the same effect differs from this one only in its thresholds.
+
+        A threshold is a parameter on which predictions depend in steps. A fit tries several values of it, so that two
+        such candidates lead to the same fit.
+
+        Args:
+            other: Candidate with other starting values of the effect (deviation from the nominal model).
+
+        Returns:
+            True if all parameters that are neither thresholds nor amplitudes have the same starting values.
+        """
+        shapes = (p for p in self.effect.parameters if p.role not in ("switch", "amplitude"))
+        return all(self.columns[0][p.name] == other.columns[0][p.name] for p in shapes)
+
+    def applied(self, amounts: Sequence[float]) -> AppliedEffect:
+        """Return the effect (deviation from the model) with given weights of its basis functions (`columns`).
+
+        Args:
+            amounts: Weight of each basis function, dimensionless, shape (basis functions,); a weight of 1 gives the
+                typical amplitude. The number of basis functions depends on the parameters of the effect:
+
+                - With a phase, there are two, sine and cosine; amplitude and phase follow from their weights.
+                - Without a phase, there is one per amplitude; the amplitude is its typical size * weight.
+                - With neither, there is one, the effect itself; its weight is ignored.
+
+        Returns:
+            Effect on the candidate's component, with its parameters, SI, clipped to their bounds.
+        """
+        values = dict(self.columns[0])
+        phase = next((p.name for p in self.effect.parameters if p.role == "phase"), None)
+        names = self.effect.amplitudes
+        if phase is not None:  # a sin(u) + b cos(u) = sqrt(a^2 + b^2) sin(u + atan2(b, a))
+            sine, cosine = amounts
+            values[names[0]] *= float(np.hypot(sine, cosine))
+            values[phase] = float(np.arctan2(cosine, sine))
+        elif len(names) == len(self.columns):  # one basis function per amplitude
+            values |= {n: c[n] * float(a) for n, c, a in zip(names, self.columns, amounts, strict=True)}
+        bounds = {p.name: (p.lower, p.upper) for p in self.effect.parameters}
+        return self.effect.at(self.site, **{n: float(np.clip(v, *bounds[n])) for n, v in values.items()})
+
+
+def candidates(
+    machine: Machine,
+    data: Dataset,
+    scales: TypicalScales,
+    missing_force: Mapping[str, Array],
+    *,
+    slow_friction: bool = False,
+) -> list[Candidate]:
+    """List the effects (deviations from the model) that the machine may lack, as candidates for a search.
+
+    Every effect is combined with every component that it can act on (its site), and with several starting values.
+
+    Args:
+        machine: Machine with the effects that have been selected so far.
+        data: Prepared recordings (times, voltages, measurements).
+        scales: Typical sizes of force, speed, ...; the library states starting values as multiples of them.
+        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
+            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm. Effects that are
+            periodic in position start from the strongest spatial periods of the missing force.
+        slow_friction: Whether friction that is periodic in position also starts from long periods: 0.5 to 6 periods
+            over the range of the positions.
+
+    Returns:
+        One candidate per effect, site (component) and set of starting values, at most 64 per effect and site. Left out
+        are effects that the machine has already, effects that require another effect which the machine lacks, effects
+        that a refit of the machine's parameters can represent, and effects that replace a part of the model
+        (they add coordinates or replace dry friction), which `screening.screen_structures` tries.
+    """
+    present = {e.label for e in machine.effects}
+    proposed: list[Candidate] = []
+    for effect in EFFECTS.values():
+        if effect.replaces_model_part or effect.refitted:
+            continue
+        for site in effect_sites(effect, machine):
+            if f"{effect.name}@{site}" in present or (effect.requires and f"{effect.requires}@{site}" not in present):
+                continue
+            at_site = _scales_at(effect, site, machine, scales)
+            for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
+                proposed.append(Candidate(effect, site, _columns(effect, shape, at_site), at_site))
+    return proposed
+
+
+def is_required(machine: Machine, label: str) -> bool:
+    """Check whether an effect must stay in a machine because another effect of the machine requires it.
+
+    Args:
+        machine: Machine with effects (deviations from the nominal model).
+        label: Label (name@component) of the effect that may be required.
+
+    Returns:
+        True if an effect on the same component names it in `Effect.requires`.
+    """
+    return any(f"{e.definition.requires}@{e.site}" == label for e in machine.effects)
+
+
+def _scales_at(effect: Effect, site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:
+    """Return the typical sizes at a site; an effect on all drives together takes those of the first drive."""
+    shared = site not in [d.name for d in machine.drives] and site == "drives"
+    return scales.of(machine.coordinate_of_site(machine.drives[0].name if shared else site, effect.site) or "")
+
+
+def _columns(
+    effect: Effect, shape: Mapping[str, float], scales: Mapping[str, float]
+) -> tuple[Mapping[str, float], ...]:
+    """Return the parameter sets of an effect's basis functions: sine and cosine, or one per amplitude."""
+    zero = dict.fromkeys(effect.amplitudes, 0.0)
+    size = {p.name: p.scale * scales.get(p.unit, 1.0) for p in effect.parameters if p.amplitude}
+    phase = next((p.name for p in effect.parameters if p.role == "phase"), None)
+    if phase is not None:
+        return tuple({**size, **shape, phase: angle} for angle in (0.0, np.pi / 2))
+    return tuple({**zero, **shape, name: size[name]} for name in size) or (dict(shape),)
+
+
+def _shapes(
+    effect: Effect,
+    site: str,
+    machine: Machine,
+    data: Dataset,
+    scales: Mapping[str, float],
+    missing_force: Mapping[str, Array],
+    slow_friction: bool,
+) -> list[Mapping[str, float]]:
+    """Return the starting values of everything but amplitudes and phases."""
+    if effect.name == "sensor_range":
+        return _range_shapes(machine.output_channels.index(site), data)
+    grids: dict[str, list[float]] = {}
+    for p in effect.parameters:
+        if p.role in ("shape", "switch"):
+            grids[p.name] = [g * scales.get(p.unit, 1.0) for g in p.grid]
+        elif p.role in ("rate", "period"):
+            motion = missing_force[machine.coordinate_of_site(site, effect.site) or ""]
+            rates = periodogram_peaks(motion, data.period, friction=effect.coulomb is not None)
+            if slow_friction and effect.coulomb:
+                rates = np.concatenate([rates, slow_rates(motion[:, 0])])
+            grids[p.name] = [float(rate) if p.role == "rate" else float(2 * np.pi / rate) for rate in rates]
+    limits = {p.name: coverage(p, scales) for p in effect.parameters}
+    for name, values in grids.items():
+        low, high = limits[name]
+        grids[name] = [v for v in values if (1.0 - _ROUNDING) * low <= v <= (1.0 + _ROUNDING) * high]
+    shapes = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
+    return list(shapes[:_MAX_SHAPES])
+
+
+def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
+    """Return the ends at which sensor j may saturate: its outermost measurements, where many lie together."""
+    values = data.measured_values(j)
+    if len(values) == 0:
+        return []
+    ends = []
+    for sign in (-1.0, 1.0):
+        outward = sign * values
+        top = float(np.percentile(outward, 99.9))
+        outermost = outward > top - 4 * max(float(data.noise[j]), 1e-12)
+        saturated = float(np.mean(outermost)) > _END_FRACTION
+        ends.append(sign * float(np.median(outward[outermost])) if saturated else None)
+    far = UNLIMITED * max(float(np.abs(values).max()), 1e-6)
+    low, high = ends
+    choices = [(low, None), (None, high), (low, high)]
+    return [
+        {"low": -far if a is None else a, "high": far if b is None else b}
+        for a, b in choices
+        if not (a is None and b is None)
+    ]
+
+
+def covered_by_runs(parameter: EffectParameter) -> bool:
+    """Return whether the motion of the runs limits what a parameter of an effect may be, see `coverage`.
+
+    Args:
+        parameter: Parameter of an effect.
+
+    Returns:
+        True for periods and rates, speed scales, and time constants of changes over the session.
+    """
+    return parameter.role in ("period", "rate") or (parameter.role == "shape" and parameter.unit in ("speed", "s"))
+
+
+def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[float, float]:
+    """Return between which values the runs can show a parameter of an effect.
+
+    A period longer than the travel cannot be told from a slope, a speed scale above the highest speed from viscous
+    friction, a time constant longer than the session from a linear change.
+
+    Args:
+        parameter: Parameter of an effect.
+        scales: Typical sizes at its component, by unit (`TypicalScales`).
+
+    Returns:
+        Smallest and largest value, SI; infinite where the runs set no limit.
+    """
+    if not covered_by_runs(parameter):
+        return -np.inf, np.inf
+    if parameter.role == "rate":
+        return 2 * np.pi * MIN_FORCE_PERIODS / scales.get("position", np.inf), np.inf
+    key = "position" if parameter.role == "period" else SESSION if parameter.unit == "s" else parameter.unit
+    return -np.inf, scales.get(key, np.inf)
+
+
+def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
+    """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
+
+    The optimizer changes one dimensionless variable theta per parameter. With the starting value and the typical size
+    of a parameter, its value is start * exp(theta) if it must be positive, and start + size * theta for an amplitude, a
+    phase, or a parameter that may be zero or negative. The ordinates of a table (a curve given by its values at knots)
+    are size * theta.
+
+    Args:
+        effect: Effect (deviation from the nominal model) with its starting values.
+        machine: Machine that it acts on.
+        scales: Typical sizes of force, speed and so on, by the unit of the parameter.
+
+    Returns:
+        One free parameter for every parameter of the effect, except parameters that its definition declares as fixed.
+    """
+    at_site = _scales_at(effect.definition, effect.site, machine, scales)
+    free = []
+    for p in effect.definition.parameters:
+        if p.role == "fixed":
+            continue
+        name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
+        size = p.scale * at_site.get(p.unit, 1.0)
+        if p.amplitude and any(p.grid):  # its starting values differ by orders of magnitude
+            size = max(size, abs(value))
+        lower, upper = _bounds(p, value, at_site)
+        if effect.definition.family == TABLE_FAMILY:
+            # Centered at zero, because the prior of a smooth curve (`along`) penalizes differences of the ordinates.
+            free.append(FreeParameter(name, 0.0, prior=10.0, scale=size, lower=lower, upper=upper, along=effect.label))
+        elif p.amplitude or p.role == "phase":
+            free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=lower, upper=upper))
+        elif p.role in ("rate", "period"):
+            free.append(FreeParameter(name, value, prior=_period_prior(p, value, at_site), lower=lower, upper=upper))
+        elif p.lower < 0.0 or value == 0.0:
+            free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=lower, upper=upper))
+        else:
+            free.append(FreeParameter(name, value, 1.0, lower=lower, upper=upper, switch=p.role == "switch"))
+    return tuple(free)
+
+
+def _period_prior(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> float:
+    """Return the relative standard deviation of a period or rate: half a period over the range of the positions."""
+    span = scales.get("position", 0.0)  # range of the positions
+    periods = span * value / (2 * np.pi) if parameter.role == "rate" else span / value
+    return max(_LEAST_PERIOD_PRIOR, 0.5 / max(periods, MIN_FRICTION_PERIODS))
+
+
+def _bounds(parameter: EffectParameter, value: float, scales: Mapping[str, float]) -> tuple[float, float]:
+    """Return the bounds between which a fit may change a parameter of this value.
+
+    They are those of its definition, without values that the recorded motion cannot distinguish from another effect.
+    """
+    least, most = coverage(parameter, scales)
+    lower = max(parameter.lower, least)
+    upper = min(parameter.upper, most, parameter.largest * scales.get(parameter.unit, 1.0))
+    return min(lower, value), max(upper, value)

@@ -1,0 +1,162 @@
+"""Find the spatial periods of the missing force, the force that a model lacks.
+
+The periodogram is that of least squares, because positions are unequally spaced. `residual.missing_force` estimates the
+force up to a cut-off frequency, which a short period exceeds at high speed. Each period is therefore fitted only to
+rows in which the motion is slow enough.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..fit.residual import HIGHEST_FREQUENCY
+
+Array = NDArray[np.float64]
+
+# Numbers of periods over the range of the positions. Less than one period of a force cannot be distinguished from a
+# spring.
+MIN_FRICTION_PERIODS, MIN_FORCE_PERIODS = 0.5, 1.0
+_MAX_PERIODS = 1000.0
+_ROWS_PER_PERIOD = 4.0  # Minimum number of rows per period. Rows of faster motion are not used.
+# Lowest speed that is used, relative to the highest one that is used. Near standstill, the direction of dry friction is
+# uncertain.
+_SLOWEST = 0.02
+_MIN_ROWS = 50  # A period is tried only with this many slow rows: ten for each of the five fitted coefficients.
+_POINTS_PER_PERIOD = 4  # The grid of rates has this many points per additional period over the range.
+_CELLS_PER_POINT = 16  # Least number of cells of the transform's position grid in the shortest period.
+_GROUP_RATIO = 2.0**0.5  # Ratio of the highest to the lowest rate of a group that is fitted to the same rows.
+# Periods over the range. The strongest rate of each of these bands is returned, unless on the flank of a stronger one.
+_BAND_EDGES = (3.0, 12.0, 40.0, 150.0)
+_SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0.5)])
+_MAX_RATES = 7
+
+
+def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) -> Array:
+    """Find the spatial rates (2 pi / period) at which the missing force varies most with the position.
+
+    The missing force is the force that the model lacks. At each spatial rate, a sine and a cosine of the position (for
+    friction: times the sign of the velocity) are fitted to it by least squares, together with a constant, viscous and
+    dry friction: a least-squares periodogram. Rates from 1 (friction: 0.5) to 1000 periods over the range of the
+    positions are tried. The fit at a rate uses only rows of slow motion, except near standstill: at their speed, one
+    period takes at least four rows and at least 1 / `HIGHEST_FREQUENCY` (25 ms). The strength of a rate is the sum
+    of squares of the force that sine and cosine explain in these rows.
+
+    Args:
+        motion: Columns position, velocity and missing force of one coordinate, m, m/s, N or rad, rad/s, Nm, shape
+            (n, 3).
+        sampling_period: Time from one row to the next, s.
+        friction: True for a periodic friction level, whose force changes sign with the velocity; False for a periodic
+            force.
+
+    Returns:
+        At most seven spatial rates, rad per unit of position, shape (rates,). First, by decreasing strength, the
+        strongest rate of each of five bands, with the limits 3, 12, 40 and 150 periods over the range of the positions;
+        then the strongest of all other rates. A rate is skipped if it differs from an earlier one by at most 0.75
+        periods over the range. Empty if the position does not change or the motion is never slow enough.
+
+    References:
+        Lomb (1976), Least-squares frequency analysis of unequally spaced data.
+    """
+    span = float(np.ptp(motion[:, 0]))
+    if span <= 0.0:
+        return np.zeros(0)
+    fewest = MIN_FRICTION_PERIODS if friction else MIN_FORCE_PERIODS
+    points, power = _spectrum(motion, sampling_period, fewest, friction=friction)
+    # First the best rate of each band, because the noise of the missing force grows with it; then the best of all.
+    band = np.searchsorted(_BAND_EDGES, points / _POINTS_PER_PERIOD)
+    best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
+    peaks: list[int] = []
+    for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
+        if all(abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks):  # not the flank of another peak
+            peaks.append(int(points[k]))
+        if len(peaks) == _MAX_RATES:
+            break
+    return 2 * np.pi / (_POINTS_PER_PERIOD * span) * np.array(peaks, float)
+
+
+def slow_rates(position: Array) -> Array:
+    """Return starting values for the spatial rate (2 pi / period) of friction that varies slowly over the position.
+
+    The values form a grid of 0.5 to 6 periods over the range of the positions. They are tried in addition to
+    `periodogram_peaks`, which may overlook slow variations because the estimate of the missing force is noisy.
+
+    Args:
+        position: Positions of one coordinate over all rows of all runs, m or rad, shape (n,).
+
+    Returns:
+        Rates, rad per unit of position, shape (rates,); empty if the position does not change.
+    """
+    span = float(np.ptp(position))
+    return np.asarray(2 * np.pi / span * _SLOW_PERIODS if span > 0.0 else np.zeros(0))
+
+
+def _spectrum(
+    motion: Array, sampling_period: float, fewest: float, *, friction: bool
+) -> tuple[NDArray[np.int64], Array]:
+    """Return the points of the grid of rates, and the square sum that each explains, shape (points,) each.
+
+    A point k is the rate of k / `_POINTS_PER_PERIOD` periods over the range of the positions.
+    """
+    position, velocity, force = motion.T
+    speed, span = np.abs(velocity), float(np.ptp(position))
+    position = position - position.min()
+    top = float(np.percentile(speed, 99))
+    highest = min(HIGHEST_FREQUENCY, 1.0 / (_ROWS_PER_PERIOD * sampling_period))  # periods per second
+    limits = [_POINTS_PER_PERIOD * fewest]
+    while limits[-1] < _POINTS_PER_PERIOD * _MAX_PERIODS:
+        limits.append(limits[-1] * _GROUP_RATIO)
+    all_points, all_power = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for first, end in itertools.pairwise(np.ceil(limits).astype(np.int64)):
+        points = np.arange(first, min(end, round(_POINTS_PER_PERIOD * _MAX_PERIODS) + 1))
+        fastest = highest * _POINTS_PER_PERIOD * span / end
+        rows = (speed > _SLOWEST * min(fastest, top)) & (speed < fastest)
+        if np.count_nonzero(rows) < _MIN_ROWS:
+            continue
+        sign = np.sign(velocity[rows]) if friction else np.ones(np.count_nonzero(rows))
+        all_points.append(points)
+        all_power.append(_explained_power(points, span, position[rows], velocity[rows], sign, force[rows]))
+    return np.concatenate(all_points), np.concatenate(all_power)
+
+
+def _explained_power(
+    points: NDArray[np.int64], span: float, position: Array, velocity: Array, sign: Array, force: Array
+) -> Array:
+    """Return the square sum that a sine and a cosine at each point of the grid explain, shape (points,).
+
+    Their products with the force and with constant, viscous and dry friction are Fourier transforms over the position.
+    Each row is distributed over the two neighboring cells of a grid of positions by linear interpolation, so that fast
+    Fourier transforms can be used.
+
+    Args:
+        points: Rates, in periods over `_POINTS_PER_PERIOD` times the range.
+        span: Range of the positions.
+        position: Positions above the lowest, shape (n,).
+        velocity: Velocities, shape (n,).
+        sign: Factor of sine and cosine in each row: the direction of motion for friction, else 1, shape (n,).
+        force: Missing force, shape (n,).
+    """
+    # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
+    basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
+    force = force - basis @ (basis.T @ force)
+    cells = 2 ** int(np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1))))  # over _POINTS_PER_PERIOD times the range
+    cell_position = position * (cells / (_POINTS_PER_PERIOD * span))
+    lower_cell = cell_position.astype(np.int64)
+
+    def transform(values: Array, points: NDArray[np.int64]) -> NDArray[np.complex128]:
+        upper = values * (cell_position - lower_cell)
+        sums = np.bincount(lower_cell, values - upper, cells) + np.bincount(lower_cell + 1, upper, cells)
+        # The division undoes the smoothing by the distribution over two cells.
+        return np.asarray(np.fft.rfft(sums)[points].conj() / np.sinc(points / cells) ** 2)
+
+    projection = transform(sign * force, points)
+    in_basis = np.stack([transform(sign * column, points) for column in basis.T], axis=1)
+    double_rate = transform(np.ones_like(position), 2 * points)
+    cc = 0.5 * (len(position) + double_rate.real) - np.sum(in_basis.real**2, axis=1)
+    ss = 0.5 * (len(position) - double_rate.real) - np.sum(in_basis.imag**2, axis=1)
+    cs = 0.5 * double_rate.imag - np.sum(in_basis.real * in_basis.imag, axis=1)
+    determinant = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
+    explained = ss * projection.real**2 + cc * projection.imag**2 - 2 * cs * projection.real * projection.imag
+    return np.asarray(explained / determinant)

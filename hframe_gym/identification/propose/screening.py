@@ -1,0 +1,409 @@
+"""Rank candidate effects by the reduction of the cost that a linearized model predicts, without fitting any.
+
+The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate effect (deviation from the
+nominal model) of small size adds a known force, or a known change of a measurement, along the fitted machine's motion.
+The response of the predicted measurements to it is one column of the linearized residual. After elimination of the
+machine's free parameters, the squared correlation of column and residual is the reduction of the cost that a fit of the
+candidate would achieve.
+
+Effects that replace a part of the model cannot have a small size: structural effects add coordinates (a yawing bridge,
+idlers with inertia), others replace dry friction (presliding). Each of their starting values is simulated instead, and
+the difference from the present machine's prediction is the column.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...dynamics import Equations, net_forces
+from ...dynamics.simulation import Motion, parameter_batch
+from ...effects import EFFECTS, effect_sites
+from ...effects.smooth_table import TABLE_FAMILY
+from ...machine import AppliedEffect, Effect, Machine
+from ...preparation.dataset import Dataset, PreparedRecording
+from ..budget import spender
+from ..fit.estimation import Fit
+from ..fit.force_sizes import TypicalScales
+from ..predict.free_parameters import prior_precision, second_difference_penalty
+from ..predict.linearization import DIFFERENCE_STEP, ResidualModel
+from ..predict.prediction import mechanical_rows_per_block, predict
+from .candidates import Candidate
+
+Array = NDArray[np.float64]
+
+_COLUMNS_AT_ONCE = 64  # bounds the memory of long recordings
+_MIMICKED = 1e-6  # fraction of a column's square below which the machine's parameters explain it entirely
+_RIDGE = 1e-9
+_SMALL_FRACTION = 1e-4  # fraction of the typical amplitude at which a nonlinear effect is linearized
+_FITTED_STRUCTURES = 3  # effects that replace a part of the model and are fitted
+
+
+class Perturbation(NamedTuple):
+    """Forces and changes of measurements that the basis functions of candidate effects cause along a motion.
+
+    One column is one basis function of an effect (for example a sine or a cosine) at its typical size; n is the number
+    of samples.
+
+    Attributes:
+        force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
+        measurement: Change of the sensors' output, m or rad, shape (columns, n, sensors).
+    """
+
+    force: Array
+    measurement: Array
+
+
+class ScoredCandidate(NamedTuple):
+    """A candidate with its predicted benefit.
+
+    Attributes:
+        candidate: Effect, site and starting values.
+        gain: Predicted reduction of chi-squared, summed over all samples.
+        amounts: Weights of its basis functions (`Candidate.columns`) with which this reduction is reached,
+            dimensionless.
+    """
+
+    candidate: Candidate
+    gain: float
+    amounts: tuple[float, ...]
+
+
+def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
+    """Rank candidate effects by the reduction of chi-squared that a linearized model predicts, without fitting any.
+
+    A candidate is a weighted sum of basis functions, such as sine and cosine. The residual is linearized with respect
+    to these weights and the machine's free parameters. The best weights and parameters follow from a linear equation.
+
+    Args:
+        fit: Fit of the machine without the candidates; the candidates are evaluated at its observer bandwidth.
+        candidates: Effects (deviations from the nominal model), sites (components) and starting values to compare.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Candidates with the weights of their basis functions and the reduction of chi-squared (summed over all samples,
+        dimensionless), in the order of decreasing reduction. It is 0 if only an amplitude outside its bounds would
+        reduce chi-squared, or if the machine's free parameters can represent the candidate.
+    """
+    if not candidates:
+        return []
+    model, may_go_on = _screening_model(fit, data), spender()
+
+    def responses(run: PreparedRecording, motion: Motion) -> Array:
+        may_go_on()
+        return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, run, motion))
+
+    equations = model.linearize(fit.theta, responses).normal_equations
+    # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
+    ridge = np.diag(_RIDGE * np.diag(equations.information))
+    reduced = equations.eliminate_parameters(prior_precision(fit.free) + ridge)
+    scored, first = [], 0
+    for candidate in candidates:
+        columns = np.arange(first, first + len(candidate.columns))  # of this candidate, among all perturbations
+        first += len(columns)
+        # Square of each response before and after the free parameters took what they can reproduce of it.
+        before = equations.response_information[columns, columns]
+        information = reduced.response_information[np.ix_(columns, columns)]
+        scored.append(_score(candidate, information, reduced.response_gradient[columns], before, fit.chi2))
+    return sorted(scored, key=lambda s: -s.gain)
+
+
+class Resemblance(NamedTuple):
+    """An effect that moves the machine in the recorded runs nearly as another one does.
+
+    Attributes:
+        effect: The effect, with the parameters with which it resembles the other one most.
+        loss: Increase of chi-squared if it takes the place of the other one, to first order.
+    """
+
+    effect: AppliedEffect
+    loss: float
+
+
+def resemblances(fit: Fit, effect: AppliedEffect, candidates: Sequence[Candidate], data: Dataset) -> list[Resemblance]:
+    """Find the candidates that these runs hardly distinguish from an effect.
+
+    What the effect changes in the predictions is a regressor over the recorded motion, as is every basis function of
+    the candidates; what the machine's free parameters can reproduce of them is removed. The part of the effect's
+    regressor that a candidate's cannot represent is what the runs show of the difference between both. In a single
+    sine, for example, position and speed are one variable, at constant speed position and time are.
+
+    Args:
+        fit: Fit of the machine with all other effects, without this one.
+        effect: The effect with its fitted parameters; it neither adds coordinates nor replaces dry friction.
+        candidates: Other effects with their sites and starting values.
+        data: Runs that were fitted.
+
+    Returns:
+        Each candidate effect and site once, those that resemble the effect most first.
+    """
+    own = Candidate(effect.definition, effect.site, (dict(effect.parameters),), {})
+    model, may_go_on, compared = _screening_model(fit, data), spender(), [own, *candidates]
+
+    def responses(run: PreparedRecording, motion: Motion) -> Array:
+        may_go_on()
+        return _perturbation_responses(model, run, candidate_perturbations(fit.machine, compared, run, motion))
+
+    equations = model.linearize(fit.theta, responses).normal_equations
+    ridge = np.diag(_RIDGE * np.diag(equations.information))
+    products = equations.eliminate_parameters(prior_precision(fit.free) + ridge).response_information
+    size, found, first = float(products[0, 0]), dict[str, Resemblance](), 1
+    for candidate in candidates:
+        columns = np.arange(first, first + len(candidate.columns))
+        first += len(columns)
+        information = products[np.ix_(columns, columns)]
+        before = np.diag(equations.response_information)[columns]
+        if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
+            continue
+        # The gradient of the cost of representing the effect's regressor, as for the residual.
+        scored = _score(candidate, information, -products[columns, 0], before, 1.0)
+        loss = max(size - scored.gain, 0.0)
+        if scored.gain > 0.0 and loss < found.get(candidate.label, Resemblance(effect, np.inf)).loss:
+            found[candidate.label] = Resemblance(candidate.applied(scored.amounts), loss)
+    return sorted(found.values(), key=lambda resemblance: resemblance.loss)
+
+
+def candidate_perturbations(
+    machine: Machine, candidates: Sequence[Candidate], run: PreparedRecording, motion: Motion
+) -> Perturbation:
+    """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
+
+    `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed for the
+    machine without the candidate, the candidate does not interact with other effects, and forces are constant from each
+    sample to the next.
+
+    Args:
+        machine: Machine that moves.
+        candidates: Candidate effects (deviations from the nominal model). Successive ones with the same effect and site
+            are evaluated together.
+        run: Run with the sample times and voltages of the motion.
+        motion: Motion of the machine with positions and velocities, a batch of one, n samples.
+
+    Returns:
+        Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
+        (columns, n, sensors). A column is one basis function of one candidate, in the order of `Candidate.columns`.
+    """
+    # Ties refer to the parameters of effects; the machine's parameters already have their values.
+    bare = dataclasses.replace(machine, effects=(), ties={})
+    record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
+    bare_force = net_forces(bare, *record)
+    forces, measurements = [], []
+    for _, group in itertools.groupby(candidates, key=lambda c: c.label):
+        members = list(group)
+        effect, columns = members[0].effect, [column for c in members for column in c.columns]
+        force = np.zeros((len(columns), *motion.positions.shape[1:]))
+        measurement = np.zeros((len(columns), *motion.readings.shape[1:]))
+        # A small amplitude keeps the response linear: a Coulomb level cannot become negative, and the force of an
+        # eccentric pulley contains the product of belt travel and lever arm.
+        fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
+        scales = {name: fraction if name in effect.amplitudes else 1.0 for name in columns[0]}
+        # Shape (columns, 1) each, so that all basis functions are evaluated at all samples at once.
+        parameters = {name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()}
+        perturbed = dataclasses.replace(bare, effects=(AppliedEffect(effect, members[0].site, parameters),))
+        if effect.measurement or effect.measurement_delay:
+            measurement += _measurement_change(perturbed, run, motion)
+        else:
+            force += (net_forces(perturbed, *record) - bare_force) / fraction
+        forces.append(force)
+        measurements.append(measurement)
+    return Perturbation(np.concatenate(forces), np.concatenate(measurements))
+
+
+def _measurement_change(machine: Machine, run: PreparedRecording, motion: Motion) -> Array:
+    """Return the change of the measurements by a machine's effects on sensors, shape (columns or 1, n, sensors).
+
+    A measurement delay d is approximated to first order: the measurement changes by -d times its rate.
+    """
+    positions = list(motion.positions[0].T)
+    effect_free = Equations(dataclasses.replace(machine, effects=())).sensor_readings(positions)
+    equations = Equations(machine)
+    changes = [
+        np.atleast_2d(measured - ideal - delay * np.gradient(values, run.time_s))
+        for measured, ideal, delay, values in zip(
+            equations.sensor_readings(positions),
+            effect_free,
+            equations.measurement_delays(),
+            motion.readings[0].T,
+            strict=True,
+        )
+    ]
+    return np.stack(np.broadcast_arrays(*changes), axis=-1)
+
+
+def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
+    """Return the residual of a fit with rows combined to blocks that are short for mechanical effects."""
+    return ResidualModel(fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data))
+
+
+def _perturbation_responses(model: ResidualModel, run: PreparedRecording, perturbation: Perturbation) -> Array:
+    """Return the derivatives of a run's residual with respect to perturbations, shape (columns, rows)."""
+
+    def residual(force: Array, measurement: Array | None) -> Array:
+        motion = predict(
+            model.machine,
+            run,
+            model.bandwidth,
+            period=model.data.period,
+            extra_force=force,
+            extra_measurement=measurement,
+            longest_step=model.longest_step,
+        )
+        return model.residuals(run, motion.readings)
+
+    # The unperturbed residual comes from the same kernel, the one that takes extra forces.
+    unperturbed = residual(np.zeros_like(perturbation.force[:1]), None)
+    columns = []
+    for first in range(0, len(perturbation.force), _COLUMNS_AT_ONCE):
+        force, measurement = (DIFFERENCE_STEP * part[first : first + _COLUMNS_AT_ONCE] for part in perturbation)
+        columns.append((residual(force, measurement) - unperturbed) / DIFFERENCE_STEP)
+    return np.vstack(columns)
+
+
+def _score(candidate: Candidate, information: Array, gradient: Array, before: Array, chi2: float) -> ScoredCandidate:
+    """Return the cost that a candidate would save with its best admissible amounts.
+
+    Args:
+        candidate: Candidate with k columns.
+        information: Products of its columns after elimination of the free parameters, shape (k, k).
+        gradient: Their products with the residual, shape (k,).
+        before: Squares of the columns before elimination, shape (k,).
+        chi2: Cost per value of the present fit, which scales the smoothness prior of tables.
+    """
+    nothing = ScoredCandidate(candidate, 0.0, (0.0,) * len(gradient))
+    if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
+        return nothing
+    ridge = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
+    if candidate.effect.family == TABLE_FAMILY:
+        ridge += chi2 * second_difference_penalty(len(gradient))
+    if candidate.has_no_amplitude:
+        amounts: Array = np.ones_like(gradient)
+    else:
+        amounts = np.array(-np.linalg.solve(information + ridge, gradient), float)
+        if len(amounts) == 1:
+            amplitude = candidate.effect.parameter(candidate.effect.amplitudes[0])
+            unit = candidate.columns[0][amplitude.name]
+            amounts = np.array(np.clip(amounts, amplitude.lower / unit, amplitude.upper / unit), float)
+    gain = float(-2 * amounts @ gradient - amounts @ information @ amounts)
+    if not gain > 0.0:
+        return nothing
+    return ScoredCandidate(candidate, gain, tuple(amounts.tolist()))
+
+
+def _is_simulated(effect: Effect) -> bool:
+    """Return whether starting values of an effect are simulated to rank them.
+
+    Effects that replace a part of the model are, and those whose amplitude has starting values: a large one acts in
+    another way than a small one. Play that exceeds the extension of a belt leaves no tension at all.
+    """
+    return effect.replaces_model_part or any(p.amplitude and any(p.grid) for p in effect.parameters)
+
+
+def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
+    """Build machines with the most promising effects that replace a part of the nominal model, one effect each.
+
+    These effects add coordinates (structural effects) or replace dry friction. The linearization underestimates their
+    benefit and is no reliable ranking; therefore the three best effects are returned, structural ones with their two
+    best sets of starting values.
+
+    Args:
+        current: Fit of the machine without such an effect; the effects are evaluated at its observer bandwidth.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+        scale: Typical sizes on this machine, by which relative starting values are multiplied.
+        minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
+
+    Returns:
+        Copies of the fitted machine, each with one more effect (the last in its list, with starting values); most
+        promising first.
+    """
+    present = {e.label for e in current.machine.effects}
+    simulated = {
+        (effect, site): _variants(effect, site, current.machine, scale)
+        for effect in filter(_is_simulated, EFFECTS.values())
+        for site in effect_sites(effect, current.machine)
+        if f"{effect.name}@{site}" not in present
+    }
+    promising: list[tuple[float, list[Machine]]] = []
+    for (effect, site), gains in _structure_gains(simulated, current, data).items():
+        if gains.max() > minimum_gain * data.count:
+            best = np.argsort(-gains)[: 2 if effect.structure else 1]
+            promising.append((float(gains.max()), [simulated[effect, site][int(k)] for k in best]))
+    promising.sort(key=lambda p: -p[0])
+    return [variant for _, variants in promising[:_FITTED_STRUCTURES] for variant in variants]
+
+
+def _variants(effect: Effect, site: str, machine: Machine, scale: TypicalScales) -> list[Machine]:
+    """Return copies of a machine with an effect at a site, one for each combination of starting values."""
+    starting_values = _starting_values(effect, scale.of(machine.coordinate_of_site(site, effect.site) or ""))
+    return [machine.with_effects(effect.at(site, **values)) for values in starting_values]
+
+
+def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[str, float]]:
+    """Return the grid of an effect's starting values, within bounds; those of structural effects are absolute, SI."""
+    grids = []
+    for p in effect.parameters:
+        scale = 1.0 if effect.structure else typical.get(p.unit, 1.0)
+        grids.append(sorted({min(max(g * scale, p.lower), p.upper) for g in p.grid}))
+    names = [p.name for p in effect.parameters]
+    return [dict(zip(names, values, strict=True)) for values in itertools.product(*grids)]
+
+
+def _structure_gains(
+    simulated: Mapping[tuple[Effect, str], Sequence[Machine]], current: Fit, data: Dataset
+) -> dict[tuple[Effect, str], Array]:
+    """Return the linearized reduction of the cost towards each variant, shape (variants,) for each effect and site.
+
+    The difference of the two predictions, without the part that the free parameters can reproduce, is multiplied by its
+    best positive weight.
+
+    Args:
+        simulated: Variants of the machine with an effect at a site, in which the starting values differ.
+        current: Fit of the machine without these effects.
+        data: Runs that were fitted.
+    """
+    if not simulated:
+        return {}
+    model, batches = _screening_model(current, data), _batches(simulated, current.machine)
+    may_go_on = spender()
+
+    def responses(run: PreparedRecording, motion: Motion) -> Array:
+        predicted = []
+        for machine, parameters in batches:
+            may_go_on()  # new code may have to be compiled for each
+            predicted.append(predict(machine, run, model.bandwidth, period=data.period, parameters=parameters))
+        expected = model.residuals(run, motion.readings)
+        changes = np.vstack([model.residuals(run, moved.readings) for moved in predicted]) - expected
+        return np.where(np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0)  # a variant may diverge
+
+    equations = model.linearize(current.theta, responses).normal_equations
+    reduced = equations.eliminate_parameters(prior_precision(current.free))
+    squares, gradient = np.diag(reduced.response_information), reduced.response_gradient
+    gains = np.where(gradient < 0.0, gradient**2 / np.maximum(squares, 1e-300), 0.0)
+    ends = np.cumsum([len(variants) for variants in simulated.values()])
+    return dict(zip(simulated, np.split(np.where(np.isfinite(gains), gains, 0.0), ends[:-1]), strict=True))
+
+
+def _batches(
+    simulated: Mapping[tuple[Effect, str], Sequence[Machine]], machine: Machine
+) -> list[tuple[Machine, Array]]:
+    """Return machines and parameters (variants, P) that simulate all variants, in their order.
+
+    Each machine needs newly compiled code. An effect that disappears at zero amplitude is therefore added at all its
+    sites to one machine; its amplitude is zero at all sites but one.
+    """
+    batches = []
+    for effect, members in itertools.groupby(simulated.items(), key=lambda item: item[0][0]):
+        groups = [variants for _, variants in members]
+        if effect.replaces_model_part:
+            batches += [(variants[0], np.vstack([parameter_batch(v) for v in variants])) for variants in groups]
+        else:
+            everywhere = machine.with_effects(*(variants[0].effects[-1] for variants in groups))
+            none = {f"{e.label}.{name}": 0.0 for e in everywhere.effects[-len(groups) :] for name in effect.amplitudes}
+            everywhere = everywhere.replace(none)
+            rows = [parameter_batch(everywhere.replace(v.parameters)) for v in itertools.chain(*groups)]
+            batches.append((everywhere, np.vstack(rows)))
+    return batches

@@ -1,0 +1,384 @@
+"""Fit candidate effects together with the machine's parameters, with few iterations, so that they can be ranked.
+
+An effect is a deviation from the nominal model; a structural one adds coordinates. A trial is the fit of a machine with
+one candidate effect, its last one. The cost is chi-squared, the sum of squared residuals in units of the noise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...dynamics import share_kernel
+from ...machine import AppliedEffect, Machine
+from ...preparation.dataset import Dataset
+from ..budget import spend
+from ..fit.estimation import Fit, fit, prediction_cost
+from ..fit.force_sizes import TypicalScales, effect_force, residue_force, typical_scales
+from ..fit.model_error import continue_fit, polish, search_step
+from ..fit.residual import missing_force
+from ..judge.criteria import SelectionCriteria
+from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, noise_floor
+from .candidates import Candidate, candidates, effect_parameters, is_required
+from .screening import ScoredCandidate, resemblances, screen, screen_structures
+
+Array = NDArray[np.float64]
+_RESEMBLING = 3  # effects that are fitted in place of a selected one because these runs may not distinguish them
+_SHAPES = 2  # starting values of an effect at a site that are fitted
+_THRESHOLD_CHANGES = (-0.7, -0.35, 0.35, 0.7)  # of its logarithm; a trial is also fitted from these thresholds
+_TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
+
+
+def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
+    """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
+
+    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter is
+    at its limit, or no candidate is promising although much error is left, the fit without candidates may be in a local
+    minimum. The candidates are then also ranked at the declared parameters and fitted from there.
+
+    Args:
+        current: Fit without candidates; the trials have its observer bandwidth.
+        data: Prepared recordings to fit (times, voltages, measurements).
+        enough: Reduction of chi-squared per sample that the search requires, dimensionless. Candidates with a
+            linearized reduction below 60 % of it (`criteria.linear_gain_ratio`) are not fitted.
+        criteria: Decision thresholds.
+
+    Returns:
+        Fits, not fully converged, in any order: machine, k parameters (theta, dimensionless, shape (k,)) and cost
+        (chi-squared). One per effect and component, two where effects are also fitted from the declared parameters.
+    """
+    trials = _trial_fits_from(current, current, data, enough, criteria)
+    nothing_promising = not trials and current.chi2 > criteria.explained_chi2
+    if nothing_promising or any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
+        trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
+    return trials
+
+
+def _at_declared_parameters(current: Fit, data: Dataset) -> Fit:
+    """Return the machine of a fit with the declared parameters (theta 0), except those of its effects."""
+    theta = _declared_theta(current)
+    machine = current.machine.replace(values_at(current.free, theta))
+    cost = prediction_cost(machine, data, current.bandwidth)
+    return dataclasses.replace(current, machine=machine, theta=theta, cost=cost)
+
+
+def _declared_theta(fitted: Fit) -> Array:
+    """Return theta at which the parameters of effects are those of a fit, and all others are as declared, 0."""
+    return np.where([f.of_effect for f in fitted.free], fitted.theta, 0.0)
+
+
+def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
+    """Return fits with the most promising candidates, ranked at the parameters of `start` and fitted from there."""
+    trials: list[Fit] = []
+    if not math.isfinite(start.cost):
+        return trials
+    scales, ranked = _ranked_candidates(start, data)
+    best_promise, explaining = 0.0, ""  # largest linearized gain of a candidate that explains the data, and its effect
+    promising = _promising(start, ranked, data, enough, criteria)
+    share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
+    for i, scored in enumerate(promising):
+        # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
+        # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
+        fitted = [t.machine.effects[-1].label for t in trials]
+        elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
+        if elsewhere or scored.gain > criteria.rival_promise * best_promise:
+            spend(f"trial fit {i + 1} of {len(promising)}: {scored.candidate.label}")
+            trials = _with_better_shape(trials, fit_with_candidate(start, scored, scales, data))
+            if not explaining and unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
+                best_promise, explaining = scored.gain, scored.candidate.effect.name
+    return trials
+
+
+def _with_better_shape(trials: list[Fit], trial: Fit) -> list[Fit]:
+    """Add a trial; of trials with the same effect at the same site, keep only the one with the lowest cost."""
+    label = trial.machine.effects[-1].label
+    others = [t for t in trials if t.machine.effects[-1].label != label]
+    same = [t for t in trials if t.machine.effects[-1].label == label]
+    return [*others, min((*same, trial), key=lambda t: t.cost)]
+
+
+def structural_trial_fits(
+    current: Fit, trials: list[Fit], data: Dataset, enough: float, criteria: SelectionCriteria
+) -> list[Fit]:
+    """Fit the machine with each of the most promising effects that replace a part of the model, one at a time.
+
+    These effects add coordinates (structural effects) or replace dry friction. Their trials take longer than those of
+    other effects, because each needs newly compiled simulation code.
+
+    Args:
+        current: Fit without candidates; the trials have its observer bandwidth.
+        trials: Trials with other effects. If the best one reduces chi-squared by `enough`, only candidates with a
+            linearized reduction of at least `enough`, and of at least 10 % of the best one's
+            (`criteria.min_structural_promise`), are fitted.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        enough: Reduction of chi-squared per sample that the search requires, dimensionless.
+        criteria: Decision thresholds.
+
+    Returns:
+        One fit per effect and component, after few iterations, the best one of its starting values: machine, k
+        parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
+    """
+    scales = typical_scales(current, data)
+    useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
+    # Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
+    least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
+    fits: list[Fit] = []
+    spend("screening the effects that replace a part of the model")
+    promising = screen_structures(current, data, scales, least)
+    for i, machine in enumerate(promising):
+        spend(f"trial fit {i + 1} of {len(promising)}: {machine.effects[-1].label}")
+        fits = _with_better_shape(fits, _replace(current, machine, scales, data))
+    return fits
+
+
+def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:
+    """Return which fraction of the present fit's error beyond the noise the best trial fit leaves.
+
+    The error beyond the noise is chi-squared per sample (mean squared error / noise variance) minus its value for a
+    correct model: 1, or `criteria.one_step_floor` (1.1) at the observer bandwidth of 60 rad/s.
+
+    Args:
+        current: Fit without candidates.
+        trials: Fits with one candidate effect each, at the same observer bandwidth.
+        criteria: Decision thresholds.
+
+    Returns:
+        Fraction, dimensionless, at most 1; 1 without trials, negative if a trial leaves less than a correct model.
+    """
+    floor = noise_floor(current.bandwidth, criteria)
+    smallest = min((t.chi2 for t in trials), default=current.chi2)
+    return min(1.0, (smallest - floor) / max(current.chi2 - floor, 1e-9))
+
+
+def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
+    """Return typical sizes on the machine and its screened candidates, largest predicted reduction of cost first."""
+    scales, proposed = _proposed_candidates(current, data)
+    spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
+    return scales, screen(current, proposed, data)
+
+
+def _proposed_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[Candidate]]:
+    """Return typical sizes on the machine and its candidates."""
+    scales = typical_scales(current, data)
+    slow = current.bandwidth < SEARCH_BANDWIDTH
+    motion = missing_force(current.machine, data)
+    return scales, candidates(current.machine, data, scales, motion, slow_friction=slow)
+
+
+def indistinguishable(current: Fit, effect: AppliedEffect, largest_loss: float, data: Dataset) -> list[AppliedEffect]:
+    """Return the effects that may take the place of an effect of the machine, as far as these runs show.
+
+    Args:
+        current: Fit of the machine with all effects.
+        effect: One of them. There is no answer for an effect that adds coordinates or replaces dry friction, or that
+            another effect requires.
+        largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not distinguish
+            effects.
+        data: Prepared recordings (times, voltages, measurements, SI).
+
+    Returns:
+        Other effects with the parameters that resemble it most, at most three, the most similar one first.
+    """
+    if effect.definition.replaces_model_part or is_required(current.machine, effect.label):
+        return []
+    machine = current.machine.replace(effects=tuple(e for e in current.machine.effects if e.label != effect.label))
+    kept = [f.name in machine.parameters for f in current.free]
+    free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
+    without = dataclasses.replace(current, machine=machine, free=free, theta=theta)
+    others = [c for c in _proposed_candidates(without, data)[1] if c.label != effect.label]
+    spend(f"comparing {effect.label} with {len({c.label for c in others})} other effects")
+    found = resemblances(without, effect, others, data)
+    return [each.effect for each in found if each.loss <= largest_loss][:_RESEMBLING]
+
+
+def replacement_fit(
+    current: Fit, reduced: Fit, replaced: str, data: Dataset, criteria: SelectionCriteria
+) -> Fit | None:
+    """Replace one selected effect by the most promising other effect and fit the machine again.
+
+    An effect that was selected while other effects were missing may represent a mixture of several causes.
+
+    Args:
+        current: Fit with all selected effects (deviations from the nominal model).
+        reduced: Fit without the effect to replace, at the same observer bandwidth.
+        replaced: Label (name@component) of the effect to replace.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        criteria: Decision thresholds.
+
+    Returns:
+        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared). None if no other
+        effect promises (linearized) at least 60 % of the cost reduction by the replaced effect.
+    """
+    scales, ranked = _ranked_candidates(reduced, data)
+    best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
+    if best is None or best.gain < criteria.linear_gain_ratio * (reduced.cost - current.cost):
+        return None
+    share_kernel(reduced.machine, [best.candidate.applied(best.amounts)])
+    return converge(fit_with_candidate(reduced, best, scales, data), data, thorough=False)
+
+
+def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
+    """Fit a machine again in which a rival effect (deviation from the nominal model) replaces another effect.
+
+    Args:
+        current: Fit of the machine with all selected effects, among them the effect to replace.
+        label: Label (name@component) of the effect to replace.
+        rival: Effect that replaces it, with its starting values.
+        data: Runs to fit (times, voltages, measurements, SI).
+
+    Returns:
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared; infinite if the machine
+        diverges), with the observer bandwidth of `current`.
+    """
+    remaining = tuple(e for e in current.machine.effects if e.label != label)
+    machine = current.machine.replace(effects=remaining, uncertainty=None).with_effects(rival)
+    kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
+    # The fit continues from the parameters of the other effects; the rival's start at their given values (theta = 0).
+    kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
+    names, scales, step = {f.name for f in kept}, typical_scales(current, data), search_step(current.bandwidth)
+    added = [f for f in effect_parameters(rival, machine, scales) if f.name not in names]
+    theta = np.concatenate([kept_theta, np.zeros(len(added))])
+    return fit(machine, (*kept, *added), data, current.bandwidth, theta=theta, longest_step=step)
+
+
+def _promising(
+    current: Fit, ranked: list[ScoredCandidate], data: Dataset, enough: float, criteria: SelectionCriteria
+) -> list[ScoredCandidate]:
+    """Return the few best candidates that may reduce the cost by enough, up to two shapes of each effect and site.
+
+    A shape is a set of starting values, such as a period. Two are fitted, because a fit does not move from one period
+    to another, and linearization may rank a wrong one first. They differ in more than a threshold, which a fit finds.
+    Candidates with clearly less force than what remains unexplained are left out before anything is fitted.
+    """
+    best: dict[str, list[ScoredCandidate]] = {}
+    least = criteria.linear_gain_ratio * enough * data.count
+    if ranked:
+        least = max(least, criteria.min_promise * ranked[0].gain)
+    residue = residue_force(current, data)
+    for scored in ranked:
+        shapes = best.get(scored.candidate.label, [])
+        if scored.gain <= least or len(best) == criteria.max_full_fits:
+            break
+        if len(shapes) == _SHAPES or any(s.candidate.differs_in_thresholds(scored.candidate) for s in shapes):
+            continue
+        remaining = residue * np.sqrt(max(1.0 - scored.gain / current.cost, 0.0))
+        size = effect_force(current.machine, scored.candidate.applied(scored.amounts), data)
+        if size >= criteria.min_promised_force_ratio * remaining:
+            best[scored.candidate.label] = [*shapes, scored]
+    return sorted(itertools.chain(*best.values()), key=lambda scored: -scored.gain)
+
+
+def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
+    """Add a candidate effect (deviation from the model) to the machine and fit both together, with few iterations.
+
+    Args:
+        current: Fit without the effect; the new one has the same observer bandwidth.
+        scored: Screened candidate with the amounts (weights) of its basis functions.
+        scales: Typical forces, speeds and travels on this machine; the new parameters are multiples of them.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+
+    Returns:
+        Fit, not fully converged: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
+    """
+    machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
+    added = effect_parameters(machine.effects[-1], machine, scales)
+    theta = np.concatenate([current.theta, [f.theta(machine.parameters[f.name]) for f in added]])
+    free = (*current.free, *added)
+    # From a wrong threshold, other parameters may imitate what the right one does.
+    switches = [j for j, f in enumerate(free) if f in added and f.switch]
+    starts = [theta, *(theta + change * np.eye(len(free))[j] for j in switches for change in _THRESHOLD_CHANGES)]
+    return min((_trial_fit(machine, free, t, current, data) for t in starts), key=lambda trial: trial.cost)
+
+
+def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset) -> Fit:
+    """Fit a machine in which an effect replaces a part of the model, with default free parameters.
+
+    For a structural effect, the fit starts from the declared parameters, because parameters that were fitted without
+    the effect compensate for it. With a narrower observer, the present parameters are accurate enough.
+    """
+    effect = machine.effects[-1]
+    if (effect.definition.structure or effect.definition.tension) and current.bandwidth >= SEARCH_BANDWIDTH:
+        declared = {f.name: f.center for f in current.free if not f.of_effect}
+        machine = current.machine.replace(declared).with_effects(effect)
+    free = list(default_free_parameters(machine, effects=False))
+    for e in machine.effects:
+        free += effect_parameters(e, machine, scales)
+    theta = np.array([f.theta(machine.parameters[f.name]) for f in free])
+    return _trial_fit(machine, tuple(free), theta, current, data)
+
+
+def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset) -> Fit:
+    """Fit a candidate with few iterations, at the bandwidth of the current fit."""
+    return fit(
+        machine,
+        free,
+        data,
+        current.bandwidth,
+        theta=theta,
+        iterations=_TRIAL_ITERATIONS,
+        tolerance=_TRIAL_TOLERANCE,
+        longest_step=search_step(current.bandwidth),
+    )
+
+
+def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
+    """Continue the fit of a machine with a candidate effect (deviation from the model) until it converges.
+
+    Args:
+        trial: Fit with a candidate effect, not fully converged.
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        thorough: Whether to fit a second time, from the declared parameters of the machine and the present parameters
+            of its effects, and to return the better fit. Otherwise the fit may end in a local minimum, because the
+            parameters of the trial were first fitted without the effect and compensate for it.
+
+    Returns:
+        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
+    """
+    reset = dataclasses.replace(trial, theta=_declared_theta(trial))
+    fits = [continue_fit(start, data, trial.bandwidth) for start in ([trial, reset] if thorough else [trial])]
+    return min(fits, key=lambda candidate_fit: candidate_fit.cost)
+
+
+def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True) -> Fit | None:
+    """Remove one effect (deviation from the model) from the machine and fit the remaining free parameters again.
+
+    Args:
+        current: Fit of the machine with the effect; the new one has the same observer bandwidth.
+        label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
+        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        plain: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
+        thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
+
+    Returns:
+        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared). None if another effect
+        requires the effect or acts on a coordinate that the effect adds.
+    """
+    if is_required(current.machine, label):
+        return None
+    removed = next(e for e in current.machine.effects if e.label == label)
+    others = tuple(e for e in current.machine.effects if e is not removed)
+    machine = current.machine.replace(effects=others)
+    if removed.definition.structure:
+        try:
+            machine = plain.with_effects(*(e for e in others if e not in plain.effects))
+        except ValueError:
+            return None  # a site is missing
+        kept_values = {name: value for name, value in current.machine.parameters.items() if name in machine.parameters}
+        machine = machine.replace(kept_values)
+    kept = np.array([free.name in machine.parameters for free in current.free])
+    free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
+    if thorough:
+        reduced = fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
+    else:
+        reduced = _trial_fit(machine, free, theta, current, data)
+    required = next((e for e in others if e.label == f"{removed.definition.requires}@{removed.site}"), None)
+    if required is None or required.parameters.keys() != removed.parameters.keys():
+        return reduced
+    # Of two effects of the same form, the removed one may be the larger: the other then takes its parameters.
+    promoted = fit_in_place_of(reduced, required.label, required.with_parameters(removed.parameters), data)
+    return min(reduced, polish(promoted, data) if thorough else promoted, key=lambda fitted: fitted.cost)

@@ -1,0 +1,1 @@
+"""Results of an identification: simulation of recordings, files, plots, the page and the next experiment."""

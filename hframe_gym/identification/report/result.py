@@ -1,0 +1,410 @@
+"""Hold the result of an identification and write it to a folder; `write_result` lists the files."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...atomic_files import atomic_file, output_batch, remove_file, write_text
+from ...effects.smooth_table import HOOK_OF_KIND
+from ...errors import merge_run_warnings
+from ...machine import AppliedEffect
+from ...preparation.dataset import Dataset
+from ...recordings import save_machine
+from ...web_page import number
+from ..evidence.tried_effects import SelectedEffect
+from ..fit.parameter_diagnostics import inseparable_parameters, parameters_at_limit
+from ..fit.residual import Dependence, dependence_variables, errors_by_channel, simulation_error, smooth_force_residual
+from ..judge.criteria import SelectionCriteria
+from ..judge.verdict import Verdict
+from .experiment_design import FILE, ExperimentDesign
+from .recording_simulation import ModelEvaluation, PredictionErrors
+
+if TYPE_CHECKING:
+    from .formulas import TableComparison
+
+Array = NDArray[np.float64]
+SCHEMA = 1
+STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
+_CLEARLY_LESS = 0.9  # Fraction of a table's error below which that of a formula is mentioned.
+_MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
+
+
+@dataclass(frozen=True)
+class RejectedEffect:
+    """An effect that reduces the error of the fitted runs but failed a test.
+
+    Attributes:
+        effect: The effect with the parameters of its trial fit.
+        size: Force of the effect relative to that of the drives, root mean squares over the fitted runs; infinite if no
+            force describes it.
+        held_out_gain: Fraction of the squared prediction error on the held-out runs that it removes; negative if it
+            increases the error.
+        reason: Why it was rejected; a clause that follows "it ".
+    """
+
+    effect: AppliedEffect
+    size: float
+    held_out_gain: float
+    reason: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Convert the rejected effect (deviation from the model) to an entry of the list `considered` in report.json.
+
+        Returns:
+            "name"; "site": component on which the effect acts; "parameters": values by name, SI; "size": force relative
+            to that of the drives, None if no force describes the effect; "held_out_gain": fraction of the squared error
+            of the held-out runs that the effect removes, None if it is not finite; "reason": why it was rejected.
+        """
+        return {
+            "name": self.effect.name,
+            "site": self.effect.site,
+            "parameters": {name: float(value) for name, value in self.effect.parameters.items()},
+            "size": _finite_or_none(self.size),
+            "held_out_gain": _finite_or_none(self.held_out_gain),
+            "reason": self.reason,
+        }
+
+
+def _finite_or_none(value: float) -> float | None:
+    """Return None for a value that JSON cannot hold."""
+    return value if math.isfinite(value) else None
+
+
+class Hint(NamedTuple):
+    """What the force that a machine lacks depends on, where no effect of the library is named.
+
+    Attributes:
+        component: Coordinate on which the force acts, or the channel of the sensor that deviates alone.
+        variable: Variable on which it depends most, for example "current of motor1".
+        share: Fraction of its variance that a curve over this variable explains, beyond noise.
+        nearest: Labels (name@site) of effects that describe a part of it: neighbors in kind, no causes.
+    """
+
+    component: str
+    variable: str
+    share: float
+    nearest: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the hint as in report.json.
+
+        Returns:
+            "component", "variable", "share" and "nearest", a list of labels.
+        """
+        return self._asdict() | {"share": round(self.share, 4), "nearest": list(self.nearest)}
+
+
+class Unfinished(NamedTuple):
+    """A search that ended before it was complete.
+
+    Attributes:
+        stage: What it was doing, in words.
+        reason: Why it ended, in words.
+        interrupted: Whether the user ended it.
+    """
+
+    stage: str
+    reason: str
+    interrupted: bool = False
+
+    def as_json(self) -> dict[str, str]:
+        """Return the entry "unfinished" of report.json.
+
+        Returns:
+            "stage" and "reason", in words.
+        """
+        return {"stage": self.stage, "reason": self.reason}
+
+    def __str__(self) -> str:
+        """Return a sentence for the user."""
+        return (
+            f"The search is not complete: {self.reason} ({self.stage}). Effects and tables that would have followed "
+            "were not tried, so the verdict is that of what was found until then. A larger --budget continues."
+        )
+
+
+@dataclass(frozen=True)
+class IdentificationResult:
+    """Result of `identify`.
+
+    Attributes:
+        verdict: "effect_found", "no_effect" (the refitted machine explains the data) or "unexplained" (an error remains
+            that no effect explains).
+        declared: The machine as declared.
+        before: The machine with its parameters refitted.
+        after: The machine with the selected effects.
+        effects: Selected effects.
+        gains: Fraction of the squared error on the held-out runs that each effect removes, by label (name@site);
+            negative if the effect increases the error.
+        sizes: Force of each effect relative to that of the drives, root mean squares, by label; infinite if no force
+            describes the effect.
+        considered: Effects that reduced the error of the fitted runs but failed a test.
+        dependence: Variables that the residual force of the refitted machine depends on, strongest first.
+        white: Whether the machine with the selected effects leaves only the sensors' noise.
+        fitted: Runs that were fitted.
+        held_out: Runs that nothing was fitted to.
+        seconds: Duration of the identification, s.
+        experiment: Run that would distinguish the leading effect from its rival, where there is one.
+        criteria: Decision thresholds that were used.
+        excluded: One sentence for each run that was not used, or that was held out and contradicts the fitted ones.
+        contradicting: Names of the held-out runs that contradict the fitted ones.
+        reason: Why the held-out runs do not permit another verdict than "unexplained", in words with numbers; "" if the
+            search itself found no explanation, or one was found.
+        hint: What the missing force depends on, if no effect is named and it depends on something.
+        unfinished: What the search was doing when its budget ended; None if it is complete.
+    """
+
+    verdict: Verdict
+    declared: ModelEvaluation
+    before: ModelEvaluation
+    after: ModelEvaluation
+    effects: tuple[SelectedEffect, ...]
+    gains: dict[str, float]
+    sizes: dict[str, float]
+    considered: tuple[RejectedEffect, ...]
+    dependence: tuple[Dependence, ...]
+    white: bool
+    fitted: Dataset
+    held_out: Dataset
+    seconds: float
+    experiment: ExperimentDesign | None = None
+    criteria: SelectionCriteria = field(default_factory=SelectionCriteria)
+    excluded: tuple[str, ...] = ()
+    contradicting: tuple[str, ...] = ()
+    reason: str = ""
+    hint: Hint | None = None
+    unfinished: Unfinished | None = None
+
+    @property
+    def explained(self) -> float:
+        """Fraction of the squared error beyond noise, on held-out runs, that the selected effects remove; 0 if none."""
+        before, after = (max(e.held_out.noise_ratio**2 - 1.0, 0.0) for e in (self.before, self.after))
+        return 0.0 if not self.effects or before <= 0.0 else 1.0 - after / before  # NaN if one diverges
+
+    @property
+    def left(self) -> float:
+        """Ratio of simulation error to noise on the held-out runs, rms over the channels; 1 if only noise is left."""
+        return self.after.held_out.noise_ratio
+
+    @property
+    def left_in_others(self) -> float:
+        """The ratio `left` for the held-out runs that do not contradict the fitted ones; NaN if there are none."""
+        errors = [error for name, error in self.after.errors.items() if name not in self.contradicting]
+        channels = errors_by_channel(errors, self.after.machine, self.held_out.noise) if errors else {}
+        return PredictionErrors(channels, None).noise_ratio
+
+    @property
+    def evaluations(self) -> dict[str, ModelEvaluation]:
+        """The machines with their errors, shape (n, sensors) per run, by the names "declared", "before" and "after"."""
+        return dict(zip(STAGES, (self.declared, self.before, self.after), strict=True))
+
+    @property
+    def limit_warnings(self) -> tuple[str, ...]:
+        """Warnings about masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
+        return tuple(parameters_at_limit(self.after.machine, self.declared.machine).values())
+
+    @property
+    def divergence_warnings(self) -> tuple[str, ...]:
+        """Warnings about machines whose simulation diverges on a held-out run, one sentence each."""
+        models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
+        why = "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
+        text = f"The simulation of the {{}} machine diverges on {{}}, so it has no error: {why}."
+        return tuple(text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged)
+
+    @property
+    def run_warnings(self) -> tuple[str, ...]:
+        """Warnings about runs that were not used and about uncertain initial states, one sentence each."""
+        fitted = [(run.name, w) for run in self.fitted.runs for w in run.initial.warnings]
+        return (*self.excluded, *merge_run_warnings([*fitted, *self.after.warnings]))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of report.json (schema 1), to which `write_result` adds warnings and formulas.
+
+        Returns:
+            By key: "verdict", "runs" (names), "declared", "before", "after" (errors of the three machines), "effects",
+            "residual", "considered" (rejected effects) and others, as dictionaries, lists, text and numbers.
+        """
+        machine = self.after.machine
+        groups = inseparable_parameters(machine, self.declared.machine)
+        errors = {stage: evaluation.held_out.as_json() for stage, evaluation in self.evaluations.items()}
+        for error in errors.values() if any(e.held_out.force is None for e in self.evaluations.values()) else ():
+            error.pop("force_error", None)  # one machine has none: an effect added a coordinate without a drive
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "runs": {"fitted": [r.name for r in self.fitted.runs], "held_out": [r.name for r in self.held_out.runs]},
+            "reason": self.reason,
+            "unfinished": self.unfinished.as_json() if self.unfinished else None,
+            "contradicting": list(self.contradicting),
+            **{stage: {"held_out": error} | self._missing_force(stage) for stage, error in errors.items()},
+            "effects": [self._effect(selected) for selected in self.effects],
+            "residual": {
+                "depends_on": [
+                    {
+                        "variable": d.variable,
+                        "coordinate": d.coordinate,
+                        "component": d.component or d.coordinate,
+                        "share": round(d.explained, 4),
+                    }
+                    for d in self.dependence
+                ],
+                "white": self.white,
+                "sensors": list(self.after.deviating_sensors),
+            },
+            "explained": _finite_or_none(self.explained),
+            "left": _finite_or_none(self.left),
+            "left_in_others": _finite_or_none(self.left_in_others),
+            "hint": self.hint.as_json() if self.hint else None,
+            "considered": [entry.as_json() for entry in self.considered],
+            "not_separable": [group.as_json(machine) for group in groups],
+            "next_experiment": self.experiment.as_json() if self.experiment else None,
+            "seconds": round(self.seconds, 2),
+            "criteria": self.criteria.as_json(),
+        }
+
+    def _missing_force(self, stage: str) -> dict[str, float | None]:
+        """Return the force that a machine lacks on the held-out runs in percent of that of the drives, by its key."""
+        lacking = self.evaluations[stage].held_out.lacking
+        return {"missing_force_percent": None if lacking is None else _finite_or_none(100.0 * lacking)}
+
+    def _effect(self, selected: SelectedEffect) -> dict[str, Any]:
+        """Return one effect as in report.json."""
+        machine, effect = self.after.machine, selected.effect
+        parameters = {}
+        for key, value in effect.parameters.items():
+            std = machine.uncertainty.std(f"{effect.label}.{key}") if machine.uncertainty else None
+            parameters[key] = {"value": value, "std": std, "unit": machine.effect_unit(effect, key)}
+        return {
+            "name": effect.name,
+            "family": effect.definition.family,
+            "site": effect.site,
+            "parameters": parameters,
+            "size": _finite_or_none(self.sizes[effect.label]),
+            "held_out_gain": self.gains[effect.label],
+            "rivals": list(selected.rivals),
+        }
+
+
+def write_result(
+    result: IdentificationResult,
+    folder: Path,
+    warnings: Sequence[str] = (),
+    formulas: Sequence[TableComparison] = (),
+) -> None:
+    """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
+
+    The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted, and with
+    effects); evidence.npz (`plot_data`); next_experiment.csv, if a run is proposed. They appear together or not at all.
+
+    Args:
+        result: Result of an identification: machines, selected effects and fitted runs.
+        folder: Folder to write to; created if it does not exist.
+        warnings: Findings about the recordings, one line of text each, for `warnings` in report.json.
+        formulas: Formulas that may replace each table (force interpolated over one variable) of the machine, with their
+            errors, for `proposed_formulas` in report.json.
+
+    Raises:
+        InputError: If another process writes to the folder.
+        OSError: If a file cannot be written.
+    """
+    arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
+    unfinished = [str(result.unfinished)] if result.unfinished else []
+    warnings = [*unfinished, *warnings, *result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
+    report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
+    with output_batch(folder):
+        save_machine(result.declared.machine, folder / "declared.json")
+        save_machine(result.before.machine, folder / "before.json")
+        save_machine(result.after.machine, folder / "machine.json")
+        with atomic_file(folder / "evidence.npz") as file:
+            np.savez_compressed(file, **arrays)
+        if result.experiment:
+            result.experiment.write(folder / FILE, result.declared.machine)
+        else:
+            remove_file(folder / FILE)
+        write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
+
+
+def reason_of_remainder(report: Mapping[str, Any]) -> str:
+    """Return a clause about the error that the machine of the verdict leaves on the held-out runs.
+
+    Args:
+        report: Content of report.json, with the error `left`.
+
+    Returns:
+        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
+        describe, for another machine with a table; or that the cause is not known.
+    """
+    tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
+    formulas = {
+        math.sqrt(sum(error**2 for error in f["held_out"].values()) / len(f["held_out"])): " + ".join(f["terms"])
+        for table in report.get("proposed_formulas", ())
+        for f in table["formulas"]
+        if f["recommended"] and f["held_out"]
+    }
+    error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
+    if error < _CLEARLY_LESS * report["left"]:
+        return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
+    return ". A table has straight pieces and names no cause" if tables else ", whose cause was not found"
+
+
+def plot_data(result: IdentificationResult) -> dict[str, Array]:
+    """Compute the curves that the report plots.
+
+    The residual force is the force that would have to be added for a machine to follow the measurements. Thinned curves
+    have fewer than 8000 points.
+
+    Args:
+        result: Result of an identification: machines, selected effects and fitted runs.
+
+    Returns:
+        Arrays by name, where RUN is the name of a held-out run (not fitted) with n samples.
+
+        - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
+        - ``RUN/measured``: its measurements minus the sensors' zeros, m or rad, shape (n, sensors).
+        - ``RUN/declared``, ``RUN/before``, ``RUN/after``: simulation errors of the declared, refitted and corrected
+          machine, m or rad, shape (n, sensors).
+        - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
+          SI, shape (m,); absent if there is none.
+        - ``force/before``, ``force/after``: residual force of the refitted and of the corrected machine at these
+          points, N or Nm, shape (m,).
+        - ``coverage/NAME``: motion and inputs of the fitted runs, thinned, SI, shape (m,). NAME is an input channel, or
+          "position of C" or "velocity of C" for each linear coordinate C (if there is none, for each coordinate).
+    """
+    curves: dict[str, Array] = {}
+    for run in result.held_out.runs:
+        curves |= {f"{run.name}/time_s": run.time_s, f"{run.name}/measured": run.outputs}
+        for name, evaluation in result.evaluations.items():
+            evaluated = evaluation.errors.get(run.name)
+            error = simulation_error(evaluation.machine, run, result.held_out) if evaluated is None else evaluated
+            curves[f"{run.name}/{name}"] = error
+    if result.dependence:
+        data, strongest = result.fitted, result.dependence[0]
+        i = result.declared.machine.coordinate_names.index(strongest.coordinate)
+        by_run = [dependence_variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
+        thin = max(1, sum(map(len, by_run)) // _MAX_POINTS)
+        curves["force/variable"] = np.concatenate(by_run)[::thin]
+        for name in ("before", "after"):
+            machine = result.evaluations[name].machine
+            forces = [smooth_force_residual(machine, run, data)[:, i] for run in data.runs]
+            curves[f"force/{name}"] = np.concatenate(forces)[::thin]
+    return curves | {f"coverage/{name}": values for name, values in _coverage(result).items()}
+
+
+def _coverage(result: IdentificationResult) -> dict[str, Array]:
+    """Return positions, velocities and inputs of the fitted runs, thinned."""
+    machine, data = result.before.machine, result.fitted
+    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+    names = [f"{what} of {c}" for what in ("position", "velocity") for c in linear or machine.coordinate_names]
+    by_run = [dependence_variables(machine, run, data) for run in data.runs]
+    thin = max(1, sum(len(run.time_s) for run in data.runs) // _MAX_POINTS)
+    return {
+        name: np.concatenate([values[name] for values in by_run])[::thin] for name in (*names, *machine.input_channels)
+    }

@@ -1,0 +1,381 @@
+"""Read the folder that `result.write_result` wrote, and check that its files are complete and consistent."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from ...atomic_files import complete_commit, newest
+from ...effects import EFFECTS
+from ...errors import InputError
+from ...file_limits import read_arrays, read_document
+from ...machine import Machine
+from ...recordings import load_machine
+from ..judge.verdict import Verdict
+from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
+from .result import STAGES
+
+Array = NDArray[np.float64]
+
+
+class _Entry(BaseModel):
+    """Base of the entries of report.json; unknown fields are ignored."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+
+class _Runs(_Entry):
+    """Names of the runs."""
+
+    fitted: list[str]
+    held_out: list[str] = Field(min_length=1)
+
+
+class _ChannelErrors(_Entry):
+    """Errors of one channel."""
+
+    rmse: FiniteFloat | None
+    noise_ratio: FiniteFloat | None
+    percent_of_motion: FiniteFloat | None = None
+
+
+class _Evaluation(_Entry):
+    """Errors by channel, and force_error where the machine has one."""
+
+    held_out: dict[str, _ChannelErrors | FiniteFloat]
+    missing_force_percent: FiniteFloat | None = None
+
+
+class _ParameterEntry(_Entry):
+    """Value of an effect's parameter."""
+
+    value: FiniteFloat
+    std: FiniteFloat | None
+    unit: str
+
+
+class _EffectEntry(_Entry):
+    """A selected effect."""
+
+    name: str
+    site: str
+    parameters: dict[str, _ParameterEntry]
+    size: FiniteFloat | None = None
+    held_out_gain: FiniteFloat
+    rivals: list[str]
+
+
+class _DependenceEntry(_Entry):
+    """A variable that the residual force depends on."""
+
+    variable: str
+    coordinate: str
+    component: str = ""
+    share: FiniteFloat
+
+
+class _Residual(_Entry):
+    """Properties of the residual."""
+
+    depends_on: list[_DependenceEntry]
+    white: bool
+    sensors: list[str] = []
+
+
+class _Experiment(_Entry):
+    """The proposed experiment."""
+
+    why: str
+    file: str
+
+
+class _ConsideredEntry(_Entry):
+    """An effect that was tried and rejected."""
+
+    name: str
+    site: str
+    size: FiniteFloat | None
+    held_out_gain: FiniteFloat | None
+    reason: str
+
+
+class _FormulaEntry(_Entry):
+    """A formula that may replace a table."""
+
+    terms: list[str]
+    formula: str
+    parameters: dict[str, FiniteFloat]
+    complexity: int
+    curve_error: FiniteFloat
+    fitted: FiniteFloat | None
+    held_out: dict[str, FiniteFloat]
+    recommended: bool
+
+
+class _TableEntry(_Entry):
+    """A table with the formulas proposed for it."""
+
+    table: str
+    complexity: int
+    fitted: FiniteFloat
+    held_out: dict[str, FiniteFloat]
+    formulas: list[_FormulaEntry]
+
+
+class _DeterminedSum(_Entry):
+    """Weighted sum of parameters that the data determine."""
+
+    weights: dict[str, FiniteFloat]
+    value: FiniteFloat
+    std: FiniteFloat
+
+
+class _NotSeparable(_Entry):
+    """Parameters that the data do not separate."""
+
+    parameters: list[str]
+    determined: list[_DeterminedSum]
+
+
+class _Hint(_Entry):
+    """What the force that the machine lacks depends on, where no effect is named."""
+
+    component: str
+    variable: str
+    share: FiniteFloat
+    nearest: list[str]
+
+
+class _Unfinished(_Entry):
+    """A search that ended before it was complete."""
+
+    stage: str
+    reason: str
+
+
+class _Report(_Entry):
+    """Content of report.json that the report uses."""
+
+    version: Literal[1] = Field(alias="schema")
+    verdict: Verdict
+    runs: _Runs
+    declared: _Evaluation
+    before: _Evaluation
+    after: _Evaluation
+    effects: list[_EffectEntry]
+    residual: _Residual
+    explained: FiniteFloat | None = None
+    contradicting: list[str] = []
+    left: FiniteFloat | None = None
+    left_in_others: FiniteFloat | None = None
+    considered: list[_ConsideredEntry] = []
+    not_separable: list[_NotSeparable] = []
+    next_experiment: _Experiment | None
+    seconds: FiniteFloat
+    warnings: list[str] = []
+    reason: str = ""
+    hint: _Hint | None = None
+    unfinished: _Unfinished | None = None
+    proposed_formulas: list[_TableEntry] = []
+
+
+@dataclass(frozen=True)
+class SavedResult:
+    """A result read from its folder.
+
+    Attributes:
+        report: Content of report.json.
+        machine: Identified machine with the selected effects.
+        declared: Machine as declared.
+        curves: Curves of the plots by name, such as "RUN/measured", SI; `result.plot_data` lists them.
+    """
+
+    report: dict[str, Any]
+    machine: Machine
+    declared: Machine
+    curves: dict[str, Array]
+
+
+def load_result(folder: Path) -> SavedResult:
+    """Read an identification result from its folder and check that its files are consistent.
+
+    Args:
+        folder: Folder that `write_result` wrote.
+
+    Returns:
+        Report, machines and curves of the plots (arrays by name such as "RUN/measured", SI, shape (m,) or
+        (n, sensors)).
+
+    Raises:
+        InputError: If a file is missing, damaged or inconsistent with another file; the message names the file.
+    """
+    complete_commit(folder)
+    if not newest(folder / "report.json").is_file():
+        raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
+    try:
+        text = read_document(newest(folder / "report.json"))
+        report = _Report.model_validate_json(text).model_dump(by_alias=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"])) or "file"
+        raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
+    for name in ("machine.json", "declared.json"):
+        if not newest(folder / name).is_file():
+            raise _damaged(folder / name, "is missing")
+    with warnings.catch_warnings():
+        # What is not plausible about the machine was said when its declaration was read.
+        warnings.simplefilter("ignore", UserWarning)
+        machine, declared = (load_machine(newest(folder / name)) for name in ("machine.json", "declared.json"))
+    saved = SavedResult(report, machine, declared, _load_curves(folder / "evidence.npz"))
+    _check_report(saved, folder / "report.json")
+    _check_curves(saved, folder / "evidence.npz")
+    return saved
+
+
+def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
+    """Return formulas that can take the place of a table of a saved identification.
+
+    A table is a force or friction level interpolated over one variable. The formulas are those that `hframe identify`
+    compared with it, with their fitted parameters and the errors of the machine with each formula on the recorded runs.
+    If it compared none, formulas are fitted to the values of the table; their errors on runs are then unknown.
+
+    Args:
+        folder: Folder that `write_result` wrote.
+        name: Name of the effect that each formula defines: a Python identifier in lower case, different from the names
+            of existing effects.
+        table: Label of the table, for example "smooth_force[position of x]@x". Default: the first one.
+
+    Returns:
+        Formulas by increasing number of parameters; one is recommended.
+
+    Raises:
+        InputError: If the folder has no result or no such table, or the name cannot be used.
+        ImportError: If the formulas must be fitted and scikit-learn is not installed.
+    """
+    saved = load_result(folder)
+    tables = {e.label: e for e in tables_of(saved.machine)}
+    if not tables:
+        raise InputError(f"{folder}: the identified machine has no table for which a formula could be proposed")
+    label = table or next(iter(tables))
+    if label not in tables:
+        raise InputError(f"--table {label}: no such table; the identified machine has {', '.join(tables)}")
+    if name in EFFECTS:
+        raise InputError(f"{name}: an effect of this name exists; choose another name")
+    compared: dict[str, Any] = next((t for t in saved.report["proposed_formulas"] if t["table"] == label), {})
+    proposed = [ProposedFormula.from_json(f, saved.machine, tables[label]) for f in compared.get("formulas", ())]
+    table_error = mean_error(compared.get("held_out", {}))
+    return tuple(p.with_name(name, table_error) for p in proposed or propose_formulas(saved.machine, tables[label]))
+
+
+def _damaged(path: Path, problem: str) -> InputError:
+    """Return the error for a file of a result that cannot be used."""
+    return InputError(f"{path}: {problem}; run `hframe identify` again to write the folder anew")
+
+
+def _load_curves(path: Path) -> dict[str, Array]:
+    """Read evidence.npz."""
+    source = newest(path)
+    if not source.is_file():
+        raise _damaged(path, "is missing")
+    try:
+        curves = read_arrays(source)
+    except InputError as error:
+        raise _damaged(path, str(error).removeprefix(f"{source}: ")) from None
+    for name, values in curves.items():
+        if not np.issubdtype(values.dtype, np.floating):
+            raise _damaged(path, f"{name} holds {values.dtype}, not floating-point numbers")
+    return curves
+
+
+def _check_report(saved: SavedResult, path: Path) -> None:
+    """Raise InputError if report.json does not fit the machines."""
+    machine, channels = saved.machine, saved.machine.output_channels
+    if saved.declared.output_channels != channels:
+        raise _damaged(path.with_name("declared.json"), "has other sensors than machine.json")
+    for stage in STAGES:
+        errors = saved.report[stage]["held_out"]
+        for channel in channels:
+            if not isinstance(errors.get(channel), dict):
+                raise _damaged(path, f"{stage}.held_out has no errors of {channel}")
+        if ("force_error" in errors) != ("force_error" in saved.report["after"]["held_out"]):
+            raise _damaged(path, "force_error is given for some of declared, before and after only")
+        if not isinstance(errors.get("force_error", 0.0), float):
+            raise _damaged(path, f"{stage}.held_out.force_error is not a number")
+    labels = {e.label for e in machine.effects}
+    for effect in saved.report["effects"]:
+        if f"{effect['name']}@{effect['site']}" not in labels:
+            raise _damaged(path, f"effect {effect['name']} at {effect['site']} is not in machine.json")
+    for table in saved.report["proposed_formulas"]:
+        if table["table"] not in labels:
+            raise _damaged(path, f"proposed_formulas: {table['table']} is not in machine.json")
+    drives = (drive.name for drive in machine.drives)
+    known = {*machine.coordinate_names, *drives, *machine.output_channels, "drives", "belts"}
+    for dependence in saved.report["residual"]["depends_on"]:
+        coordinate = dependence["coordinate"]
+        names = {coordinate, dependence["variable"].partition(" of ")[2] or coordinate}
+        if not names <= known or coordinate not in machine.coordinate_names:
+            raise _damaged(path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}")
+
+
+def _check_curves(saved: SavedResult, path: Path) -> None:
+    """Raise InputError if the curves do not fit report.json and the machine."""
+    curves, channels = saved.curves, len(saved.machine.output_channels)
+    needed: dict[str, int] = {}  # dimensions by name
+    for run in saved.report["runs"]["held_out"]:
+        needed |= {f"{run}/time_s": 1}
+        needed |= {f"{run}/{name}": 2 for name in ("measured", *STAGES)}
+    if "force/variable" in curves:
+        needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
+        if not saved.report["residual"]["depends_on"]:
+            raise _damaged(path, "has a residual force, for which report.json has no variable")
+    needed |= {name: 1 for name in curves if name.startswith("coverage/")}
+    for name, dimensions in needed.items():
+        if name not in curves:
+            raise _damaged(path, f"has no array {name}")
+        values = curves[name]
+        rows = len(curves[f"{name.rpartition('/')[0]}/time_s"]) if dimensions == 2 else None
+        if values.ndim != dimensions or not len(values) or (rows and values.shape != (rows, channels)):
+            raise _damaged(path, f"array {name} has the shape {values.shape}")
+        if dimensions == 1 and not np.isfinite(values).all():
+            raise _damaged(path, f"array {name} has values that are not finite")
+        if name.startswith("force/") and len(values) != len(curves["force/variable"]):
+            raise _damaged(path, f"array {name} has another length than force/variable")
+        coordinate = name.partition(" of ")[2]
+        if name.startswith("coverage/") and coordinate and coordinate not in saved.machine.coordinate_names:
+            raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")
+
+
+def _has_workspace(machine: Machine) -> bool:
+    """Return whether controllers can be evaluated on a machine."""
+    from ...envs.workspace import workspace_of
+
+    try:
+        workspace_of(machine)
+    except InputError:
+        return False
+    return True
+
+
+def next_command(verdict: str, machine: Machine, folder: Path) -> str:
+    """Return the command that the user should run after an identification, as a suggestion to print.
+
+    Args:
+        verdict: "effect_found", "no_effect" or "unexplained".
+        machine: Corrected or refitted machine, with its uncertainty where it is known.
+        folder: Folder of the result.
+
+    Returns:
+        Command line that evaluates a controller on the machine. For the verdict "unexplained", or a machine for which
+        there are no controllers (it has no tool that moves within a declared range), a command that opens the report,
+        which shows what the residual depends on and what to record next.
+    """
+    if verdict == "unexplained" or not _has_workspace(machine):
+        return f"hframe report {folder} --open"
+    randomize = " --randomize identified" if machine.uncertainty else ""
+    return f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"

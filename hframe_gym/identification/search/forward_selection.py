@@ -1,0 +1,321 @@
+"""Forward selection of the effects that a machine lacks.
+
+An effect is a deviation from the nominal model, such as cogging. The best candidates of the screening are fitted
+together with the machine's parameters. The best of them is selected if it reduces chi-squared per sample by enough and
+passes the tests of `significance`; the search continues from there. At the end, effects that fail a test beside the
+others are removed. `SelectionCriteria` holds the thresholds. A gain is a reduction of chi-squared per sample. A rival
+is another effect that explains the same data equally well. An observer, which feeds the measurements back, corrects
+predictions (`model_error`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset
+from ..evidence.rivals import close_rivals, compare_rivals, rivals_in_combination, selected_first, simplest_first
+from ..evidence.significance import doubt_about_candidate, doubt_beside_others, long_run_variance
+from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
+from ..fit.estimation import Fit, describe_gain
+from ..fit.model_error import continue_fit, fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
+from ..fit.start_estimation import with_probable_starts
+from ..judge.criteria import SelectionCriteria
+from ..predict.prediction import SIMULATION, noise_floor
+from ..propose.trial_fits import (
+    converge,
+    indistinguishable,
+    replacement_fit,
+    structural_trial_fits,
+    trial_fits,
+    unexplained_fraction,
+    without_effect,
+)
+
+
+class EffectSearch:
+    """Forward selection of effects, at the observer bandwidth that the remaining model error requires.
+
+    Args:
+        data: Prepared recordings to fit.
+        plain: Machine before effects are added.
+        criteria: Decision thresholds.
+        log: Called with a line of text for each candidate.
+
+    Attributes:
+        considered: Effects that reduced the error but failed a test, by label (name@site).
+        reached: What was selected before the present step; None before the first one.
+        data: The recordings; `run` may replace the initial states of their runs by more probable ones.
+    """
+
+    def __init__(self, data: Dataset, plain: Machine, criteria: SelectionCriteria, log: Log) -> None:
+        self.data, self._plain, self._criteria, self._log = data, plain, criteria, log
+        self.considered: dict[str, ConsideredEffect] = {}
+        # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect passed.
+        self._structures_failed = (math.nan, math.inf)
+        self.reached: Selection | None = None
+        # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
+        self._doubted: tuple[float, Step] | None = None
+
+    def with_data(self, data: Dataset) -> EffectSearch:
+        """Return a copy of this search that uses other data but remembers which effects have failed a test.
+
+        Args:
+            data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros.
+
+        Returns:
+            Search with a copy of `considered`; structural effects are tried again once the error is clearly smaller.
+        """
+        search = EffectSearch(data, self._plain, self._criteria, self._log)
+        search.considered, search._structures_failed = dict(self.considered), self._structures_failed
+        return search
+
+    def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
+        """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
+
+        Effects that fail one of the tests (`significance`) are added to `considered`. After each selected effect, the
+        bandwidth of the observer that corrects predictions by the measurements is chosen anew (maximum likelihood), and
+        earlier effects may be replaced by others that now explain more. If no effect passes, the best one that failed
+        is tried together with a second one, because each of two missing effects can hide the other. The search ends at
+        `max_effects` effects or when only noise is left (`noise_level`).
+
+        Args:
+            current: Fit of the machine with the effects selected so far.
+            selected: Effects selected so far.
+
+        Returns:
+            Fit of the machine with all effects, and all selected effects with their fitted parameters.
+        """
+        criteria = self._criteria
+        current, self.data = with_probable_starts(current, self.data, criteria)
+        while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
+            self.reached = current, selected
+            found = self._next_effect(current)
+            extended = self._next_pair(current, selected) if found is None else self._extended(selected, *found)
+            if extended is None:
+                break
+            best, selected = extended
+            current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
+            if current.bandwidth != SIMULATION and current.chi2 < criteria.explained_chi2:
+                likely, others = self.settle_rivals(current, selected)  # perhaps nothing is wrong but one of them
+                if likely is not current:
+                    current, selected = fit_with_model_error(likely, self.data), others
+            current, self.data = with_probable_starts(current, self.data, criteria)
+        for s in selected:
+            self.considered.pop(s.effect.label, None)
+        return current, tuple(s.with_values(current.machine) for s in selected)
+
+    def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
+        """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
+        gain, rivals = without.cost - trials[0].cost, close_rivals(trials, without, self.data, self._criteria)
+        new = SelectedEffect(trials[0].machine.effects[-1], gain / self.data.count, without.machine, rivals)
+        return trials[0], (*selected, new)
+
+    def _next_pair(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection | None:
+        """Return the machine with two more effects, the first of which passes all tests only beside the second.
+
+        Of two effects with similar forces, the smaller one does not exceed the force that remains unexplained, and the
+        parameters of the machine may compensate for the larger one until the smaller one is there. None if there is no
+        such pair, or if the error is so small that it may be that of a residue without a name.
+        """
+        data, criteria, doubted = self.data, self._criteria, self._doubted
+        if doubted is None or current.chi2 < criteria.explained_chi2 or len(selected) + 2 > criteria.max_effects:
+            return None
+        trial, extended = self._extended(selected, *doubted[1])
+        label = extended[-1].effect.label
+        self._log(f"  searching for an effect that hides {label}")
+        found = self._next_effect(fit_with_model_error(trial, data))
+        if found is None:
+            return None
+        best, extended = self._extended(extended, *found)
+        reduced = without_effect(best, label, data, self._plain)
+        doubt = doubt_beside_others(reduced, best, extended[-2].effect, data, criteria) if reduced else ""
+        if doubt:
+            self._log(f"  {label} is not selected: it {doubt}")
+            return None
+        return best, extended
+
+    def _next_effect(self, current: Fit) -> Step | None:
+        """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
+
+        An observer hides slow errors, such as those of a missing constant force. If no effect passes, the next narrower
+        one is tried; the effect must then make up for its lower likelihood. If much is left in simulation, all narrower
+        ones are tried with which the model nearly explains the data; the effect must then explain what is left.
+        """
+        self._doubted, criteria = None, self._criteria
+        found = self._passing(current, minimum_gain(current, criteria), structures=True)
+        if found is not None or current.bandwidth == SIMULATION:
+            return found
+        narrower = narrower_observer(current, self.data)
+        enough = minimum_gain(current, criteria) + likelihood_deficit(narrower, current, self.data)
+        found = self._passing(narrower, enough)
+        if found is not None:
+            return found
+        simulated = continue_fit(current, self.data, SIMULATION)
+        while narrower.bandwidth != SIMULATION and narrower.chi2 < criteria.explained_chi2 <= simulated.chi2:
+            found = self._passing(narrower, minimum_gain(narrower, criteria))
+            trials = [continue_fit(found[1][0], self.data, SIMULATION)] if found else []
+            if unexplained_fraction(simulated, trials, criteria) < criteria.rival_remainder:
+                return found
+            narrower = narrower_observer(narrower, self.data)
+        return None
+
+    def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
+        """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
+        data, criteria = self.data, self._criteria
+        trials = trial_fits(current, data, enough, criteria)
+        structures = structures and self._worth_structures(current, trials)
+        if structures:
+            trials += structural_trial_fits(current, trials, data, enough, criteria)
+        trials = simplest_first(trials, current, data, criteria)
+        best = self._best(current, trials, enough)
+        if best is None:
+            if structures:
+                self._structures_failed = (current.bandwidth, current.chi2 - 1.0)
+            return None
+        return current, selected_first(best, trials)
+
+    def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
+        """Return whether to try effects that replace a part of the model as well: the trials leave much of the error.
+
+        After a trial in vain, they are tried again only once the error has become clearly smaller. They are also tried
+        if the best trial adds a force with memory, because dry friction with a memory, which replaces it, is similar.
+        """
+        criteria, floor = self._criteria, noise_floor(current.bandwidth, self._criteria)
+        left = unexplained_fraction(current, trials, criteria)
+        bandwidth, failed_excess = self._structures_failed
+        if current.bandwidth == bandwidth and current.chi2 - 1.0 > criteria.structural_retry * failed_excess:
+            return False
+        best = min(trials, key=lambda trial: trial.cost).machine.effects[-1].definition if trials else None
+        if best and best.force and best.next_state:
+            return True
+        return left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
+
+    def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
+        """Replace earlier effects by others that explain the data better beside the later ones (recursively).
+
+        The first effects are selected while others are still missing, and may represent a mixture of causes.
+        """
+        data, criteria = self.data, self._criteria
+        if current.chi2 <= criteria.noise_level:
+            return current, selected
+        for old in selected[:-1]:  # the last one has just won against all others
+            reduced = without_effect(current, old.effect.label, data, self._plain, thorough=False)
+            better = reduced and replacement_fit(current, reduced, old.effect.label, data, criteria)
+            if reduced is None or better is None:
+                continue
+            gain = (current.cost - better.cost) / data.count
+            if gain < minimum_gain(current, criteria) or doubt_about_candidate(reduced, better, data, criteria):
+                continue
+            effect = better.machine.effects[-1]
+            self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
+            total = (reduced.cost - better.cost) / data.count
+            new = SelectedEffect(effect, total, reduced.machine)
+            others = tuple(s for s in selected if s is not old)
+            return self._exchange(fit_with_model_error(better, data), (*others, new))
+        return current, selected
+
+    def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
+        """Return the converged fit of the first trial that passes all tests, None if there is none."""
+        for trial in trials:
+            if (current.cost - trial.cost) / self.data.count < self._criteria.min_trial_gain * enough:
+                return None
+            fitted = converge(trial, self.data, thorough=current.chi2 > self._criteria.explained_chi2)
+            effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self.data.count
+            self._log(f"  {effect.label} {describe_gain(current, fitted)}")
+            if gain < enough:
+                self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
+                continue
+            doubt = doubt_about_candidate(current, fitted, self.data, self._criteria)
+            if not doubt:
+                return fitted
+            self._log(f"  {effect.label} is not selected: it {doubt}")
+            self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)
+            if self._doubted is None or gain > self._doubted[0]:
+                self._doubted = gain, (current, selected_first(fitted, trials))
+        return None
+
+    def with_indistinguishable(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> tuple[SelectedEffect, ...]:
+        """Add to the rivals of each selected effect those that these runs may not distinguish from it.
+
+        The trial fits of the search show rivals only among the few best candidates of one step. Here all candidates are
+        compared with the effect, to first order, in the machine with all other effects; `settle_rivals` then fits those
+        that may take its place. An effect may do so if the increase of chi-squared is no more than chance causes. That
+        is doubled, because the comparison is of first order.
+
+        Args:
+            current: Fit of the machine with all selected effects.
+            selected: These effects, with their rivals.
+
+        Returns:
+            The same effects with more rivals.
+        """
+        extended = []
+        for s in selected:
+            known = {s.effect.label, *(e.label for e in (*current.machine.effects, *s.rival_effects))}
+            loss = 2.0 * self._criteria.min_chance_gain * long_run_variance(current, s.effect.label, self.data)
+            found = indistinguishable(current, s.effect, loss, self.data) if math.isfinite(loss) else []
+            further = tuple(effect for effect in found if effect.label not in known)
+            if further:
+                self._log(f"  {s.effect.label} resembles {', '.join(e.label for e in further)} in these runs")
+            extended.append(dataclasses.replace(s, rival_effects=(*s.rival_effects, *further)))
+        return tuple(extended)
+
+    def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
+        """Compare each selected effect with its rivals again, in a machine that has all other selected effects.
+
+        Rivals of an effect (deviation from the model) explained the data about equally well when it was selected, while
+        effects were missing and an observer hid differences. Each rival now takes its place. If chance does not explain
+        the difference, the most likely rival replaces the effect, and the comparison starts again; rivals that are
+        clearly less likely are dropped. `rivals_in_combination` adds possible rivals.
+
+        Args:
+            current: Fit of the machine with all selected effects.
+            selected: These effects, with their rivals.
+
+        Returns:
+            Fit of the machine with the most likely effects, and these effects with the rivals that remain.
+        """
+        settled: tuple[SelectedEffect, ...] = ()
+        for old in selected:
+            others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
+            further = rivals_in_combination(old.effect, old.rival_effects, others, current.machine)
+            case = current, old.effect.label, old.rival_effects, self.data, self._criteria
+            compared = compare_rivals(*case, in_combination=further)
+            if compared.better is not None:
+                effect = compared.better.machine.effects[-1]
+                self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
+                remaining = tuple(rival for rival in compared.remaining if rival.label != effect.label)
+                new = SelectedEffect(effect, old.gain, old.machine_without, remaining)
+                return self.settle_rivals(compared.better, (*(s for s in selected if s is not old), new))
+            settled = (*settled, dataclasses.replace(old, rival_effects=compared.remaining))
+        return current, tuple(s.with_values(current.machine) for s in settled)
+
+    def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
+        """Remove effects (deviations from the model) that later effects have made superfluous; `considered` lists them.
+
+        Each effect is tested beside all other selected effects, the one with the smallest gain first. It is kept if it
+        clearly reduces the error and passes all tests of `significance`, or if another effect requires it or acts on a
+        coordinate that it adds. After a removal, the others are tested again.
+
+        Args:
+            current: Fit of the machine with all selected effects; its observer bandwidth is used throughout.
+            selected: All selected effects.
+
+        Returns:
+            The fit of the machine with the remaining effects (`current` if all remain), and these effects.
+        """
+        for candidate in sorted(selected, key=lambda s: s.gain):
+            reduced = without_effect(current, candidate.effect.label, self.data, self._plain)
+            if reduced is None:
+                continue
+            doubt = doubt_beside_others(reduced, current, candidate.effect, self.data, self._criteria)
+            if doubt:
+                self._log(f"  {candidate.effect.label} is removed: it {doubt}")
+                self.considered[candidate.effect.label] = ConsideredEffect(
+                    candidate.effect, current.machine, reduced.machine, doubt
+                )
+                others = (s for s in selected if s is not candidate)  # those that passed beside it may fail without it
+                return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
+        return current, tuple(s.with_values(current.machine) for s in selected)

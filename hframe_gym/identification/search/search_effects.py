@@ -1,0 +1,433 @@
+"""The search for what a model lacks: effects of the library, then tables, and runs that contradict the others."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from functools import cache, cached_property
+from typing import NamedTuple
+
+from ...machine import HOOKS, Machine, argument_names
+from ...preparation.dataset import Dataset
+from ..budget import Budget, BudgetEndedError, spend
+from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
+from ..fit.estimation import Fit, fit, prediction_cost
+from ..fit.model_error import (
+    CONTRADICTION,
+    continue_fit,
+    contradicting_run,
+    explains,
+    fit_with_model_error,
+    minimum_gain,
+    polish,
+    refined_in_simulation,
+)
+from ..fit.run_differences import RunDifferences, find_run_differences
+from ..fit.run_observers import fit_run_by_run
+from ..fit.start_estimation import refine_dataset
+from ..judge.criteria import SelectionCriteria
+from ..judge.verdict import Verdict
+from ..predict.free_parameters import default_free_parameters
+from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
+from ..propose.trial_fits import converge
+from .forward_selection import EffectSearch
+from .tables import add_tables, fit_with_moved_knots
+
+_AS_GOOD = 1.2  # ratio of chi-squared per sample of two explanations that are equally good
+
+
+class SearchOutcome(NamedTuple):
+    """Outcome of a search.
+
+    Attributes:
+        before: Fit of the refitted machine, without effects.
+        before_explains: Whether that machine explains the data.
+        explained: Whether the machine with the effects explains the data.
+        verdict: "effect_found", "no_effect" or "unexplained".
+        after: Fit of the machine with the effects.
+        selected: The selected effects.
+        considered: Effects that reduced the error of the fitted runs but failed a test.
+        data: Runs that the machines were fitted to.
+        contradiction: Name of the run that was left out because it contradicts the others; None if all were used.
+        unfinished: What the search did when its budget ended, in words; "" if it is complete.
+    """
+
+    before: Fit
+    before_explains: bool
+    explained: bool
+    verdict: Verdict
+    after: Fit
+    selected: tuple[SelectedEffect, ...]
+    considered: tuple[ConsideredEffect, ...]
+    data: Dataset
+    contradiction: str | None = None
+    unfinished: str = ""
+
+
+Confirmed = Callable[[SearchOutcome], bool]  # whether held-out runs confirm an outcome
+
+
+def search_effects(
+    machine: Machine,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    *,
+    confirmed: Confirmed | None = None,
+    budget: Budget | None = None,
+) -> SearchOutcome:
+    """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
+
+    One run, the suspect, may contradict the others because of a mistake, or because it excites a missing effect more.
+    Effects are first searched for without the suspect, unless all runs differ from each other in one parameter. The
+    suspect is then left out and named in the outcome (`contradiction`), unless one of these conditions holds:
+
+    - The effects found without the suspect explain all runs. Or they explain the other runs, no single parameter with
+      another value in the suspect explains it, and with one more effect they explain all runs.
+    - These effects do not explain the other runs, but the effects found in all runs explain all runs, or leave less
+      than ten times the chi-squared per sample of the search without the suspect.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit.
+        criteria: Decision thresholds.
+        log: Called with a line at each stage.
+        confirmed: Function that returns whether the held-out runs confirm an outcome from which a suspect was left out.
+            If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
+        budget: Processor time after which the search ends. The refit of the machine is always completed. Default: the
+            search ends by itself.
+
+    Returns:
+        Verdict, fits of the machine without and with the effects, and the selected and the rejected effects. If the
+        budget ended: of what was selected until then, tested like everything else, without tables; without a suspect if
+        that was found to explain the other runs, else in all runs.
+    """
+    searches = [_Search(machine, data, criteria, log)]
+    budget = budget or Budget()
+    try:
+        with budget.limiting():
+            return _search_with_suspect(searches, machine, data, criteria, log, confirmed)
+    except BudgetEndedError:
+        log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
+    for search in reversed(searches[1:]):
+        outcome = search.finished_early()
+        if outcome.explained:  # a run is only left out if one machine explains the others
+            return outcome._replace(unfinished=budget.doing)
+    return searches[0].finished_early()._replace(unfinished=budget.doing)
+
+
+def _search_with_suspect(
+    searches: list[_Search],
+    machine: Machine,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    confirmed: Confirmed | None,
+) -> SearchOutcome:
+    """Search as `search_effects` describes; a second search, without the suspect, is added to `searches`."""
+    all_runs = searches[0]
+    spend("comparing the runs with each other")
+    suspect, in_all_runs = contradicting_run(all_runs.base, data), cache(all_runs.run)
+    if suspect is None:
+        return in_all_runs()
+
+    def without_suspect(outcome: SearchOutcome) -> SearchOutcome:
+        log(f"no effect explains {suspect}; it is not used")
+        outcome = outcome._replace(contradiction=suspect)
+        return outcome if confirmed is None or confirmed(outcome) else in_all_runs()
+
+    log(f"{suspect} differs most from the other runs; fitting these without it")
+    others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
+    others.suspect = suspect
+    searches.append(others)
+    if not others.needs_no_effect and all_runs.runs_differ:
+        return in_all_runs()
+    log(f"searching for effects without {suspect}")
+    extended = _fitted_to_all(others.selection, data)
+    if extended[1] and explains(extended[0], others.base.chi2, criteria):
+        return all_runs.run(extended)
+    outcome = others.run()
+    if not outcome.explained:
+        log(f"no effects explain the others without {suspect}; searching in all runs")
+        complete = in_all_runs()
+        if complete.explained or _wide_chi2(complete) < CONTRADICTION * _wide_chi2(outcome):
+            return complete
+        return without_suspect(outcome)
+    if _differs_in_a_parameter(suspect, outcome, data, criteria):
+        return without_suspect(outcome)
+    log(f"searching for an effect that explains {suspect}")
+    one_more = dataclasses.replace(criteria, max_effects=len(outcome.selected) + 1)
+    search = EffectSearch(data, all_runs.before.machine, one_more, log)
+    extended = search.run(*_fitted_to_all((outcome.after, outcome.selected), data))
+    if explains(extended[0], others.base.chi2, criteria):
+        log(f"{suspect} is used")
+        return all_runs.run(extended)
+    return without_suspect(outcome)
+
+
+def _fitted_to_all(selection: Selection, data: Dataset) -> Selection:
+    """Return the machine with selected effects, fitted to all runs; effects that need another value may change it."""
+    fitted, effects = selection
+    wide = converge(continue_fit(fitted, data, SEARCH_BANDWIDTH), data, thorough=True)
+    return polish(fit_with_model_error(wide, data), data), effects
+
+
+def _differs_in_a_parameter(suspect: str, outcome: SearchOutcome, data: Dataset, criteria: SelectionCriteria) -> bool:
+    """Return whether a run is explained as well as the others by another value of one parameter in this run alone."""
+    difference = find_run_differences(outcome.after, data, criteria)
+    if difference is None or difference.different_run != suspect:
+        return False
+    return difference.chi2 < _AS_GOOD * _wide_chi2(outcome)
+
+
+def _wide_chi2(outcome: SearchOutcome) -> float:
+    """Return chi-squared per sample of the final machine at the largest observer bandwidth, common to all machines."""
+    return prediction_cost(outcome.after.machine, outcome.data, SEARCH_BANDWIDTH) / outcome.data.count
+
+
+class _Search:
+    """The search for effects that explain the residual of the refitted machine; arguments as of `search_effects`.
+
+    Attributes:
+        base: Machine refitted at `SEARCH_BANDWIDTH`.
+        before: Machine refitted at the bandwidth that its remaining error requires.
+        suspect: Name of the run that was left out; None if there is none.
+    """
+
+    suspect: str | None = None
+
+    def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
+        self._data, self._criteria, self._log = data, criteria, log
+        self._data_after = data  # with the initial states and zeros that follow from the machine with effects
+        self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
+        self._searches: list[EffectSearch] = []  # one after the other
+        # With the widest observer bandwidth first: it tolerates a model that is still wrong.
+        self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+        log(f"refitted machine: {self.base.summary}")
+        self.before = polish(fit_with_model_error(self.base, data), data)
+        if self.before.bandwidth != self.base.bandwidth:
+            log(f"refitted machine: {self.before.summary}")
+
+    @cached_property
+    def _first_search(self) -> EffectSearch:
+        """Search that starts from the refitted machine, without effects."""
+        return self._new_search(EffectSearch(self._data, self.before.machine, self._criteria, self._log))
+
+    def _new_search(self, search: EffectSearch) -> EffectSearch:
+        """Return a search, and remember it as the present one."""
+        self._searches.append(search)
+        return search
+
+    @cached_property
+    def selection(self) -> Selection:
+        """Machine with the effects that are selected one after the other; they are not yet tested beside each other."""
+        self._log("searching for effects")
+        return self._first_search.run(self.before)
+
+    def run(self, start: Selection | None = None) -> SearchOutcome:
+        """Search for effects, then for tables if no known effects explain the residual.
+
+        Args:
+            start: Fit with effects that are known already. Default: the refitted machine, without effects.
+        """
+        after, effects, considered = self._known_effects(start)
+        if decided := self._decided(after, effects, considered):
+            return decided
+        tabled = None if self.runs_differ else self._with_tables((after, effects))
+        if tabled is not None:
+            return self._outcome("effect_found", *tabled, considered)
+        return self._partial(after, effects, considered)
+
+    def finished_early(self) -> SearchOutcome:
+        """Return the outcome of what was selected when the budget ended, after the same tests beside each other."""
+        search = self._searches[-1] if self._searches else None
+        after, effects = (search and search.reached) or (self.before, ())
+        considered: dict[str, ConsideredEffect] = search.considered if search else {}
+        if search and effects:
+            self._data_after = search.data
+            after, effects = search.prune(polish(after, search.data), effects)
+        rejected = tuple(entry for label, entry in considered.items() if label not in {s.effect.label for s in effects})
+        decided = self._decided(after, effects, rejected) or self._partial(after, effects, rejected)
+        return decided._replace(contradiction=self.suspect)
+
+    def _decided(
+        self, after: Fit, effects: tuple[SelectedEffect, ...], considered: tuple[ConsideredEffect, ...]
+    ) -> SearchOutcome | None:
+        """Return the outcome if a table cannot change it: effects explain the data, or only imitate a drift."""
+        if drift := self._imitated_drift(after):
+            reason = f"explains the runs less well than another value of {drift} in each run"
+            return self._outcome("unexplained", self.before, (), considered + self._removed(after, effects, reason))
+        if self._explains(after):
+            verdict: Verdict = "effect_found" if effects else "no_effect"
+            return self._outcome(verdict, after if effects else self.before, effects, considered)
+        return None
+
+    def _partial(
+        self, after: Fit, effects: tuple[SelectedEffect, ...], considered: tuple[ConsideredEffect, ...]
+    ) -> SearchOutcome:
+        """Return the outcome where an error remains that neither effects nor a table describe."""
+        if effects and not self.runs_differ and self._reduces_error(after):
+            return self._outcome("effect_found", after, effects, considered)
+        considered += self._removed(after, effects, "leaves most of the error, also together with the other effects")
+        return self._outcome("unexplained", self.before, (), considered)
+
+    def _removed(self, after: Fit, effects: tuple[SelectedEffect, ...], reason: str) -> tuple[ConsideredEffect, ...]:
+        """Log that effects are removed, and return them as considered; the reason is a clause that follows "it "."""
+        for s in effects:
+            self._log(f"  {s.effect.label} is removed: it {reason}")
+        return tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
+
+    def _imitated_drift(self, after: Fit) -> str:
+        """Return the name of the parameter that differs from run to run, if effects over time only imitate this; or "".
+
+        They do if they leave an error in simulation, which an observer hides, and another value in each run is better.
+        """
+        hooks = [getattr(e.definition, name) for e in after.machine.effects for name in HOOKS]
+        if not any(hook and "t" in argument_names(hook) for hook in hooks) or self._explains(self._refined(after)):
+            return ""
+        wide = dataclasses.replace(after, bandwidth=SEARCH_BANDWIDTH, cost=self._wide_cost(after))
+        better = self._difference and self._difference.chi2 < wide.chi2 - minimum_gain(wide, self._criteria)
+        return self._difference.quantity.name if self._difference and better else ""
+
+    @cached_property
+    def _difference(self) -> RunDifferences | None:
+        """The parameter that differs from run to run and explains the runs without effects, if there is one."""
+        return find_run_differences(self.before, self._data, self._criteria)
+
+    @property
+    def needs_no_effect(self) -> bool:
+        """Whether the refitted machine explains the runs without effects."""
+        return self._explains(self.before)
+
+    @cached_property
+    def runs_differ(self) -> bool:
+        """Whether a parameter that differs from run to run explains the runs, as no effect or table can.
+
+        A table over time may explain a parameter that drifts. If a single run differs, the others may have effects.
+        """
+        if (difference := self._difference) is not None:
+            self._log(f"{difference.quantity.name} differs between the runs")
+        return difference is not None and not difference.drifts and difference.different_run is None
+
+    def _outcome(
+        self,
+        verdict: Verdict,
+        after: Fit,
+        selected: tuple[SelectedEffect, ...],
+        considered: tuple[ConsideredEffect, ...],
+    ) -> SearchOutcome:
+        """Return the outcome, with machines that are fitted again: in simulation, and run by run, if that is better."""
+        before_explains, explained = self._explains(self.before), self._explains(after)
+        before, after = (self._final(f) for f in (self.before, after))
+        selected = tuple(s.with_values(after.machine) for s in selected)
+        return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data_after)
+
+    def _final(self, fitted: Fit) -> Fit:
+        """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires."""
+        refined = self._refined(fitted)
+        return fit_run_by_run(refined, self._data_of(fitted)) if self._explains(fitted) else refined
+
+    def _data_of(self, fitted: Fit) -> Dataset:
+        """Return the runs with the encoders' zeros that follow from the effects of a fit."""
+        return self._data if fitted is self.before else refine_dataset(self._data_after, fitted.machine)
+
+    def _refined(self, fitted: Fit) -> Fit:
+        """Return a fit refined in simulation."""
+        for done, refined in self._refinements:
+            if done is fitted:
+                return refined
+        self._refinements.append((fitted, refined_in_simulation(fitted, self._data_of(fitted))))
+        return self._refinements[-1][1]
+
+    def _known_effects(
+        self, start: Selection | None
+    ) -> tuple[Fit, tuple[SelectedEffect, ...], tuple[ConsideredEffect, ...]]:
+        """Search from a fit; return the fit with effects of the library, the effects, and those that failed a test."""
+        criteria, data = self._criteria, self._data
+        if start is None:
+            search, (current, effects) = self._first_search, self.selection
+        else:
+            self._log("searching for further effects")
+            search = self._new_search(EffectSearch(data, self.before.machine, criteria, self._log))
+            search.reached = start
+            current, effects = search.run(*start)
+        refined = refine_dataset(search.data, current.machine)
+        if refined is not search.data:
+            # More accurate zeros may reveal further effects.
+            found_at, search = current, self._new_search(search.with_data(refined))
+            search.reached = current, effects
+            current = fit_with_model_error(polish(current, refined), refined)
+            lower = current.chi2 < found_at.chi2 - minimum_gain(found_at, criteria)
+            if lower or current.bandwidth != found_at.bandwidth:
+                current, effects = search.run(current, effects)
+        if effects or self._explains(current):  # starts that a wrong machine estimates compensate what it lacks
+            self._data_after = search.data
+        if not effects and start is None and self._explains(current):
+            self.before, self._data = current, search.data
+        if effects:
+            data = search.data
+            search.reached = current, effects
+            spend("comparing rivals")
+            effects = search.with_indistinguishable(current, effects)
+            current, effects = search.settle_rivals(current, effects)
+            search.reached = current, effects
+            spend("testing each effect beside the others")
+            current, effects = search.prune(polish(current, data), effects)
+            simulated = self._refined(current)
+            # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
+            accurate = self._explains(simulated) or not self._explains(current)
+            if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
+                current, effects = search.prune(simulated, effects)
+        return current, effects, tuple(search.considered.values())
+
+    def _with_tables(self, selected: Selection) -> Selection | None:
+        """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
+        (after, effects), criteria, log = selected, self._criteria, self._log
+        log("no known effect explains the residual; searching for a table of force or friction")
+        wide = continue_fit(after, self._data, SEARCH_BANDWIDTH) if effects else self.base
+        for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
+            fitted, more = add_tables(start, known, self._data, criteria=criteria, max_tables=count, log=log)
+            if len(more) > len(known):
+                data = refine_dataset(self._data, fitted.machine)  # starts are more accurate with the table
+                fitted = fit_with_moved_knots(fitted, data, criteria)
+                # No search beside a table: many small effects resemble the error of its straight pieces.
+                refined = polish(fit_with_model_error(fitted, data), data)
+                candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
+                limit = criteria.max_table_cost_fraction * min(self.base.cost, wide.cost)
+                if start is self.base and len(effects) > 1:  # several effects may only imitate one unknown curve
+                    ratio = criteria.max_table_cost_of_several_effects
+                    limit = min(criteria.max_table_cost_fraction * self.base.cost, ratio * wide.cost)
+                if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
+                    return candidate, kept
+        return None
+
+    def _wide_cost(self, fitted: Fit) -> float:
+        """Return the cost of a machine at the largest observer bandwidth, common to all machines."""
+        return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
+
+    def _reduces_error(self, after: Fit) -> bool:
+        """Return whether effects remove most of the error that goes beyond the noise, although they leave some.
+
+        Compared are chi-squared with the widest observer, which hides slow errors, and the error of the simulation.
+        """
+        limit, data = self._criteria.max_partial_excess, self._data
+        wide, wide_before = (
+            max(self._wide_cost(fitted) / data.count - self._criteria.one_step_floor, 0.0)
+            for fitted in (after, self.base)
+        )
+        error, error_before = (
+            math.sqrt(max(prediction_cost(fitted.machine, data, SIMULATION) / data.count - 1.0, 0.0))
+            for fitted in (self._refined(after), self._refined(self.before))
+        )
+        return wide < limit * wide_before or error < limit * error_before
+
+    def _explains(self, after: Fit) -> bool:
+        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
+
+        A machine without effects that needs a wide observer explains nothing, although the observer leaves no error.
+        """
+        corrected = after.bandwidth > self._criteria.max_residue_bandwidth
+        if corrected and after.machine.effects == self.before.machine.effects:
+            return False
+        return explains(after, self.base.chi2, self._criteria)
