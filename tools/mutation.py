@@ -75,7 +75,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
 # Mutants by "file: source line -> change" that no test can notice, with the reason.
 EQUIVALENT: dict[str, str] = {
     "hframe_gym/dynamics/physics/belts.py: "
-    "first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * values[i] -> -1.0 -> 1.0": "-1.0 * v is -v to the bit; only the instruction differs",
+    "first = values[i] if factor == 1.0 else -values[i] if factor == -1.0 else factor * values[i] "
+    "-> -1.0 -> 1.0": "-1.0 * v is -v to the bit; only the instruction differs",
 }
 
 _OPERATORS: dict[type[ast.operator], type[ast.operator]] = {

@@ -18,7 +18,7 @@ def test_every_threshold_is_documented_and_printed() -> None:
     assert [line.partition(" = ")[0] for line in lines] == names
     assert "max_effects = 3" in lines
     for name in names:
-        assert f"        {name}: " in (SelectionCriteria.__doc__ or "")
+        assert f"        {name}: " in "".join(each.__doc__ or "" for each in SelectionCriteria.__mro__)
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])

@@ -11,7 +11,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
-from hframe_gym.identification.search.search_effects import search_effects as search
+from hframe_gym.identification.search import search_effects as search
 from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.preparation.dataset import RunObserver
 from tests.identification.scripted_fits import (

@@ -82,7 +82,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     try:
         with output_batch(folder):
             save_plots(panels, folder / "plots")
-            write_page(folder / "report.html", "hframe_gym.identification", "report.html.j2", values)
+            write_page(folder / "report.html", "hframe_gym.identification.report", "report.html.j2", values)
     except OSError as error:
         raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
     return folder / "report.html"
