@@ -36,6 +36,8 @@ _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of t
 # Name before a number, as for Arduino's serial plotter: "speed:1.5". The "e" of "1e-3" begins none.
 _LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
 _ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")  # between time stamp and text in Arduino's serial monitor
+# Row between two equal letters, as SimpleFOC's monitor writes it.
+_ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]*")
 # Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an oscilloscope.
 _NOT_A_COLUMN = re.compile(r"comment|start|increment|(?:t0|tinc)\s*=.*", re.IGNORECASE)
 
@@ -289,6 +291,11 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
         separator = _detect_separator([_ARROW.sub("", row) for row in rows])
         edits.append((_ARROW, rf"\1{separator}"))
         remarks.append("an arrow follows the time stamps")
+    enclosed = [match for match in map(_ENCLOSED.fullmatch, (_ARROW.sub("", row) for row in rows)) if match]
+    if len(enclosed) > max(_MOST * len(rows), _CONSECUTIVE - 1) and len({match["letter"] for match in enclosed}) == 1:
+        letter = enclosed[0]["letter"]
+        edits.append((re.compile(rf"(?m)(?:^|(?<=\t)){letter}(?=[-+.\d])|(?<=\d){letter}[ \t]*$"), ""))
+        remarks.append(f"the letter {letter} encloses each row")
     last = [_ARROW.sub("", row) for row in rows[-_CONSECUTIVE:]]
     names = [tuple(match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)) for row in last]
     if names and names[0] and len(set(names)) == 1 and all(_is_number_per_label(row, len(names[0])) for row in last):

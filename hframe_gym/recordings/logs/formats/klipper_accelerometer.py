@@ -31,7 +31,12 @@ class KlipperAccelerometerLogs(LogFormat):
         if _header(path) != _HEADER:
             advice = "measure again with OUTPUT=raw_data and import raw_data_*.csv"
             raise InputError(f"{path}: is a spectrum of Klipper's TEST_RESONANCES, without times; {advice}")
-        return [open_text_table(path, ("it is a measurement of Klipper's accelerometer",), _UNITS)]
+        return [open_text_table(path, ("it is a measurement of Klipper's accelerometer",), _unit)]
+
+
+def _unit(name: str) -> str:
+    """Return the unit of a column by its name."""
+    return _UNITS.get(name, "")
 
 
 def _header(path: Path) -> str:

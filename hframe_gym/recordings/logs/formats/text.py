@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +37,13 @@ class TextLogs(LogFormat):
         return [open_text_table(path)]
 
 
-def open_text_table(path: Path, remarks: tuple[str, ...] = (), units: dict[str, str] | None = None) -> Log:
+def open_text_table(path: Path, remarks: tuple[str, ...] = (), unit_of: Callable[[str], str] = lambda name: "") -> Log:
     """Open a table in text.
 
     Args:
         path: File of the table.
         remarks: Sentences for the user, before those about the table.
-        units: Units by name of the column, for columns whose unit the file does not state.
+        unit_of: Function from the name of a column to its unit, for columns whose unit the file does not state.
 
     Returns:
         Log with the table's columns, of the shape (rows,).
@@ -56,6 +56,5 @@ def open_text_table(path: Path, remarks: tuple[str, ...] = (), units: dict[str, 
     def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
         return read_columns(path, layout, indices, lenient=True, progress=progress)
 
-    given = units or {}
-    stated = [unit or given.get(name, "") for name, unit in zip(layout.names, layout.units, strict=True)]
+    stated = [unit or unit_of(name) for name, unit in zip(layout.names, layout.units, strict=True)]
     return Log(path, log_columns(layout.names, stated, layout.kinds), (*remarks, *layout.deviations), read)

@@ -1,0 +1,55 @@
+"""Tables of the properties of ODrive, which have the names of its interface and the units of its documentation."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ..log import Log
+from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
+from .text import open_text_table
+
+_START = 4096  # bytes of the file that contain its header
+# Units since firmware 0.5.1; before, positions and speeds were in counts.
+_UNITS = {
+    **dict.fromkeys(("pos_estimate", "pos_rel", "pos_abs", "pos_setpoint", "input_pos", "pos_circular"), "rev"),
+    **dict.fromkeys(("vel_estimate", "vel_setpoint", "input_vel"), "rev/s"),
+    **dict.fromkeys(("iq_measured", "iq_setpoint", "id_measured", "id_setpoint", "ibus"), "A"),
+    **dict.fromkeys(("torque_setpoint", "torque_estimate", "effective_torque_setpoint", "input_torque"), "Nm"),
+    **dict.fromkeys(("vbus_voltage", "vq_setpoint", "vd_setpoint"), "V"),
+}
+# Names that no other controller has.
+_OWN = re.compile(
+    rb"(?<![a-z_])(?:pos_estimate|vel_estimate|iq_measured|iq_setpoint|torque_estimate|input_torque|vbus_voltage)"
+    rb"(?![a-z_])",
+    re.IGNORECASE,
+)
+
+
+@LOG_FORMATS.register("odrive")
+class ODriveLogs(LogFormat):
+    """Tables in text with properties of ODrive, as scripts with odrivetool write them."""
+
+    suffixes = ()
+    precedence = KNOWN_CONTENT
+
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize names of properties in the first lines of a text."""
+        if not path.is_file() or b"\0" in start:
+            return False
+        with open(path, "rb") as file:
+            return _OWN.search(file.read(_START)) is not None
+
+    def open(self, path: Path) -> list[Log]:
+        """Open the table, whose columns of the shape (rows,) get their units where the header has none."""
+        log = open_text_table(path, unit_of=_unit)
+        assumed = [column.header for column in log.columns if _unit(column.header)]
+        if not assumed:
+            return [log]
+        remark = f"units of ODrive since its firmware 0.5.1 for {', '.join(assumed)}"
+        return [open_text_table(path, (remark,), _unit)]
+
+
+def _unit(header: str) -> str:
+    """Return the unit of a property, named alone or with its path such as "odrv0.axis0.pos_estimate"; else ""."""
+    return _UNITS.get(re.split(r"[./\s]", header.strip())[-1].lower(), "")
