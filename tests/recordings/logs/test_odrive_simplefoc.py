@@ -110,3 +110,9 @@ def test_the_monitor_has_no_time(tmp_path: Path) -> None:
     (run,) = load_recordings(tmp_path / "runs", axis)
     np.testing.assert_allclose(run.time_s, TIME, atol=1e-12)
     np.testing.assert_allclose(run.inputs[:, 0], VOLTAGE)
+
+
+def test_json_with_properties_of_odrive_is_refused_as_json(tmp_path: Path) -> None:
+    (tmp_path / "log.json").write_text('{"pos_estimate": [1, 2, 3]}')
+    with pytest.raises(InputError, match=r"log.json: is a JSON file without tests of SysId"):
+        open_logs(tmp_path / "log.json")

@@ -14,8 +14,9 @@ from ..log import Log
 
 # Precedence of formats that recognize the same file.
 ANY_TEXT = 0
-CONTAINER = 1  # of tables or arrays with any content
-KNOWN_CONTENT = 2  # written by a known program
+KNOWN_TEXT = 1  # a table in text with names of a known program
+CONTAINER = 2  # of tables or arrays with any content
+KNOWN_CONTENT = 3  # written by a known program
 
 
 class LogFormat(ABC):

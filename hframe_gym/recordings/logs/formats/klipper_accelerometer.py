@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ....errors import InputError
 from ..log import Log
-from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
+from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .text import open_text_table
 
 _START = 4096  # bytes; a line about lost samples may precede the header
@@ -20,7 +20,7 @@ class KlipperAccelerometerLogs(LogFormat):
     """Text files of ACCELEROMETER_MEASURE and of TEST_RESONANCES OUTPUT=raw_data; their spectra are refused."""
 
     suffixes = ()
-    precedence = KNOWN_CONTENT
+    precedence = KNOWN_TEXT
 
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the header."""

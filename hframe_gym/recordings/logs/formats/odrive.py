@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from ..log import Log
-from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
+from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .text import open_text_table
 
 _START = 4096  # bytes of the file that contain its header
@@ -31,7 +31,7 @@ class ODriveLogs(LogFormat):
     """Tables in text with properties of ODrive, as scripts with odrivetool write them."""
 
     suffixes = ()
-    precedence = KNOWN_CONTENT
+    precedence = KNOWN_TEXT
 
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize names of properties in the first lines of a text."""

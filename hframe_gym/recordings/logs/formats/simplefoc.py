@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from ..log import Log, LogColumn
-from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
+from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .text import open_text_table
 
 _START = 4096  # bytes of the file in which a message of SimpleFOC or some rows appear
@@ -27,7 +27,7 @@ class SimpleFocLogs(LogFormat):
     """Serial output of a motor with SimpleFOC, with its messages or with letters around the rows."""
 
     suffixes = ()
-    precedence = KNOWN_CONTENT
+    precedence = KNOWN_TEXT
 
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize messages such as "MOT: Init", or rows between two equal letters."""
