@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -59,6 +60,24 @@ def user_folder(
     variable, below_home = _FOLDERS[kind].get(system, _FOLDERS[kind][""])
     chosen = variables.get(f"XDG_{kind.upper()}_HOME") or variables.get(variable)
     return Path(chosen) if chosen else Path(os.path.expanduser("~")) / below_home
+
+
+def own_group() -> dict[str, int]:
+    """Return what a process must be started with so that `interrupt` reaches it alone.
+
+    Returns:
+        Keyword arguments of `subprocess.Popen`.
+    """
+    return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+
+
+def interrupt(process: subprocess.Popen[str]) -> None:
+    """Send a process what Ctrl-C on its terminal would send.
+
+    Args:
+        process: Process that was started with `own_group`.
+    """
+    process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
 
 
 def quoted(word: str, system: str = sys.platform) -> str:

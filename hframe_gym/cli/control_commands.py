@@ -43,6 +43,7 @@ from .support import (
 
 if TYPE_CHECKING:
     from ..evaluation import Episodes
+    from ..machine import Machine
 
 
 @app.command(cls=CommandWithChoices)
@@ -131,6 +132,9 @@ def evaluate(
     episodes: EpisodesOption = 512,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of starts, goals and parameters.")] = 0,
     html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
+    motions: Annotated[
+        int, typer.Option(min=0, max=1000, help="Also write the motion in the first N episodes to CONTROLLER.csv.")
+    ] = 0,
     protocol: Annotated[
         str | None,
         typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; it sets all options but --out and --ray."),
@@ -163,7 +167,7 @@ def evaluate(
         console.print(score_table(scores))
         for reason in unknown_bound_reasons(scores):
             log(reason)
-        for file in _write_evaluation(out, scores, recorded, warned if html else None, declared.name):
+        for file in _write_evaluation(out, scores, recorded, warned if html else None, declared, motions):
             log(f"wrote {file}")
     with_agents = any(name not in CONTROLLERS for name in scores["controllers"])
     if not with_agents and (proposal := training_proposal(machine, task, randomize, period)):
@@ -196,16 +200,25 @@ def _evaluate_group(
 
 
 def _write_evaluation(
-    out: Path, scores: dict[str, Any], recorded: dict[str, Episodes], warned: list[str] | None, machine: str
+    out: Path,
+    scores: dict[str, Any],
+    recorded: dict[str, Episodes],
+    warned: list[str] | None,
+    machine: Machine,
+    motions: int,
 ) -> list[Path]:
     """Write scores, plots and, unless `warned` is None, the scorecard, all together; return the files."""
-    from ..evaluation import save_plot, write_scorecard, write_scores
+    from ..evaluation import save_plot, write_motions, write_scorecard, write_scores
 
     with output_batch(out):
         written = [write_scores(out, scores)]
+        if motions:
+            for label, episodes in zip(_plot_labels(recorded), recorded.values(), strict=True):
+                write_motions(out / f"{label}.csv", episodes, machine, motions)
+                written.append(out / f"{label}.csv")
         try:
             for label, episode in zip(_plot_labels(recorded), recorded.values(), strict=True):
-                save_plot(out / f"{label}.png", episode, title=f"{label} on {machine}")
+                save_plot(out / f"{label}.png", episode, title=f"{label} on {machine.name}")
                 written.append(out / f"{label}.png")
             if warned is not None:
                 written.append(write_scorecard(out, scores, recorded, warned))
@@ -234,7 +247,7 @@ def _evaluate_by_protocol(
     from ..evaluation import FIXED_OPTIONS, write_result
     from .tables import protocol_tables
 
-    for option in (*FIXED_OPTIONS, "html"):
+    for option in (*FIXED_OPTIONS, "html", "motions"):
         source = context.get_parameter_source(option)
         if source is not None and source.name != "DEFAULT":
             raise InputError(f"--{option}: --protocol {name} fixes everything; leave --{option} out")

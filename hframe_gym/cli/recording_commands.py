@@ -102,6 +102,10 @@ def import_logs(
             min=0.5, max=3600.0, help="Cut each log into runs of about this duration, s, also where the machine moves."
         ),
     ] = None,
+    cut: Annotated[
+        list[str] | None,
+        typer.Option(help="FROM:TO, s: keep this part of each log as a run; LOG=FROM:TO of one log; repeatable."),
+    ] = None,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
     """Convert logs of controllers and data loggers to recordings, which the other commands read.
@@ -113,7 +117,14 @@ def import_logs(
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests
     """
-    from ..recordings import ImportSettings, MappingOptions, load_machine, parse_factor, read_mapping_file
+    from ..recordings import (
+        ImportSettings,
+        MappingOptions,
+        load_machine,
+        parse_factor,
+        parse_interval,
+        read_mapping_file,
+    )
     from ..recordings import import_logs as run_import
 
     from_file = read_mapping_file(mapping) if mapping is not None else MappingOptions()
@@ -123,7 +134,8 @@ def import_logs(
         {**from_file.units, **dict(_pairs("unit", unit))},
         {**from_file.scales, **scales},
     )
-    settings = ImportSettings(options, split_at_rests, min_rest, format.value, split_every)
+    intervals = tuple(parse_interval(text) for text in cut or ())
+    settings = ImportSettings(options, split_at_rests, min_rest, format.value, split_every, intervals)
     with progress_bar("import") as progress:
         files = run_import(logs, out, load_machine(machine), settings, log, progress)
     log(f"wrote {len(files)} run{'s' if len(files) > 1 else ''} to {out}. Next: hframe check {out} --machine {machine}")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import errno
+import json
 import math
 import os
 import re
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -34,6 +36,12 @@ FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
 FAULT_FOUND = 1  # exit code of `hframe check` where the recordings have a fault
 DEBUG_VARIABLE = "HFRAME_DEBUG"  # if set, errors keep their traceback
+# If "json", progress is printed as JSON for a program that started the command: one object a line, after PROGRESS_MARK.
+PROGRESS_VARIABLE = "HFRAME_PROGRESS"
+PROGRESS_MARK = "\x1e"  # the record separator of JSON text sequences (RFC 7464)
+_SECONDS_BETWEEN_RECORDS = 0.2  # s; a person does not see changes that are faster
+# What the user's Ctrl-C sends, and what another program sends in its place on Windows.
+_INTERRUPTS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGBREAK") if hasattr(signal, name))
 
 
 def require_folder(path: Path) -> Path:
@@ -182,10 +190,28 @@ def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
 
     from .app import console
 
+    if os.environ.get(PROGRESS_VARIABLE) == "json":
+        record = _progress_records()
+        yield lambda done, total: record(doing=description, done=done, total=total)
+        return
     columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(description, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _progress_records() -> Callable[..., None]:
+    """Return a function that prints its keyword arguments as a record of progress, at most five in a second."""
+    last = -math.inf
+
+    def record(**values: float | str | None) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= _SECONDS_BETWEEN_RECORDS or values.get("done") == values.get("total", math.nan):
+            last = now
+            print(f"{PROGRESS_MARK}{json.dumps(values)}", flush=True)
+
+    return record
 
 
 def describe_failure(error: Exception) -> tuple[int, str]:
@@ -305,7 +331,15 @@ def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float
     Yields:
         Function of what the search does, the processor time spent and the budget, s.
     """
+    from ..identification.budget import error_so_far
     from .app import console
+
+    if os.environ.get(PROGRESS_VARIABLE) == "json":
+        record = _progress_records()
+        yield lambda doing, spent, seconds: record(
+            doing=doing, spent=spent, budget=seconds if math.isfinite(seconds) else None, error=error_so_far()
+        )
+        return
 
     def line(doing: str, spent: float, seconds: float) -> str:
         return f"{doing} ({spent:.0f} s{f' of at most {seconds:.0f}' if math.isfinite(seconds) else ''})"
@@ -347,11 +381,14 @@ def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
         budget.stop()
         os.write(2, b"hframe: interrupted; testing what was found so far (Ctrl-C again: end at once)\n")
 
-    signal.signal(signal.SIGINT, finish)
+    earlier = {number: signal.getsignal(number) for number in _INTERRUPTS}
+    for number in _INTERRUPTS:
+        signal.signal(number, finish)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
 
 
 def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:

@@ -30,7 +30,7 @@ from .protocol_results import (
     write_result,
 )
 from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, make_entry, run_protocol
-from .runner import Evaluation, evaluate, rollout, write_scores
+from .runner import Evaluation, evaluate, rollout, write_motions, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
     ControllerFiles,
@@ -97,6 +97,7 @@ __all__ = [
     "settling_times",
     "stored_bounds",
     "with_absent_effects",
+    "write_motions",
     "write_result",
     "write_scorecard",
     "write_scores",

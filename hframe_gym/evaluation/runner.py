@@ -242,3 +242,26 @@ def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
     return path
+
+
+def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count: int) -> None:
+    """Write the motion of the first episodes of a controller as a table; the file appears complete or not at all.
+
+    Args:
+        path: File ending in .csv.
+        episodes: Recorded episodes.
+        machine: Machine whose tool axes and channels name the columns.
+        count: Number of episodes to write, from the first one on.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    axes = machine.tool_axes
+    names = [f"{axis}_m" for axis in axes] + [f"{axis}_goal_m" for axis in axes] + list(machine.input_channels)
+    periods = np.minimum(np.arange(len(episodes.time_s)) // SAMPLES_PER_PERIOD, episodes.volts.shape[1] - 1)
+    lines = [",".join(["episode", "time_s", *names])]
+    for episode in range(min(count, len(episodes.position))):
+        columns = [episodes.time_s[:, None], episodes.position[episode], episodes.goal[episode]]
+        table = np.hstack([*columns, episodes.volts[episode][periods]])
+        lines += [f"{episode}," + ",".join(f"{value:.9g}" for value in row) for row in table.tolist()]
+    write_text(Path(path), "\n".join(lines) + "\n")

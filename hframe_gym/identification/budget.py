@@ -50,6 +50,8 @@ class Budget:
         doing: What the search does or did last, in words.
         interrupted: Whether the user asked the search to end.
         searching: Whether a search is in progress that can end early.
+        error: Chi-squared per sample (mean squared residual in units of the noise) of the best machine so far,
+            dimensionless; None before the first fit.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Budget:
         if not seconds >= 0.0:
             raise InputError(f"budget {seconds}: must be a number of seconds of processor time, 0 or more")
         self.seconds, self.doing, self.interrupted, self.searching = seconds, "", False, False
+        self.error: float | None = None
         self._clock, self._progress = clock, progress
         self._ended: float | None = None  # time spent when the search ended
         self._began = clock()
@@ -147,6 +150,26 @@ def spend(doing: str = "") -> None:
     """
     if (budget := _ACTIVE.get()) is not None:
         budget.check(doing)
+
+
+def note_error(chi2: float) -> None:
+    """Tell the active budget, if there is one, how good the best machine so far is.
+
+    Args:
+        chi2: Chi-squared per sample, dimensionless.
+    """
+    if (budget := _ACTIVE.get()) is not None:
+        budget.error = chi2
+
+
+def error_so_far() -> float | None:
+    """Return how good the best machine of the search in progress is.
+
+    Returns:
+        Chi-squared per sample, dimensionless; None without a search, or before its first fit.
+    """
+    budget = _ACTIVE.get()
+    return None if budget is None else budget.error
 
 
 def spender() -> Callable[[], None]:

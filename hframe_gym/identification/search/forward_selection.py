@@ -15,6 +15,7 @@ import math
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
+from ..budget import note_error
 from ..evidence.rivals import close_rivals, compare_rivals, rivals_in_combination, selected_first, simplest_first
 from ..evidence.significance import doubt_about_candidate, doubt_beside_others, long_run_variance
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
@@ -102,6 +103,7 @@ class EffectSearch:
                 if likely is not current:
                     current, selected = fit_with_model_error(likely, self.data), others
             current, self.data = with_probable_starts(current, self.data, criteria)
+            note_error(current.chi2)
         for s in selected:
             self.considered.pop(s.effect.label, None)
         return current, tuple(s.with_values(current.machine) for s in selected)

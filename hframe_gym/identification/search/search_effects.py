@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ...machine import HOOKS, Machine, argument_names
 from ...preparation.dataset import Dataset
-from ..budget import Budget, BudgetEndedError, spend
+from ..budget import Budget, BudgetEndedError, note_error, spend
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.model_error import (
@@ -127,6 +127,7 @@ def _search_with_suspect(
 ) -> SearchOutcome:
     """Search as `search_effects` describes; a second search, without the suspect, is added to `searches`."""
     all_runs = searches[0]
+    note_error(all_runs.before.chi2)
     spend("comparing the runs with each other")
     suspect, in_all_runs = contradicting_run(all_runs.base, data), cache(all_runs.run)
     if suspect is None:

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,43 @@ _LONG_RUN = 60.0
 _UNUSED_ROWS = 20  # columns that are not used and get a row of the table; logs of machine tools have hundreds
 
 
+class Interval(NamedTuple):
+    """Part of a log that becomes a run.
+
+    Attributes:
+        log: Name of the log's file without its ending; "" for every log.
+        begin: First time, s, in the times of the recording.
+        end: Last time, s.
+    """
+
+    log: str
+    begin: float
+    end: float
+
+
+def parse_interval(text: str) -> Interval:
+    """Read an interval as the option --cut has it.
+
+    Args:
+        text: "FROM:TO", or "LOG=FROM:TO" for one of several logs; times in s.
+
+    Returns:
+        The interval.
+
+    Raises:
+        InputError: If the text has another form, or the end is not after the beginning.
+    """
+    name, _, span = text.rpartition("=")
+    first, _, last = span.partition(":")
+    try:
+        interval = Interval(name.strip(), float(first), float(last))
+    except ValueError:
+        raise InputError(f"--cut {text}: write FROM:TO or LOG=FROM:TO with times in s, such as 2.5:10") from None
+    if not interval.begin < interval.end:  # also if one is not a number
+        raise InputError(f"--cut {text}: the end must be after the beginning")
+    return interval
+
+
 @dataclass(frozen=True)
 class ImportSettings:
     """Settings of the conversion of logs to recordings.
@@ -46,6 +83,7 @@ class ImportSettings:
         run_format: Ending of the recordings' files, which selects their format.
         every: Approximate length of the runs into which each log is cut, s, also where the machine moves. None: logs
             are not cut into equal pieces.
+        intervals: Parts of the logs that become runs; a log for which there is none is imported whole.
     """
 
     mapping: MappingOptions = field(default_factory=MappingOptions)
@@ -53,6 +91,7 @@ class ImportSettings:
     min_rest: float = 0.5
     run_format: RunFormat = "csv.gz"
     every: float | None = None
+    intervals: tuple[Interval, ...] = ()
 
 
 def import_logs(
@@ -87,10 +126,13 @@ def import_logs(
     """
     if settings.split and settings.every is not None:
         raise InputError("--split-at-rests and --split-every exclude each other: choose one")
+    if settings.intervals and (settings.split or settings.every is not None):
+        raise InputError("--cut and --split-at-rests or --split-every exclude each other: choose one")
     paths, other_files = find_logs(logs)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}: is a file, but must be a folder")
+    _refuse_unknown_logs(settings.intervals, paths)
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     if other_files:
         log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
@@ -194,7 +236,11 @@ class _Importer:
         self._bytes_per_row = size / len(recording.time_s)
         remarks += _clock_remarks(recording.time_s)
         runs = [recording]
-        if self._settings.split:
+        intervals = [i for i in self._settings.intervals if i.log in ("", recording.name)]
+        if intervals:
+            runs = _parts(recording, intervals)
+            remarks.append(f"cut to {', '.join(f'{i.begin:g} to {i.end:g} s' for i in intervals)}")
+        elif self._settings.split:
             runs, split_remarks = split_at_rests(recording, self._machine, self._settings.min_rest)
             remarks += split_remarks
         elif self._settings.every is not None:
@@ -252,6 +298,21 @@ def _column_table(log: Log, sources: Sequence[ChannelSource], machine: Machine) 
         lines.append("  ".join([*cells, row[3]]))
     others = unused[_UNUSED_ROWS:]
     return [*lines, f"and {len(others)} more that are not used: {headers_text(others)}"] if others else lines
+
+
+def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[Recording]:
+    """Return the parts of a recording within intervals, named NAME_01, NAME_02, ... if there are several."""
+    time_s, runs = recording.time_s, []
+    for number, interval in enumerate(intervals, start=1):
+        rows = slice(np.searchsorted(time_s, interval.begin), np.searchsorted(time_s, interval.end, side="right"))
+        if len(time_s[rows]) < 2:
+            span = f"{time_s[0]:g} to {time_s[-1]:g} s"
+            raise InputError(
+                f"{recording.name}: there are no rows from {interval.begin:g} to {interval.end:g} s; it has {span}"
+            )
+        name = recording.name if len(intervals) == 1 else f"{recording.name}_{number:02d}"
+        runs.append(Recording(name, time_s[rows], recording.inputs[rows], recording.outputs[rows]))
+    return runs
 
 
 def _equal_parts(recording: Recording, seconds: float) -> list[Recording]:

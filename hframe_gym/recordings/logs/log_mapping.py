@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ...errors import InputError
 from ...machine import Machine
@@ -112,6 +113,31 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
     return _LogMapping(log, machine, options).sources()
 
 
+class ProposedColumns(NamedTuple):
+    """Columns of a log that may be the times and channels of a machine, before the user has assigned any.
+
+    Attributes:
+        named: Header by channel, for the columns that `map_columns` assigns by their names.
+        proposed: Header by channel, for columns that the user should confirm; a channel without one is in neither.
+    """
+
+    named: dict[str, str]
+    proposed: dict[str, str]
+
+
+def propose_columns(log: Log, machine: Machine) -> ProposedColumns:
+    """Say which columns of a log `map_columns` assigns by name, and propose columns for the other channels.
+
+    Args:
+        log: Opened log with its columns.
+        machine: Machine that was logged.
+
+    Returns:
+        Headers by channel and by "time_s".
+    """
+    return _LogMapping(log, machine, MappingOptions()).proposals()
+
+
 class _LogMapping:
     """Assigns the columns of one log to the channels of a machine."""
 
@@ -139,6 +165,18 @@ class _LogMapping:
             problem = f"several columns may be the time ({headers_text(times)})"
             raise InputError(f"{self.log.path}: {problem}: add {choices}")
         return [*time_sources.values(), *sources]
+
+    def proposals(self) -> ProposedColumns:
+        """Return the columns with the names of channels, and proposals for the other channels."""
+        times = self._time_columns()
+        named = {channel: self._named_like(channel) for channel in self.channels}
+        assigned = {TIME: times[0].header} if times else {}
+        assigned |= {channel: columns[0].header for channel, columns in named.items() if len(columns) == 1}
+        taken = [*(time.header for time in times), *assigned.values()]
+        unused = [c for c in self.log.columns if c.header not in taken and c.kind != "text"]
+        missing = [channel for channel in (TIME, *self.channels) if channel not in assigned]
+        proposed = self._proposed_headers(missing, unused)
+        return ProposedColumns(assigned, {c: header for c, header in proposed.items() if header != _NO_PROPOSAL})
 
     def _refuse_unknown_channels(self) -> None:
         """Refuse options for channels that the machine does not have."""

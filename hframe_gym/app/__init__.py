@@ -1,0 +1,16 @@
+"""The window `hframe app`: a local page for the whole loop from a machine and its logs to controllers and exports.
+
+Everything that it does is a command line, which it shows, runs in a process of its own and keeps in the session, so that
+a session can be repeated by a script. Modules without user interface come first, then one module for each stage.
+
+session          folder of a session, and the command line of each step
+jobs             run command lines in processes; their output, their progress, and how to end them
+log_columns      columns of logs, what they were taken for, and values that are few enough to be drawn
+stage_drawing    plan view of a machine as shapes that follow the tool
+server           server on the loopback address with a token
+window           frame of the page: stages, commands, output of jobs
+charts           options of charts with several curves over time
+machine_stage, logs_stage, check_stage, identify_stage, results_stage, control_stage, export_stage
+
+It needs the extra `app`.
+"""

@@ -1,0 +1,153 @@
+"""Command lines that run in processes of their own: output, progress, and how to end them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..operating_system import interrupt, own_group
+from .session import Session
+
+_PROGRESS_MARK = "\x1e"  # before each record of progress that `HFRAME_PROGRESS` requests
+_COLUMNS = "110"  # characters of a line of output
+_MOST_LINES = 2000  # of output that are kept; identifications print some hundred
+_PACKAGES = str(Path(__file__).resolve().parents[2])
+
+
+@dataclass
+class Progress:
+    """What a command has said about its progress.
+
+    Attributes:
+        doing: What it does, in words.
+        spent: Processor time so far, s, or work done; None if unknown.
+        total: Budget, s, or the whole work; None if unknown.
+        errors: Processor time, s, and chi-squared per sample of the best machine, each time that it changed.
+    """
+
+    doing: str = ""
+    spent: float | None = None
+    total: float | None = None
+    errors: list[tuple[float, float]] = field(default_factory=list)
+
+    def update(self, record: dict[str, Any]) -> None:
+        """Take over a record of progress."""
+        self.doing = str(record.get("doing") or "")
+        self.spent = record.get("spent", record.get("done"))
+        self.total = record.get("budget", record.get("total"))
+        error = record.get("error")
+        if error is not None and (not self.errors or self.errors[-1][1] != error):
+            self.errors.append((float(self.spent or 0.0), float(error)))
+
+
+class Job:
+    """Commands of a session that run one after the other, in threads and processes of their own.
+
+    Attributes:
+        commands: Words after "hframe" of each command.
+        lines: Output so far.
+        progress: What the present command has said last.
+        exit_code: Exit code of the last command that ran; None while they run.
+        began: Time when the job began, s, as `time.monotonic` counts.
+        stopped: Whether the user asked the job to end.
+    """
+
+    def __init__(self, session: Session, commands: Sequence[Sequence[str]], before: Callable[[], None] | None) -> None:
+        """Start the commands.
+
+        Args:
+            session: Session in whose folder they run, and whose script records them.
+            commands: Words after "hframe" of each command.
+            before: Called before the first one.
+        """
+        self.commands = [list(words) for words in commands]
+        self.lines: list[str] = []
+        self.progress = Progress()
+        self.exit_code: int | None = None
+        self.began, self.ended = time.monotonic(), None
+        self.stopped = False
+        self._session, self._before = session, before
+        self._process: subprocess.Popen[str] | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    ended: float | None
+
+    @property
+    def running(self) -> bool:
+        """Whether a command is in progress."""
+        return self.exit_code is None
+
+    @property
+    def seconds(self) -> float:
+        """Time since the job began, until it ended, s."""
+        return (self.ended or time.monotonic()) - self.began
+
+    def stop(self) -> None:
+        """Ask the commands to end, as Ctrl-C does: an identification keeps the best machine so far."""
+        self.stopped = True
+        if self._process is not None and self._process.poll() is None:
+            interrupt(self._process)
+
+    def wait(self, seconds: float | None = None) -> None:
+        """Wait for the end of the commands, at most some seconds."""
+        self._thread.join(seconds)
+
+    def _run(self) -> None:
+        """Run the commands until one fails."""
+        code = 0
+        try:
+            if self._before is not None:
+                self._before()
+            for words in self.commands:
+                code = self._run_command(words)
+                self._session.record(words, code)
+                if code or self.stopped:
+                    break
+        except OSError as error:
+            self.lines.append(f"hframe: {error}")
+            code = 1
+        self.ended = time.monotonic()
+        self.exit_code = code
+
+    def _run_command(self, words: list[str]) -> int:
+        """Run a command and collect its output; return its exit code."""
+        paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
+        environment = os.environ | {
+            "HFRAME_PROGRESS": "json",
+            "PYTHONUNBUFFERED": "1",
+            "PYTHONIOENCODING": "utf-8",
+            "COLUMNS": _COLUMNS,
+            "PYTHONPATH": os.pathsep.join(paths),
+        }
+        with subprocess.Popen(
+            [sys.executable, "-m", "hframe_gym", *words],
+            cwd=self._session.folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            encoding="utf-8",
+            errors="replace",
+            **own_group(),
+        ) as self._process:
+            assert self._process.stdout is not None
+            for line in self._process.stdout:
+                self._take(line.rstrip("\n"))
+        return self._process.returncode
+
+    def _take(self, line: str) -> None:
+        """Keep a line of output, or the progress that it tells."""
+        if line.startswith(_PROGRESS_MARK):
+            self.progress.update(json.loads(line[1:]))
+            return
+        self.lines.append(line)
+        del self.lines[:-_MOST_LINES]

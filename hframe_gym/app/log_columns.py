@@ -1,0 +1,232 @@
+"""Columns of logs and recordings: what they were taken for, and values that are few enough to be drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..machine import Machine
+from ..recordings import TIME, ChannelSource, Log, MappingOptions, Recording, load_recording, map_columns, open_logs
+
+Array = NDArray[np.float64]
+POINTS = 1600  # of a curve: two for each of 800 pixels
+_FILES_KEPT = 8  # files whose values stay in memory
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Values over time of a column or channel.
+
+    Attributes:
+        name: Name of the column or channel.
+        note: What it was taken for, in words.
+        time: Times, s, or row numbers, shape (n,).
+        values: Values, in the unit that the note or name states, shape (n,); NaN where there is none.
+        held: Whether each value holds until the next, as that of an input.
+    """
+
+    name: str
+    note: str
+    time: Array
+    values: Array
+    held: bool = False
+
+    def points(self, first: float = -math.inf, last: float = math.inf, count: int = POINTS) -> list[list[float | None]]:
+        """Return so many points that a drawing shows the same as all values would.
+
+        Args:
+            first: First time to draw.
+            last: Last time to draw.
+            count: Largest number of points.
+
+        Returns:
+            Pairs of time and value; the value is None in a gap.
+        """
+        return thinned(self.time, self.values, first, last, count)
+
+
+def thinned(
+    time: Array, values: Array, first: float = -math.inf, last: float = math.inf, count: int = POINTS
+) -> list[list[float | None]]:
+    """Reduce a long curve to the smallest and the largest value of each of many short intervals.
+
+    Peaks stay visible, however short they are.
+
+    Args:
+        time: Times, increasing, shape (n,).
+        values: Values, shape (n,); NaN in gaps.
+        first: First time to keep.
+        last: Last time to keep.
+        count: Largest number of points, at least 4.
+
+    Returns:
+        Pairs of time and value; the value is None where all values of an interval are missing.
+    """
+    begin, end = np.searchsorted(time, first), np.searchsorted(time, last, side="right")
+    time, values = time[max(begin - 1, 0) : end + 1], values[max(begin - 1, 0) : end + 1]
+    rows = np.arange(len(time))
+    if len(time) > count:
+        edges = np.linspace(0, len(time), count // 2 + 1).astype(int)
+        starts, present = edges[:-1], np.isfinite(values)
+        low = np.minimum.reduceat(np.where(present, values, math.inf), starts)
+        high = np.maximum.reduceat(np.where(present, values, -math.inf), starts)
+        kept: list[int] = []
+        for k, (begin, end) in enumerate(zip(starts.tolist(), edges[1:].tolist(), strict=True)):
+            part = values[begin:end]
+            if not math.isfinite(low[k]):
+                kept.append(begin)
+                continue
+            at = {begin + int(np.argmax(part == low[k])), begin + int(np.argmax(part == high[k]))}
+            kept += sorted(at)
+        rows = np.array(kept)
+    return [
+        [t, v if math.isfinite(v) else None] for t, v in zip(time[rows].tolist(), values[rows].tolist(), strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class LogView:
+    """A log as the user sees it: its curves, and how the import would take its columns.
+
+    Attributes:
+        log: The opened log.
+        curves: Curve of each column of numbers except the time.
+        sources: Sources of the channels; empty if the import would be refused.
+        problem: Why the import would be refused; "" if it would not.
+        has_time: Whether the curves are over time, s, not over row numbers.
+    """
+
+    log: Log
+    curves: list[Curve]
+    sources: list[ChannelSource]
+    problem: str
+    has_time: bool
+
+
+def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
+    """Read a log and say what each of its columns would be taken for.
+
+    Args:
+        path: File of the log; the first log of it is viewed.
+        machine: Machine that was logged.
+        options: Columns, units and factors that the user chose.
+
+    Returns:
+        Curves, converted to the unit of the channel where a column was taken for one.
+
+    Raises:
+        InputError: If the file cannot be read.
+    """
+    log = open_log(path)
+    try:
+        sources, problem = map_columns(log, machine, options), ""
+    except InputError as error:
+        sources, problem = [], str(error).removeprefix(f"{log.path}: ").removeprefix(f"{log.path}, ")
+    values = _values_of(path, path.stat().st_mtime_ns, path.stat().st_size)
+    time, has_time = _times(log, sources, values)
+    by_header = {s.column.header: s for s in sources if s.column is not None}
+    curves = []
+    for column in log.columns:
+        if column.header not in values or len(values[column.header]) != len(time):
+            continue
+        source = by_header.get(column.header)
+        if source is not None and source.channel == TIME:
+            continue
+        raw = values[column.header]
+        if source is None:
+            unit = f", {column.unit}" if column.unit else ""
+            curves.append(Curve(column.header, f"not used{unit}", time, raw))
+            continue
+        remark = f" ({source.remark})" if source.remark else ""
+        held = source.channel in machine.input_channels
+        shown = raw if source.integrate else source.conversion.apply(raw)
+        curves.append(Curve(column.header, f"{source.channel}{remark}", time, shown, held))
+    return LogView(log, curves, sources, problem, has_time)
+
+
+def open_log(path: Path) -> Log:
+    """Open a file and return its first log.
+
+    Args:
+        path: File.
+
+    Returns:
+        The log.
+
+    Raises:
+        InputError: If the file cannot be read.
+    """
+    return open_logs(path)[0]
+
+
+@lru_cache(maxsize=_FILES_KEPT)
+def _values_of(path: Path, modified: int, size: int) -> dict[str, Array]:
+    """Return the values of the columns of numbers and times of a file, by header; stamps as seconds."""
+    log = open_log(path)
+    columns = [column for column in log.columns if column.kind != "text"]
+    arrays: list[NDArray[Any]]
+    try:
+        arrays, _ = log.read(columns)
+    except InputError:  # one column has a cell that is not a number; the others can be drawn
+        readable, arrays = [], []
+        for column in columns:
+            try:
+                arrays += log.read([column])[0]
+                readable.append(column)
+            except InputError:
+                continue
+        columns = readable
+    values = {}
+    for column, array in zip(columns, arrays, strict=True):
+        if np.issubdtype(array.dtype, np.datetime64):
+            array = np.where(np.isnat(array), np.nan, (array - array[0]) / np.timedelta64(1, "s"))
+        values[column.header] = np.asarray(array, np.float64)
+    return values
+
+
+def _times(log: Log, sources: Sequence[ChannelSource], values: dict[str, Array]) -> tuple[Array, bool]:
+    """Return the times of a log, s, from 0 if they are stamps; row numbers where they are not known."""
+    source = next((s for s in sources if s.channel == TIME), None)
+    length = max((len(array) for array in values.values()), default=0)
+    rows = np.arange(length, dtype=np.float64)
+    if source is None or source.column is None:
+        return rows, False
+    raw = values.get(source.column.header, rows)
+    time = raw if source.column.kind == "stamp" else source.conversion.apply(raw)
+    if len(time) != length or not np.all(np.diff(time[np.isfinite(time)]) >= 0.0) or not np.isfinite(time).all():
+        return rows, False
+    return time, True
+
+
+def run_curves(path: Path, machine: Machine) -> list[Curve]:
+    """Return the curves of an imported run.
+
+    Args:
+        path: File of the run.
+        machine: Machine that was recorded.
+
+    Returns:
+        Curve of each input and output of the machine.
+
+    Raises:
+        InputError: If the run is faulty.
+    """
+    run = _run(path, path.stat().st_mtime_ns, machine)
+    columns = [*run.inputs.T, *run.outputs.T]
+    names = [*machine.input_channels, *machine.output_channels]
+    held = [True] * len(machine.input_channels) + [False] * len(machine.output_channels)
+    return [Curve(n, "", run.time_s, c, h) for n, c, h in zip(names, columns, held, strict=True)]
+
+
+@lru_cache(maxsize=_FILES_KEPT)
+def _run(path: Path, modified: int, machine: Machine) -> Recording:
+    """Return a run, which stays in memory."""
+    return load_recording(path, machine)

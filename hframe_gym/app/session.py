@@ -1,0 +1,286 @@
+"""A session: a folder with a machine, logs and results, and the command line of each step."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..atomic_files import atomic_file, write_text
+from ..errors import InputError
+from ..machine import Machine
+from ..operating_system import quoted
+from ..recordings import Interval, find_logs, load_machine, log_name, recording_files
+
+MACHINE, LOGS, RUNS, RESULT, CONTROL, EXPORTS = "machine.json", "logs", "runs", "result", "control", "export"
+FINDINGS = "check.json"
+SCRIPT = "commands.sh"  # all commands of the session, in the order in which they ran
+_SCRIPT_HEAD = '#!/bin/sh\n# The commands of this session; a line that failed is marked.\ncd "$(dirname "$0")"\n'
+
+
+@dataclass
+class ImportChoices:
+    """What the user chose for the import of logs.
+
+    Attributes:
+        columns: Column by channel, or "none", or a rate such as "200Hz" for the times.
+        units: Unit by channel where it is not that of the log.
+        scales: Factor by channel, as text.
+        split: How logs are cut: "" (as they are), "rests" or "every".
+        seconds: Shortest rest for "rests", or duration of a run for "every", s.
+        intervals: Parts of logs to keep; they replace `split`.
+    """
+
+    columns: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    scales: dict[str, str] = field(default_factory=dict)
+    split: str = ""
+    seconds: float = 0.5
+    intervals: list[Interval] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Session:
+    """Folder of a session. Its files are those of the commands, so that each can be opened without the window.
+
+    Attributes:
+        folder: The folder; `create` makes it.
+    """
+
+    folder: Path
+
+    def create(self) -> None:
+        """Make the folder and that of the logs, if they do not exist.
+
+        Raises:
+            InputError: If the folder is a file.
+        """
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(f"{self.folder}: is a file, but must be the folder of a session")
+        (self.folder / LOGS).mkdir(parents=True, exist_ok=True)
+
+    def path(self, *parts: str) -> Path:
+        """Return the path of a file in the session."""
+        return self.folder.joinpath(*parts)
+
+    @property
+    def machine(self) -> Machine | None:
+        """The declared machine; None before there is one.
+
+        Raises:
+            InputError: If its file is faulty.
+        """
+        return load_machine(self.path(MACHINE)) if self.path(MACHINE).exists() else None
+
+    @property
+    def logs(self) -> list[Path]:
+        """Files of the logs."""
+        if not any(self.path(LOGS).iterdir()):
+            return []
+        return find_logs(self.path(LOGS))[0]
+
+    @property
+    def runs(self) -> list[Path]:
+        """Files of the imported runs."""
+        return recording_files(self.path(RUNS)) if self.path(RUNS).is_dir() else []
+
+    @property
+    def corrected(self) -> str:
+        """Machine for controllers and exports: the corrected one if there is one, relative to the folder."""
+        return f"{RESULT}/{MACHINE}" if self.path(RESULT, MACHINE).exists() else MACHINE
+
+    def add_file(self, name: str, content: bytes) -> Path:
+        """Store a log that the user dropped; one of the same name is replaced.
+
+        Args:
+            name: Name of the file; folders in it are ignored.
+            content: Bytes of the file.
+
+        Returns:
+            File in the session.
+
+        Raises:
+            InputError: If the name is not that of a file.
+        """
+        base = name.replace("\\", "/").rpartition("/")[2]
+        if base.startswith(".") or not base:
+            raise InputError(f"{name!r} is not the name of a log")
+        path = self.path(LOGS, base)
+        with atomic_file(path) as file:
+            file.write(content)
+        return path
+
+    def remove_log(self, path: Path) -> None:
+        """Delete a log of the session."""
+        if path.parent == self.path(LOGS):
+            path.unlink(missing_ok=True)
+
+    def use_machine(self, content: bytes) -> Machine:
+        """Store a machine.json that the user dropped, if it is valid.
+
+        Args:
+            content: Bytes of the file.
+
+        Returns:
+            The machine.
+
+        Raises:
+            InputError: If it is faulty; the machine of the session then stays as it was.
+        """
+        trial = self.path("machine.dropped.json")
+        with atomic_file(trial) as file:
+            file.write(content)
+        try:
+            machine = load_machine(trial)
+            trial.replace(self.path(MACHINE))
+        except InputError as error:
+            raise InputError(str(error).replace(str(trial), "machine.json")) from None
+        finally:
+            trial.unlink(missing_ok=True)
+        return machine
+
+    def forget(self, *names: str) -> None:
+        """Delete folders or files of results that no longer belong to what comes before them."""
+        for name in names:
+            path = self.path(name)
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+
+    def record(self, words: Sequence[str], exit_code: int) -> None:
+        """Append a command to the script of the session.
+
+        Args:
+            words: Words after "hframe".
+            exit_code: Exit code with which it ended; a command that failed becomes a comment.
+        """
+        script = self.path(SCRIPT)
+        text = script.read_text(encoding="utf-8") if script.exists() else _SCRIPT_HEAD
+        line = command_text(words) if exit_code == 0 else f"# exit code {exit_code}: {command_text(words)}"
+        write_text(script, f"{text}{line}\n")
+
+
+def command_text(words: Sequence[str]) -> str:
+    """Write a command as the user would type it.
+
+    Args:
+        words: Words after "hframe"; "rm" and what follows if the first one is "rm".
+
+    Returns:
+        One line.
+    """
+    line = " ".join(map(quoted, words))
+    return line if words[:1] == ["rm"] else f"hframe {line}"
+
+
+def new_machine_command(like: str, values: Mapping[str, str]) -> list[str]:
+    """Return the command that writes the machine of a session from a template.
+
+    Args:
+        like: Name of the template.
+        values: Values by name of the option of `hframe machines new`; empty ones are left out.
+
+    Returns:
+        Words after "hframe".
+    """
+    words = ["machines", "new", "--like", like]
+    for name, value in values.items():
+        if value.strip():
+            words += ["--set", f"{name}={value}"] if "." in name else [f"--{name}", value.strip()]
+    return [*words, "--out", MACHINE, "--force"]
+
+
+def import_command(choices: ImportChoices) -> list[str]:
+    """Return the command that imports the logs of a session.
+
+    Args:
+        choices: Columns, units and cuts.
+
+    Returns:
+        Words after "hframe".
+    """
+    words = ["import", LOGS, "--machine", MACHINE]
+    for option, values in (("--map", choices.columns), ("--unit", choices.units), ("--scale", choices.scales)):
+        for channel, value in values.items():
+            if value:
+                words += [option, f"{channel}={value}"]
+    if choices.intervals:
+        for interval in choices.intervals:
+            name = f"{interval.log}=" if interval.log else ""
+            words += ["--cut", f"{name}{interval.begin:.9g}:{interval.end:.9g}"]
+    elif choices.split == "rests":
+        words += ["--split-at-rests", "--min-rest", f"{choices.seconds:g}"]
+    elif choices.split == "every":
+        words += ["--split-every", f"{choices.seconds:g}"]
+    return [*words, "--out", RUNS]
+
+
+def check_command() -> list[str]:
+    """Return the command that checks the runs of a session."""
+    return ["check", RUNS, "--machine", MACHINE, "--json", FINDINGS]
+
+
+def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[str]:
+    """Return the command that identifies the machine of a session.
+
+    Args:
+        hold_out: Names of held-out runs; empty for the default.
+        budget: Processor time, s, as text; empty for the default.
+        force: Whether faults in the data are ignored.
+
+    Returns:
+        Words after "hframe".
+    """
+    words = ["identify", RUNS, "--machine", MACHINE]
+    for name in hold_out:
+        words += ["--hold-out", name]
+    if budget.strip():
+        words += ["--budget", budget.strip()]
+    return [*words, *(["--force"] if force else []), "--out", RESULT]
+
+
+def evaluate_command(
+    controllers: Sequence[str], machine: str, *, task: str, randomize: str, period: str, episodes: int, motions: int
+) -> list[str]:
+    """Return the command that compares controllers on a machine.
+
+    Args:
+        controllers: Names of controllers or agents.
+        machine: Machine, relative to the folder.
+        task: Name of the task.
+        randomize: Name of the randomization.
+        period: Control period, s, as text.
+        episodes: Number of episodes.
+        motions: Number of episodes whose motion is stored.
+
+    Returns:
+        Words after "hframe".
+    """
+    words = ["evaluate", *controllers, "--machine", machine, "--task", task, "--randomize", randomize]
+    words += ["--period", period.strip()] if period.strip() else []
+    return [*words, "--episodes", str(episodes), "--motions", str(motions), "--html", "--out", CONTROL]
+
+
+def export_command(kind: str, machine: str | None, options: Mapping[str, str], arguments: Sequence[str]) -> list[str]:
+    """Return the command of an export.
+
+    Args:
+        kind: Kind of export.
+        machine: Machine, relative to the folder; None for an export without machine.
+        options: Values by name of the option; "" for a switch.
+        arguments: Words without option, such as controllers.
+
+    Returns:
+        Words after "hframe".
+    """
+    words = ["export", kind, *arguments, *(["--machine", machine] if machine else [])]
+    for name, value in options.items():
+        words += [f"--{name.replace('_', '-')}", *([value] if value else [])]
+    return [*words, "--out", f"{EXPORTS}/{kind}"]
+
+
+def log_names(logs: Sequence[Path]) -> list[str]:
+    """Return the names under which logs become runs."""
+    return [log_name(path) for path in logs]

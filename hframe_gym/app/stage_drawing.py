@@ -1,0 +1,108 @@
+"""Plan view of a machine as shapes whose points move with the tool, and recorded motions to show in it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..machine import Machine, StageGeometry, stage_geometry
+
+FRAMES_PER_S = 100.0  # of a motion; a display has 60
+
+
+def drawing_of(machine: Machine) -> dict[str, Any] | None:
+    """Describe the plan view of a machine.
+
+    Every point of the view is an affine function of the tool's position. A point is the list (a, b, c, d, e, f) of
+    x = a + b X + c Y, y = d + e X + f Y for the tool at (X, Y), all in m.
+
+    Args:
+        machine: Machine to draw.
+
+    Returns:
+        Limits of the view, m, workspace, and shapes (kind, role, points); None if the machine has no tool.
+    """
+    if not machine.tool_axes:
+        return None
+    geometry = stage_geometry(machine)
+    single = len(machine.tool_axes) == 1
+    shapes = [_shape(lambda x, y, box=box: _corners(box), "box", "rail") for box in geometry.rails()]
+    for k in range(len(geometry.bridge(0.0, 0.0))):
+        shapes.append(_shape(lambda x, y, k=k: _corners(geometry.bridge(x, y)[k]), "box", "bridge"))
+    for name in geometry.sections(0.0, 0.0):
+        shapes.append(_shape(lambda x, y, name=name: geometry.sections(x, y)[name], "line", "belt"))
+    motors = {index for index, _ in geometry.motors}
+    for k in range(len(geometry.pulleys(0.0, 0.0))):
+        role = "motor" if k in motors else "pulley"
+        shapes.append(_shape(lambda x, y, k=k: [geometry.pulleys(x, y)[k]], "circle", role))
+    half = 0.035
+    tool = _corners((-half, -half, half, half))
+    shapes.append(_shape(lambda x, y: [(x + a, (0.0 if single else y) + b) for a, b in tool], "box", "tool"))
+    low, high = geometry.low, geometry.high
+    workspace = [float(low[0]), float(low[1]), float(high[0]), float(high[1])]
+    return {"view": _limits(geometry, shapes), "workspace": workspace, "shapes": shapes, "axes": machine.tool_axes}
+
+
+def _corners(box: tuple[float, float, float, float]) -> list[tuple[float, float]]:
+    """Return the corners of a rectangle."""
+    x0, y0, x1, y1 = box
+    return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
+
+def _shape(points: Callable[[float, float], list[tuple[float, float]]], kind: str, role: str) -> dict[str, Any]:
+    """Return a shape with the affine functions that its points are."""
+    origin, along_x, along_y = points(0.0, 0.0), points(1.0, 0.0), points(0.0, 1.0)
+    affine = [
+        [round(v, 6) for v in (o[0], x[0] - o[0], y[0] - o[0], o[1], x[1] - o[1], y[1] - o[1])]
+        for o, x, y in zip(origin, along_x, along_y, strict=True)
+    ]
+    return {"kind": kind, "role": role, "points": affine}
+
+
+def _limits(geometry: StageGeometry, shapes: list[dict[str, Any]]) -> list[float]:
+    """Return the smallest and largest x and y of everything that is drawn, m, with the tool in any corner."""
+    corners = [(x, y) for x in (geometry.low[0], geometry.high[0]) for y in (geometry.low[1], geometry.high[1])]
+    xs, ys = [], []
+    for shape in shapes:
+        for a, b, c, d, e, f in shape["points"]:
+            xs += [a + b * x + c * y for x, y in corners]
+            ys += [d + e * x + f * y for x, y in corners]
+    margin = 0.03
+    return [min(xs) - margin, min(ys) - margin, max(xs) + margin, max(ys) + margin]
+
+
+def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
+    """Read the motions that `hframe evaluate --motions` wrote, in as many frames as a display shows.
+
+    Args:
+        path: File of a controller.
+        machine: Machine that was controlled.
+
+    Returns:
+        For each episode: period of the frames, s, and lists of tool positions and goals, m, and voltages, V.
+    """
+    axes, inputs = machine.tool_axes, machine.input_channels
+    episodes: dict[str, list[dict[str, str]]] = {}
+    with open(path, newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            episodes.setdefault(row["episode"], []).append(row)
+    motions = []
+    for rows in episodes.values():
+        step = float(rows[1]["time_s"]) - float(rows[0]["time_s"])
+        every = max(1, round(1.0 / (FRAMES_PER_S * step)))
+        frames = [*rows[::every]]
+
+        def columns(names: list[str], frames: list[dict[str, str]] = frames) -> list[list[float]]:
+            return [[float(row[name]) for name in names] for row in frames]
+
+        motions.append(
+            {
+                "frame_s": step * every,
+                "tool": columns([f"{axis}_m" for axis in axes]),
+                "goal": columns([f"{axis}_goal_m" for axis in axes]),
+                "volts": columns(list(inputs)),
+            }
+        )
+    return motions
