@@ -1,6 +1,6 @@
 """The window `hframe app`: a local page for the whole loop from a machine and its logs to controllers and exports.
 
-Everything that it does is a command line, which it shows, runs in a process of its own and keeps in the session, so that
+Everything that it does is a command line, which it shows, runs in another process and keeps in the session, so that
 a session can be repeated by a script. Modules without user interface come first, then one module for each stage.
 
 session          folder of a session, and the command line of each step

@@ -108,7 +108,11 @@ class Job:
             if self._before is not None:
                 self._before()
             for words in self.commands:
-                code = self._run_command(words)
+                if words[0] == "rm":
+                    self._session.forget(*words[2:])
+                    code = 0
+                else:
+                    code = self._run_command(words)
                 self._session.record(words, code)
                 if code or self.stopped:
                     break

@@ -18,7 +18,8 @@ from ..recordings import TIME, ChannelSource, Log, MappingOptions, Recording, lo
 
 Array = NDArray[np.float64]
 POINTS = 1600  # of a curve: two for each of 800 pixels
-_FILES_KEPT = 8  # files whose values stay in memory
+_FILES_KEPT = 4  # logs whose values stay in memory
+_RUNS_KEPT = 64
 
 
 @dataclass(frozen=True)
@@ -219,14 +220,28 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
     Raises:
         InputError: If the run is faulty.
     """
-    run = _run(path, path.stat().st_mtime_ns, machine)
+    run = _run(path, path.stat().st_mtime_ns, _Recorded(machine))
     columns = [*run.inputs.T, *run.outputs.T]
     names = [*machine.input_channels, *machine.output_channels]
     held = [True] * len(machine.input_channels) + [False] * len(machine.output_channels)
     return [Curve(n, "", run.time_s, c, h) for n, c, h in zip(names, columns, held, strict=True)]
 
 
-@lru_cache(maxsize=_FILES_KEPT)
-def _run(path: Path, modified: int, machine: Machine) -> Recording:
+class _Recorded:
+    """A machine as a key of a cache: machines with the same channels read the same run."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self._channels = machine.input_channels, machine.output_channels
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Recorded) and self._channels == other._channels
+
+    def __hash__(self) -> int:
+        return hash(self._channels)
+
+
+@lru_cache(maxsize=_RUNS_KEPT)
+def _run(path: Path, modified: int, recorded: _Recorded) -> Recording:
     """Return a run, which stays in memory."""
-    return load_recording(path, machine)
+    return load_recording(path, recorded.machine)

@@ -90,12 +90,11 @@ class Session:
         """Machine for controllers and exports: the corrected one if there is one, relative to the folder."""
         return f"{RESULT}/{MACHINE}" if self.path(RESULT, MACHINE).exists() else MACHINE
 
-    def add_file(self, name: str, content: bytes) -> Path:
-        """Store a log that the user dropped; one of the same name is replaced.
+    def log_path(self, name: str) -> Path:
+        """Return where a log that the user dropped is stored; one of the same name is replaced.
 
         Args:
             name: Name of the file; folders in it are ignored.
-            content: Bytes of the file.
 
         Returns:
             File in the session.
@@ -106,10 +105,7 @@ class Session:
         base = name.replace("\\", "/").rpartition("/")[2]
         if base.startswith(".") or not base:
             raise InputError(f"{name!r} is not the name of a log")
-        path = self.path(LOGS, base)
-        with atomic_file(path) as file:
-            file.write(content)
-        return path
+        return self.path(LOGS, base)
 
     def remove_log(self, path: Path) -> None:
         """Delete a log of the session."""

@@ -40,8 +40,7 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
     half = 0.035
     tool = _corners((-half, -half, half, half))
     shapes.append(_shape(lambda x, y: [(x + a, (0.0 if single else y) + b) for a, b in tool], "box", "tool"))
-    low, high = geometry.low, geometry.high
-    workspace = [float(low[0]), float(low[1]), float(high[0]), float(high[1])]
+    workspace = [float(v) for v in (geometry.left, geometry.low, geometry.right, geometry.high)]
     return {"view": _limits(geometry, shapes), "workspace": workspace, "shapes": shapes, "axes": machine.tool_axes}
 
 
@@ -63,7 +62,7 @@ def _shape(points: Callable[[float, float], list[tuple[float, float]]], kind: st
 
 def _limits(geometry: StageGeometry, shapes: list[dict[str, Any]]) -> list[float]:
     """Return the smallest and largest x and y of everything that is drawn, m, with the tool in any corner."""
-    corners = [(x, y) for x in (geometry.low[0], geometry.high[0]) for y in (geometry.low[1], geometry.high[1])]
+    corners = [(x, y) for x in (geometry.left, geometry.right) for y in (geometry.low, geometry.high)]
     xs, ys = [], []
     for shape in shapes:
         for a, b, c, d, e, f in shape["points"]:

@@ -17,11 +17,19 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import control_commands, export_commands, machine_commands, recording_commands
+from . import app_commands, control_commands, export_commands, machine_commands, recording_commands
 from .app import app, closed_output_tolerated, log
 from .support import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
 
-__all__ = ["app", "control_commands", "export_commands", "machine_commands", "main", "recording_commands"]
+__all__ = [
+    "app",
+    "app_commands",
+    "control_commands",
+    "export_commands",
+    "machine_commands",
+    "main",
+    "recording_commands",
+]
 
 
 def _print_version(requested: bool) -> None:

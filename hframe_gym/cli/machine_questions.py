@@ -15,23 +15,14 @@ import typer
 from ..errors import InputError
 from ..machine import Machine, motion_limits
 from ..operating_system import quoted
-from ..recordings import TEMPLATES, MachineOptions, new_machine, write_machine_template
-
-# Option, question, and the templates to which it applies.
-_QUESTIONS = (
-    ("travel", "Travel along x and y, m", ("hframe", "corexy")),
-    ("travel", "Travel, m", ("axis",)),
-    ("mass", "Moving mass along x and y, kg", ("hframe", "corexy")),
-    ("mass", "Moving mass without the motor, kg", ("axis",)),
-    ("pulley_radius", "Pitch radius of the motors' pulleys, m", TEMPLATES),
-    ("gear_ratio", "Turns of the motor per turn of the pulley", TEMPLATES),
-    ("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", TEMPLATES),
-    ("Kt", "Torque constant of the motors, Nm/A", TEMPLATES),
-    ("resistance", "Resistance of a motor, ohm", TEMPLATES),
-    ("rated_voltage", "Rated voltage, V", TEMPLATES),
-    ("encoder_lines", "Lines of the encoders on the motors (0: none)", TEMPLATES),
+from ..recordings import (
+    TEMPLATE_QUESTIONS,
+    TEMPLATES,
+    MachineOptions,
+    new_machine,
+    template_value,
+    write_machine_template,
 )
-_AXIS_PULLEY = 0.02  # m; with it and no gear, the template `axis` has its 50 rad/m
 
 
 @dataclass(frozen=True)
@@ -191,7 +182,7 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
             log(f"{path}: {obstacle}")
         else:
             answers = dataclasses.replace(answers, out=path)
-    for option, question, templates in _QUESTIONS:
+    for option, question, templates in TEMPLATE_QUESTIONS:
         if like in templates and getattr(answers, option) in ("", None):
             answers = _ask_value(answers, option, question, log)
     while answers.linear_sensor is None:
@@ -201,7 +192,7 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
         if _is_usable(trial, log):
             answers = trial
         elif not lines_given:
-            option, question, _ = _QUESTIONS[-1]
+            option, question, _ = TEMPLATE_QUESTIONS[-1]
             answers = _ask_value(dataclasses.replace(answers, encoder_lines=None), option, question, log)
     return answers
 
@@ -231,35 +222,6 @@ def _is_usable(answers: MachineAnswers, log: Callable[[str], None]) -> bool:
         log(re.sub(r" \(--[\w-]+\)|--[\w-]+:? ", "", str(error)))
         return False
     return True
-
-
-def template_value(template: Machine, option: str) -> str | float | int:
-    """Return the value that a template has for an option of `hframe machines new`: the default answer to its question.
-
-    Args:
-        template: Machine that `new_machine` made from the template without options.
-        option: Name of the option, for example "pulley_radius".
-
-    Returns:
-        Value, SI; for `travel` and `mass` a text with one value per axis, separated by commas.
-    """
-    drive = template.drives[0]
-    moved = template.coordinate(drive.coordinate)
-    axes = [c for c in template.coordinates if c.kind == "linear"]
-    if option == "travel":
-        return ",".join(f"{c.range[1] - c.range[0]:g}" if c.range else "1" for c in axes)
-    if option == "mass":
-        return ",".join(f"{c.mass:g}" for c in axes)
-    if option == "encoder_lines":
-        quanta = [s.resolution for s in template.sensors if s.kind == "encoder"]
-        return round(2 * math.pi / (4 * quanta[0] * drive.gear_ratio)) if quanta else 0
-    values = {
-        "pulley_radius": moved.radius if moved.kind == "rotary" else _AXIS_PULLEY,
-        "gear_ratio": drive.gear_ratio if moved.kind == "rotary" else 1.0,
-        "rotor_inertia": moved.mass / drive.gear_ratio**2 if moved.kind == "rotary" else 0.0,
-    }
-    value = values[option] if option in values else getattr(drive, option)
-    return float(f"{value:.4g}")
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...] | None:

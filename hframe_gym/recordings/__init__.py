@@ -40,12 +40,14 @@ from .machine_template import TEMPLATES, MachineOptions, new_machine, write_mach
 from .quantization import exact_quantum, quantum_of
 from .recording import Recording, load_recording, load_recordings, run_name, write_recording, write_trajectory
 from .table_file import read_path, recording_files
+from .template_questions import TEMPLATE_QUESTIONS, template_value
 from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
 
 __all__ = [
     "GAP_PERIODS",
     "TABLES",
     "TEMPLATES",
+    "TEMPLATE_QUESTIONS",
     "TIME",
     "ChannelSource",
     "ImportSettings",
@@ -95,6 +97,7 @@ __all__ = [
     "run_name",
     "save_machine",
     "table_summary",
+    "template_value",
     "unwrapped",
     "without_outliers",
     "without_repetitions",

@@ -1,0 +1,212 @@
+"""Options of charts (ECharts): several curves over time, one below the other, and one curve of an error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..recordings import Interval
+from ..web_page import COLORS
+from .log_columns import Curve
+
+_PLOT, _GAP, _TOP, _BOTTOM = 72, 34, 26, 62  # pixels
+_LEFT, _RIGHT = 62, 14
+
+
+def ink(role: str, dark: bool) -> str:
+    """Return the color of a role of the pages, on a light or a dark display."""
+    return COLORS[role][dark]
+
+
+def height_of(count: int) -> int:
+    """Return the height of a chart of several curves, in pixels."""
+    return _TOP + count * (_PLOT + _GAP) + _BOTTOM - _GAP + 8
+
+
+def curves_chart(
+    curves: Sequence[Curve],
+    *,
+    dark: bool,
+    x_name: str,
+    used: Sequence[bool],
+    intervals: Sequence[Interval] = (),
+    window: tuple[float, float] | None = None,
+) -> dict[str, Any]:
+    """Return a chart of curves, one below the other, with a common axis of times.
+
+    Args:
+        curves: Curves, at least one.
+        dark: Whether the display is dark.
+        x_name: Name of the common axis.
+        used: For each curve, whether it is used; the others are drawn in gray.
+        intervals: Intervals to mark.
+        window: Times to draw, s; None: all.
+
+    Returns:
+        Options of ECharts.
+    """
+    muted, line = ink("muted", dark), ink("line", dark)
+    first = min(float(c.time[0]) for c in curves) if window is None else window[0]
+    last = max(float(c.time[-1]) for c in curves) if window is None else window[1]
+    marks = [[{"xAxis": i.begin}, {"xAxis": i.end}] for i in intervals]
+    count, options = len(curves), _frame(dark)
+    for k, curve in enumerate(curves):
+        top = _TOP + k * (_PLOT + _GAP)
+        is_last = k == count - 1
+        options["title"].append(
+            {
+                "text": f"{{name|{curve.name}}}  {{note|{curve.note}}}",
+                "left": _LEFT - 2,
+                "top": top - 24,
+                "padding": 2,
+                "textStyle": {
+                    "rich": {
+                        "name": {"fontSize": 13, "fontWeight": 600, "color": ink("ink" if used[k] else "muted", dark)},
+                        "note": {"fontSize": 12, "color": muted},
+                    }
+                },
+            }
+        )
+        options["grid"].append({"left": _LEFT, "right": _RIGHT, "top": top, "height": _PLOT})
+        options["xAxis"].append(
+            {
+                "gridIndex": k,
+                "type": "value",
+                "min": first,
+                "max": last,
+                "name": x_name if is_last else "",
+                "nameLocation": "middle",
+                "nameGap": 22,
+                "nameTextStyle": {"color": muted},
+                "axisLabel": {"show": is_last, "color": muted, "hideOverlap": True, "showMinLabel": False},
+                "axisTick": {"show": is_last},
+                "axisLine": {"lineStyle": {"color": line}, "onZero": False},
+                "splitLine": {"show": False},
+            }
+        )
+        options["yAxis"].append(
+            {
+                "gridIndex": k,
+                "type": "value",
+                "scale": True,
+                "splitNumber": 2,
+                "axisLabel": {"color": muted, "fontSize": 11, "hideOverlap": True},
+                "splitLine": {"lineStyle": {"color": line}},
+            }
+        )
+        options["series"].append(
+            {
+                "type": "line",
+                "name": curve.name,
+                "xAxisIndex": k,
+                "yAxisIndex": k,
+                "data": curve.points(first, last),
+                "showSymbol": False,
+                "step": "end" if curve.held else False,
+                "lineStyle": {"width": 1.2},
+                "color": ink("after" if used[k] else "declared", dark),
+                "markArea": {
+                    "silent": True,
+                    "data": marks,
+                    "itemStyle": {"color": ink("good", dark), "opacity": 0.16},
+                },
+            }
+        )
+    return options
+
+
+def _frame(dark: bool) -> dict[str, Any]:
+    """Return the options that all charts have."""
+    surface, line, text = ink("surface", dark), ink("line", dark), ink("ink", dark)
+    return {
+        "animation": False,
+        "backgroundColor": "transparent",
+        "textStyle": {"fontFamily": "system-ui, -apple-system, 'Segoe UI', Roboto, Arial, sans-serif"},
+        "title": [],
+        "grid": [],
+        "xAxis": [],
+        "yAxis": [],
+        "series": [],
+        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+        "tooltip": {
+            "trigger": "axis",
+            "confine": True,
+            "backgroundColor": surface,
+            "borderColor": line,
+            "textStyle": {"color": text, "fontSize": 12},
+        },
+    }
+
+
+def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
+    """Add a slider that chooses the times, and the zoom by the wheel with Ctrl."""
+    options["dataZoom"] = [
+        {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "ctrl", "filterMode": "none"},
+        {
+            "type": "slider",
+            "xAxisIndex": "all",
+            "height": 16,
+            "bottom": 6,
+            "filterMode": "none",
+            "showDetail": False,
+            "borderColor": ink("line", dark),
+            "fillerColor": ink("after", dark) + "22",
+            "dataBackground": {"lineStyle": {"opacity": 0}, "areaStyle": {"opacity": 0}},
+            "brushSelect": False,
+        },
+    ]
+    return options
+
+
+def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
+    """Let the mouse select an interval of times."""
+    options["toolbox"] = {"show": False}
+    options["brush"] = {
+        "xAxisIndex": "all",
+        "brushType": "lineX",
+        "brushMode": "single",
+        "throttleType": "debounce",
+        "brushStyle": {"color": ink("after", dark) + "33", "borderColor": ink("after", dark), "borderWidth": 1},
+        "outOfBrush": {"colorAlpha": 1},
+    }
+    return options
+
+
+def error_chart(errors: Sequence[tuple[float, float]], now: float, dark: bool) -> dict[str, Any]:
+    """Return a chart of the error of the best machine so far, over the processor time.
+
+    Args:
+        errors: Processor time, s, and mean squared residual in units of the noise, each time that it changed.
+        now: Present processor time, s.
+        dark: Whether the display is dark.
+
+    Returns:
+        Options of ECharts.
+    """
+    muted, line = ink("muted", dark), ink("line", dark)
+    points = [[t, max(e, 1e-3) ** 0.5] for t, e in errors]
+    points += [[max(now, points[-1][0]), points[-1][1]]] if points else []
+    options = _frame(dark)
+    options["grid"] = [{"left": _LEFT, "right": 24, "top": 30, "height": 120}]
+    axis = {"nameTextStyle": {"color": muted}, "axisLabel": {"color": muted, "hideOverlap": True}}
+    options["xAxis"] = [
+        {**axis, "type": "value", "name": "processor time, s", "nameLocation": "middle", "nameGap": 26, "min": 0}
+        | {"splitLine": {"show": False}, "axisLine": {"lineStyle": {"color": line}}}
+    ]
+    options["yAxis"] = [
+        {**axis, "type": "log", "name": "error, times the noise", "nameLocation": "end"}
+        | {"nameTextStyle": {"color": muted, "align": "left"}, "splitLine": {"lineStyle": {"color": line}}}
+    ]
+    mark = {"silent": True, "symbol": "none", "label": {"show": False}, "data": [{"yAxis": 1}]}
+    options["series"] = [
+        {
+            "type": "line",
+            "name": "error so far",
+            "step": "end",
+            "data": points,
+            "symbolSize": 7,
+            "color": ink("after", dark),
+            "markLine": mark | {"lineStyle": {"color": ink("good", dark), "type": "dashed"}},
+        }
+    ]
+    return options

@@ -1,0 +1,177 @@
+"""Stage "Control": compare controllers and agents on the corrected machine, and watch the stage move."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from nicegui import events, ui
+
+from ..agents import shipped_agent_names
+from ..controllers import CONTROLLERS
+from ..envs import TASKS
+from ..evaluation import BANDS, period_concern
+from ..recordings import load_machine
+from ..web_page import number
+from .machine_stage import StageView
+from .session import CONTROL, evaluate_command
+from .stage_drawing import drawing_of, read_motions
+from .window import Stage, State, banner, heading, table
+
+_PERIODS = (0.01, 0.005, 0.002, 0.001, 0.0005)  # s, control periods that are offered
+
+
+class ControlStage(Stage):
+    """Compare controllers."""
+
+    key, title, action = "control", "Control", "Compare"
+    purpose = (
+        "All controllers get the same starts, goals and machine parameters. With the randomization identified, the "
+        "parameters vary as far as the identification leaves them open."
+    )
+
+    def __init__(self, page: Any) -> None:
+        """Create the stage."""
+        super().__init__(page)
+        self._controllers = ["pid", "textbook-pid"]
+        self._task = "reach"
+        self._period = ""
+        self._episodes = 64
+        self._episode = 0
+        self._motions = 4
+
+    def missing(self) -> tuple[str, str] | None:
+        """Return what a comparison of controllers needs."""
+        machine = self.session.machine
+        if machine is None:
+            return "machine", "There is no machine yet."
+        return None
+
+    def state(self) -> State:
+        """Return whether controllers were compared."""
+        return "done" if self.session.path(CONTROL, "scores.json").exists() else ""
+
+    @property
+    def _randomize(self) -> str:
+        """Name of the randomization: that of the identification if there is one."""
+        machine = load_machine(self.session.path(self.session.corrected))
+        return "identified" if machine.uncertainty is not None else "none"
+
+    def commands(self) -> list[list[str]]:
+        """Return the command that compares."""
+        command = evaluate_command(
+            self._controllers,
+            self.session.corrected,
+            task=self._task,
+            randomize=self._randomize,
+            period=self._period,
+            episodes=self._episodes,
+            motions=min(self._motions, self._episodes),
+        )
+        return [command]
+
+    def before(self) -> None:
+        """Forget the motions of controllers that are not compared any more."""
+        self.session.forget(CONTROL)
+
+    def show(self) -> None:
+        """Build the stage."""
+        machine = load_machine(self.session.path(self.session.corrected))
+        if len(machine.tool_axes) == 0:
+            banner("neutral", "", f"{machine.name} has no tool that moves, so there are no controllers for it.")
+            return
+        if self.session.corrected == "machine.json":
+            banner("neutral", "", "No identification yet: controllers run on the machine as declared.")
+        concern = period_concern(machine, 0.01)
+        if concern and not self._period:
+            suggested = concern.rpartition("--period ")[2].rstrip(")")
+            self._period = suggested
+        with ui.element("div").classes("hf-fields"):
+            agents = [name for name in shipped_agent_names() if name not in CONTROLLERS]
+            names = [*CONTROLLERS, *agents]
+            chosen = ui.select(names, value=self._controllers, multiple=True, label="controllers and agents")
+            chosen.props("dense outlined options-dense use-chips data-controllers").classes("w-full")
+            chosen.on_value_change(self._set_controllers)
+            task = ui.select(list(TASKS), value=self._task, label="task").props("dense outlined options-dense")
+            task.on_value_change(self._set_task)
+            period = ui.input("control period, s", value=self._period, placeholder="0.01").props(
+                "dense outlined stack-label"
+            )
+            period.on_value_change(self._set_period)
+            episodes = ui.number("episodes", value=self._episodes, min=1, max=4096, step=1, format="%d")
+            episodes.props("dense outlined").on_value_change(self._set_episodes)
+        if concern:
+            ui.label(f"{concern[0].upper()}{concern[1:]}.").classes("hf-muted")
+        self.command_box()
+        if self.state() == "done":
+            self._show_scores()
+            self._show_motions()
+
+    def _set_controllers(self, event: events.ValueChangeEventArguments) -> None:
+        """Choose the controllers."""
+        self._controllers = list(event.value or [])
+        self.update_command()
+
+    def _set_task(self, event: events.ValueChangeEventArguments) -> None:
+        """Choose the task."""
+        self._task = str(event.value)
+        self.update_command()
+
+    def _set_period(self, event: events.ValueChangeEventArguments) -> None:
+        """Choose the control period."""
+        self._period = str(event.value or "")
+        self.update_command()
+
+    def _set_episodes(self, event: events.ValueChangeEventArguments) -> None:
+        """Choose the number of episodes."""
+        self._episodes = int(event.value or 1)
+        self.update_command()
+
+    def _show_scores(self) -> None:
+        """Show the scores of the controllers."""
+        scores = json.loads(self.session.path(CONTROL, "scores.json").read_text(encoding="utf-8"))
+        heading(f"Scores, {scores['task']}, {scores['episodes']} episodes")
+        bands = list(BANDS)
+        head = [
+            "controller",
+            *(f"within {band}" for band in bands),
+            "settled within 0.2 mm, s",
+            "largest error left, mm",
+        ]
+        rows = []
+        for name, score in scores["controllers"].items():
+            success = [f"{100 * score['success'][band]:.0f} %" if "success" in score else "" for band in bands]
+            settling = score.get("settling_s", {}).get("0.2mm", {}).get("mean")
+            left = score.get("final_error_mm", {})
+            left = left.get("max", left.get("p95", left.get("mean"))) if isinstance(left, dict) else left
+            rows.append([name, *success, number(settling, "-"), number(left, "-")])
+        table(head, rows, numbers=range(1, len(head)))
+        if self.session.path(CONTROL, "scorecard.html").exists():
+            ui.link("Open the scorecard", f"/session/{CONTROL}/scorecard.html", new_tab=True)
+
+    def _show_motions(self) -> None:
+        """Show the stage in motion, with one view for each controller."""
+        machine = load_machine(self.session.path(self.session.corrected))
+        drawing = drawing_of(machine)
+        files = sorted(self.session.path(CONTROL).glob("*.csv"))
+        if drawing is None or not files:
+            return
+        motions = {path.stem: read_motions(path, machine) for path in files}
+        count = min(len(episodes) for episodes in motions.values())
+        self._episode = min(self._episode, count - 1)
+        heading("The stage in motion")
+        choice = ui.toggle({k: f"episode {k + 1}" for k in range(count)}, value=self._episode)
+        choice.props("no-caps unelevated")
+        view = StageView(drawing, _of_episode(motions, self._episode))
+
+        def select(event: events.ValueChangeEventArguments) -> None:
+            self._episode = int(event.value)
+            view.props["motions"] = _of_episode(motions, self._episode)
+            view.update()
+
+        choice.on_value_change(select)
+
+
+def _of_episode(motions: dict[str, list[dict[str, Any]]], episode: int) -> list[dict[str, Any]]:
+    """Return name and motion of each controller in an episode."""
+    return [{"name": name, "motion": episodes[episode]} for name, episodes in motions.items()]

@@ -1,0 +1,117 @@
+"""Stage "Export": take the machine or a controller to other tools."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import inspect
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from nicegui import events, ui
+
+from ..exporters import EXPORTERS
+from .session import EXPORTS, export_command
+from .window import Stage, State, heading
+
+
+class ExportStage(Stage):
+    """Export the corrected machine."""
+
+    key, title, action = "export", "Export", "Export"
+    purpose = "Files for other tools. Each export names the machine, the version that wrote it, and the units."
+
+    def __init__(self, page: Any) -> None:
+        """Create the stage."""
+        super().__init__(page)
+        self._kind = "c"
+        self._options: dict[str, str] = {}
+        self._arguments = ""
+
+    def missing(self) -> tuple[str, str] | None:
+        """Return that a machine must come first."""
+        return None if self.session.machine is not None else ("machine", "There is no machine yet.")
+
+    def state(self) -> State:
+        """Return whether something was exported."""
+        return "done" if self._files() else ""
+
+    def _files(self) -> list[Path]:
+        """Return the exported files."""
+        folder = self.session.path(EXPORTS)
+        return sorted(path for path in folder.rglob("*") if path.is_file()) if folder.is_dir() else []
+
+    def commands(self) -> list[list[str]]:
+        """Return the command that exports."""
+        exporter = EXPORTERS.get(self._kind)
+        takes_machine = "machine" in {f.name for f in dataclasses.fields(exporter)}
+        machine = self.session.corrected if takes_machine else None
+        return [export_command(self._kind, machine, self._options, self._arguments.split())]
+
+    def show(self) -> None:
+        """Build the stage."""
+        kinds = {name: f"{name}: {_summary(EXPORTERS.get(name))}" for name in EXPORTERS}
+        kind = ui.select(kinds, value=self._kind, label="kind", on_change=lambda e: self._choose(e.value))
+        kind.props("dense outlined options-dense data-kind").classes("w-full")
+        exporter = EXPORTERS.get(self._kind)
+        from ..exporters.base import ARGUMENT, HELP
+
+        with ui.element("div").classes("hf-fields"):
+            for field in dataclasses.fields(exporter):
+                if field.name == "machine":
+                    continue
+                text = str(field.metadata[HELP])
+                if field.metadata[ARGUMENT]:
+                    argument = ui.input(field.name, value=self._arguments).props("dense outlined stack-label")
+                    argument.on_value_change(self._set_arguments)
+                elif isinstance(field.default, bool):
+                    switch = ui.checkbox(field.name, value=field.name in self._options).tooltip(_plain(text))
+                    switch.on_value_change(lambda e, name=field.name: self._set_option(name, "" if e.value else None))
+                else:
+                    shown = "" if field.default is None else str(field.default)
+                    value = self._options.get(field.name, "")
+                    entry = ui.input(field.name, value=value, placeholder=shown).tooltip(_plain(text))
+                    entry.props("dense outlined stack-label")
+                    entry.on_value_change(
+                        lambda e, name=field.name: self._set_option(name, (e.value or "").strip() or None)
+                    )
+        self.command_box()
+        with ui.expansion("What this export has").classes("w-full"):
+            ui.html(f"<pre class='hf-output'>{html.escape(inspect.getdoc(exporter) or '')}</pre>", sanitize=False)
+        files = self._files()
+        if files:
+            heading("Exported")
+            with ui.element("ul").classes("hf-list"):
+                for path in files:
+                    name = path.relative_to(self.session.folder).as_posix()
+                    with ui.element("li"):
+                        ui.link(name, f"/session/{quote(name)}").props(f'download="{path.name}"')
+                        ui.label(f"{path.stat().st_size / 1024:.1f} kB").classes("hf-muted")
+
+    def _choose(self, kind: str) -> None:
+        """Choose the kind of export."""
+        self._kind, self._options, self._arguments = kind, {}, ""
+        self.refresh()
+
+    def _set_arguments(self, event: events.ValueChangeEventArguments) -> None:
+        """Choose the words without option."""
+        self._arguments = str(event.value or "")
+        self.update_command()
+
+    def _set_option(self, name: str, value: str | None) -> None:
+        """Choose an option; None removes it."""
+        self._options.pop(name, None)
+        if value is not None:
+            self._options[name] = value
+        self.update_command()
+
+
+def _summary(exporter: Any) -> str:
+    """Return the first line of what an exporter is."""
+    return (inspect.getdoc(exporter) or "").partition("\n")[0].rstrip(".")
+
+
+def _plain(text: str) -> str:
+    """Return a help text without placeholders."""
+    return text.replace("{", "").replace("}", "")

@@ -1,0 +1,196 @@
+"""Stage "Machine": choose a template or a machine.json, see it drawn, and judge whether its values are plausible."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import events, run, ui
+from nicegui.element import Element
+
+from ..dynamics import mode_frequencies
+from ..errors import InputError
+from ..machine import Machine, motion_limits
+from ..recordings import (
+    TEMPLATE_QUESTIONS,
+    TEMPLATES,
+    MachineOptions,
+    implausible_values,
+    new_machine,
+    template_value,
+)
+from ..web_page import number
+from .session import CONTROL, EXPORTS, FINDINGS, MACHINE, RESULT, RUNS, new_machine_command
+from .stage_drawing import drawing_of
+from .window import Stage, State, banner, heading, table
+
+_MODES = 3  # natural frequencies that the table lists
+_KINDS = {"hframe": "H-frame, one belt for both motors", "axis": "One axis", "corexy": "CoreXY, a belt for each motor"}
+
+
+class StageView(Element, component="stage_view.js"):
+    """Plan view of a machine; with motions, it shows them."""
+
+    def __init__(self, drawing: dict[str, Any], motions: list[dict[str, Any]] | None = None) -> None:
+        """Create the view.
+
+        Args:
+            drawing: Shapes, from `drawing_of`.
+            motions: Name and motion of each controller.
+        """
+        super().__init__()
+        self._props["drawing"], self._props["motions"] = drawing, motions or []
+
+
+class MachineStage(Stage):
+    """Choose and judge the machine."""
+
+    key, title, action = "machine", "Machine", "Create this machine"
+    purpose = (
+        "Describe the machine as its data sheets do. Identification corrects the values; it needs the right structure "
+        "and the right order of magnitude."
+    )
+
+    def __init__(self, page: Any) -> None:
+        """Create the stage."""
+        super().__init__(page)
+        self._like = "hframe"
+        self._values: dict[str, str] = {}
+
+    def state(self) -> State:
+        """Return whether there is a machine."""
+        try:
+            return "done" if self.session.machine is not None else ""
+        except InputError:
+            return "problem"
+
+    def commands(self) -> list[list[str]]:
+        """Return the command that writes the machine."""
+        return [new_machine_command(self._like, self._values)]
+
+    def before(self) -> None:
+        """Forget the results that belong to another machine."""
+        self.session.forget(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)
+
+    def show(self) -> None:
+        """Build the stage."""
+        try:
+            machine = self.session.machine
+        except InputError as error:
+            banner("warning", "machine.json is faulty.", str(error))
+            machine = None
+        if machine is not None:
+            _show_machine(machine)
+        heading("Another machine" if machine is not None else "Your machine")
+        kinds = {**{name: name for name in TEMPLATES}, **{k: v for k, v in _KINDS.items() if k in TEMPLATES}}
+        with ui.element("div").classes("hf-row"):
+            kind = ui.radio(kinds, value=self._like, on_change=lambda event: self._choose(event.value))
+            kind.props('inline aria-label="Kind of machine"')
+        with ui.element("div").classes("hf-fields"):
+            template = new_machine(self._like, "template", MachineOptions())
+            for option, question, templates in TEMPLATE_QUESTIONS:
+                if self._like in templates:
+                    self._field(option.replace("_", "-"), question, str(template_value(template, option)))
+        self.command_box()
+        with ui.expansion("Use a machine.json that you have").classes("w-full"):
+            upload = ui.upload(label="Drop a machine.json here, or choose it with +", auto_upload=True)
+            upload.on_upload(self._uploaded).props('accept=".json" flat')
+
+    def _field(self, option: str, question: str, default: str) -> None:
+        """Build the field of an option of `hframe machines new`."""
+        field = ui.input(question, value=self._values.get(option, ""), placeholder=default)
+        field.props(f'dense outlined stack-label data-option="{option}"').classes("w-full")
+
+        def store(event: events.ValueChangeEventArguments) -> None:
+            self._values[option] = event.value or ""
+            self.update_command()
+
+        field.on_value_change(store)
+
+    def _choose(self, like: str) -> None:
+        """Choose a template."""
+        self._like, self._values = like, {}
+        self.refresh()
+
+    async def _uploaded(self, event: events.UploadEventArguments) -> None:
+        """Take over a machine.json."""
+        content = await event.file.read()
+        try:
+            machine = await run.io_bound(self.session.use_machine, content)
+        except InputError as error:
+            ui.notify(str(error), type="negative", multi_line=True, timeout=15000)
+            return
+        self.before()
+        ui.notify(f"{machine.name} is the machine of this session", type="positive")
+        self.page.changed()
+
+
+def _show_machine(machine: Machine) -> None:
+    """Show a machine: its plan view, what it can do, and what is doubtful."""
+    doubts = implausible_values(machine)
+    with ui.element("div").classes("hf-two"):
+        drawing = drawing_of(machine)
+        with ui.element("div"):
+            if drawing is not None:
+                StageView(drawing)
+            else:
+                ui.label("This machine has no tool that moves in a plane, so it is not drawn.").classes("hf-muted")
+        with ui.element("div"):
+            ui.html(f"<b>{machine.name}</b>", sanitize=True)
+            ui.label("Compare with what you know. A value ten or a thousand times off shows a wrong unit.").classes(
+                "hf-muted"
+            )
+            table(("at rated voltage", "value", "unit"), plausibility(machine), numbers=(1,))
+    for field, doubt in doubts:
+        banner("warning", field, doubt)
+    with ui.expansion(f"All values ({MACHINE})").classes("w-full"):
+        table(("parameter", "value", "unit"), parameter_rows(machine), numbers=(1,))
+
+
+def plausibility(machine: Machine) -> list[tuple[str, str, str]]:
+    """List what a machine can do, by which its values can be judged.
+
+    Args:
+        machine: Machine.
+
+    Returns:
+        Rows of quantity, value and unit.
+    """
+    rows = []
+    for name, limit in motion_limits(machine).items():
+        c = machine.coordinate(name)
+        rows += [
+            (f"moved along {name}, with the rotors", number(limit.inertia), c.unit("mass")),
+            (f"force at rest along {name}", number(limit.force), c.unit("force")),
+            (
+                f"acceleration along {name}",
+                number(limit.force / limit.inertia),
+                f"{c.unit('speed')}/s".replace("/s/s", "/s²"),
+            ),
+            (f"top speed along {name}", number(limit.speed), c.unit("speed")),
+        ]
+    modes = [frequency for frequency in mode_frequencies(machine).tolist() if frequency > 0.0]
+    rows += [(f"vibration {k} on the belts", number(f), "Hz") for k, f in enumerate(modes[:_MODES], start=1)]
+    for sensor in machine.sensors:
+        unit = machine.unit(f"{sensor.channel}.noise")
+        rows.append((f"noise of {sensor.channel}", number(sensor.noise), unit))
+        if resolution := getattr(sensor, "resolution", 0.0):
+            rows.append((f"resolution of {sensor.channel}", number(resolution), unit))
+    return rows
+
+
+def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:
+    """List all parameters of a machine.
+
+    Args:
+        machine: Machine.
+
+    Returns:
+        Rows of name, value (with its standard deviation where it was identified), and unit.
+    """
+    known = machine.uncertainty
+    deviations = {} if known is None else dict(zip(known.names, known.covariance.diagonal() ** 0.5, strict=True))
+    rows = []
+    for name, value in machine.parameters.items():
+        deviation = f" ± {number(float(deviations[name]))}" if name in deviations else ""
+        rows.append((name, f"{value:.6g}{deviation}", machine.unit(name)))
+    return rows

@@ -1,0 +1,162 @@
+"""The window `hframe app` in a headless Chromium, and a session of a newcomer in it."""
+
+from __future__ import annotations
+
+import base64
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hframe_gym.dynamics import simulate
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import BUILTIN_MACHINES
+from tests.browser import WIDTHS
+
+ROOT = Path(__file__).resolve().parents[1]
+STAGES = ("machine", "logs", "check", "identify", "results", "control", "export")
+# Drops files on the element that matches a selector, as a file manager does.
+_DROP = """
+const [selector, files, done] = [arguments[0], arguments[1], arguments[2]];
+const transfer = new DataTransfer();
+for (const [name, content] of files) {
+  const bytes = Uint8Array.from(atob(content), (c) => c.charCodeAt(0));
+  transfer.items.add(new File([bytes], name));
+}
+const box = document.querySelector(selector);
+box.dispatchEvent(new DragEvent("dragover", { bubbles: true, cancelable: true, dataTransfer: transfer }));
+setTimeout(() => {
+  const target = box.querySelector(".q-uploader__dnd") || box;
+  target.dispatchEvent(new DragEvent("drop", { bubbles: true, cancelable: true, dataTransfer: transfer }));
+  done();
+}, 200);
+"""
+
+
+def foreign_logs(count: int = 4, rows: int = 1500) -> dict[str, bytes]:
+    """Return logs of an axis with Stribeck friction as a spreadsheet writes them: semicolons, decimal commas, mm, ms."""
+    truth = BUILTIN_MACHINES["axis"]().with_effects(EFFECTS["stribeck_friction"].at("x", dF=1.5, vs=0.02))
+    rng, logs = np.random.default_rng(7), {}
+    for k in range(1, count + 1):
+        time_s = np.arange(rows) * 1e-3
+        volts = np.repeat(rng.uniform(-3.0, 3.0, (12, 1)), -(-rows // 12), axis=0)[:rows]
+        volts[:100] = 0.0
+        position = simulate(truth, time_s, volts).outputs[:, 0] + rng.normal(0.0, 20e-6, rows)
+        lines = ["Zeit [ms];Sollspannung [V];Weg [mm];Temperatur [°C]"]
+        for t, u, x in zip(time_s, volts[:, 0], position, strict=True):
+            lines.append(f"{1e3 * t:.1f};{u:.5f};{1e3 * x:.5f};{21.0 + 0.1 * t:.2f}".replace(".", ","))
+        logs[f"Messung_{k}.csv"] = "\n".join(lines).encode("latin-1")
+    return logs
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Serve the window of a session in a process of its own.
+
+    Yields:
+        Address with the token.
+    """
+    command = [sys.executable, "-m", "hframe_gym", "app", str(folder), "--no-open"]
+    errors = tempfile.TemporaryFile("w+")
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
+        try:
+            lines: list[str] = []
+            assert process.stdout is not None
+            for line in process.stdout:
+                lines.append(line)
+                if line.startswith("open http"):
+                    break
+            else:
+                raise AssertionError(f"the window did not start: {lines}")
+            yield lines[-1].split()[1]
+        finally:
+            process.terminate()
+    errors.seek(0)
+    text = errors.read().replace("hframe: terminated; files are unchanged or complete\n", "")
+    assert not text, f"the window reported errors:\n{text}"
+
+
+class Visitor:
+    """Somebody who uses the window in a browser."""
+
+    def __init__(self, driver: Any, address: str) -> None:
+        """Take a browser and the address of the window."""
+        self.driver, self.address = driver, address
+
+    def look(self, width: int, scheme: str) -> None:
+        """Open the page in a window of a width, in pixels, on a light or a dark display."""
+        size = {"width": width, "height": WIDTHS[width], "deviceScaleFactor": 1, "mobile": width < 500}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+        self.driver.get(self.address)
+        self.until("document.querySelector('.q-tab') !== null", 30.0)
+        time.sleep(0.5)
+
+    def until(self, condition: str, seconds: float) -> None:
+        """Wait until an expression of JavaScript is true."""
+        end = time.monotonic() + seconds
+        while not self.driver.execute_script(f"return !!({condition})"):
+            if time.monotonic() > end:
+                text = self.driver.execute_script("return document.body.innerText")
+                raise AssertionError(f"not within {seconds:g} s: {condition}\n{text}")
+            time.sleep(0.1)
+
+    def go(self, key: str) -> None:
+        """Open a stage."""
+        number = STAGES.index(key)
+        self.driver.execute_script(f"document.querySelectorAll('.q-tab')[{number}].click()")
+        self.until(f"document.querySelector('main[data-stage={key}]')?.offsetParent", 10.0)
+        time.sleep(0.6)
+
+    def stage(self, key: str) -> str:
+        """Return the text of a stage."""
+        return str(self.driver.execute_script(f"return document.querySelector('main[data-stage={key}]').innerText"))
+
+    def drop(self, files: dict[str, bytes]) -> None:
+        """Drop files on the stage Logs."""
+        contents = [[name, base64.b64encode(content).decode()] for name, content in files.items()]
+        self.driver.set_script_timeout(60)
+        self.driver.execute_async_script(_DROP, "main[data-stage=logs] .q-uploader", contents)
+
+    def click(self, selector: str) -> None:
+        """Click an element."""
+        self.driver.execute_script("document.querySelector(arguments[0]).click()", selector)
+
+    def choose(self, selector: str, text: str) -> None:
+        """Choose an entry of a menu (q-select) by the beginning of its text."""
+        from selenium.webdriver.common.by import By
+
+        field = self.driver.find_element(By.CSS_SELECTOR, selector)
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
+        field.click()
+        self.until("document.querySelectorAll('.q-menu .q-item').length > 0", 5.0)
+        time.sleep(0.3)
+        found = self.driver.execute_script(
+            "const item = [...document.querySelectorAll('.q-menu .q-item')]"
+            ".find((i) => i.innerText.trim().startsWith(arguments[0])); if (item) item.click(); return !!item",
+            text,
+        )
+        assert found, f"{selector} has no entry {text}"
+        self.until("document.querySelectorAll('.q-menu .q-item').length === 0", 5.0)
+
+    def run(self, key: str, seconds: float) -> str:
+        """Run the commands of a stage; return its text when they have ended."""
+        self.click(f"[data-run={key}]")
+        self.until(f"document.querySelector('main[data-stage={key}] .hf-output').innerText.includes('…')", 20.0)
+        output = f"document.querySelector('main[data-stage={key}] .hf-output')"
+        self.until(f"/(done in|exit code) [\\d.]+/.test({output}?.innerText)", seconds)
+        time.sleep(0.5)
+        return self.stage(key)
+
+    def picture(self, path: Path, *, full: bool = True) -> None:
+        """Save a picture of the page."""
+        time.sleep(0.5)
+        content = self.driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": full})
+        path.write_bytes(base64.b64decode(content["data"]))
