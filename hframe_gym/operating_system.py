@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 # Environment variable and default below the user's folder, by kind of files and by the beginning of `sys.platform`.
 _FOLDERS = {
@@ -62,7 +62,7 @@ def user_folder(
     return Path(chosen) if chosen else Path(os.path.expanduser("~")) / below_home
 
 
-def own_group() -> dict[str, int]:
+def own_group() -> dict[str, Any]:
     """Return what a process must be started with so that `interrupt` reaches it alone.
 
     Returns:

@@ -40,7 +40,7 @@ setTimeout(() => {
 
 
 def foreign_logs(count: int = 4, rows: int = 1500) -> dict[str, bytes]:
-    """Return logs of an axis with Stribeck friction as a spreadsheet writes them: semicolons, decimal commas, mm, ms."""
+    """Return logs of an axis with Stribeck friction as spreadsheets write them: semicolons, decimal commas, mm, ms."""
     truth = BUILTIN_MACHINES["axis"]().with_effects(EFFECTS["stribeck_friction"].at("x", dF=1.5, vs=0.02))
     rng, logs = np.random.default_rng(7), {}
     for k in range(1, count + 1):
@@ -63,8 +63,10 @@ def served(folder: Path) -> Iterator[str]:
         Address with the token.
     """
     command = [sys.executable, "-m", "hframe_gym", "app", str(folder), "--no-open"]
-    errors = tempfile.TemporaryFile("w+")
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=errors, text=True) as process:
+    with (
+        tempfile.TemporaryFile("w+") as errors,
+        subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
         try:
             lines: list[str] = []
             assert process.stdout is not None
@@ -77,9 +79,10 @@ def served(folder: Path) -> Iterator[str]:
             yield lines[-1].split()[1]
         finally:
             process.terminate()
-    errors.seek(0)
-    text = errors.read().replace("hframe: terminated; files are unchanged or complete\n", "")
-    assert not text, f"the window reported errors:\n{text}"
+        process.wait()
+        errors.seek(0)
+        text = errors.read().replace("hframe: terminated; files are unchanged or complete\n", "")
+        assert not text, f"the window reported errors:\n{text}"
 
 
 class Visitor:
@@ -149,9 +152,9 @@ class Visitor:
     def run(self, key: str, seconds: float) -> str:
         """Run the commands of a stage; return its text when they have ended."""
         self.click(f"[data-run={key}]")
-        self.until(f"document.querySelector('main[data-stage={key}] .hf-output').innerText.includes('…')", 20.0)
-        output = f"document.querySelector('main[data-stage={key}] .hf-output')"
-        self.until(f"/(done in|exit code) [\\d.]+/.test({output}?.innerText)", seconds)
+        ended = f"document.querySelector('main[data-stage={key}] .hf-details summary')?.innerText"
+        self.until(f"{ended}.includes('…')", 20.0)
+        self.until(f"/(done in|exit code) [\\d.]+/.test({ended})", seconds)
         time.sleep(0.5)
         return self.stage(key)
 

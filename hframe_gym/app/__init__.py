@@ -1,4 +1,4 @@
-"""The window `hframe app`: a local page for the whole loop from a machine and its logs to controllers and exports.
+"""The window `hframe app`: a local page for the loop from a machine and its logs to controllers and exports.
 
 Everything that it does is a command line, which it shows, runs in another process and keeps in the session, so that
 a session can be repeated by a script. Modules without user interface come first, then one module for each stage.
@@ -8,7 +8,8 @@ jobs             run command lines in processes; their output, their progress, a
 log_columns      columns of logs, what they were taken for, and values that are few enough to be drawn
 stage_drawing    plan view of a machine as shapes that follow the tool
 server           server on the loopback address with a token
-window           frame of the page: stages, commands, output of jobs
+window           frame of the page: the stages as tabs
+stage            what all stages have: commands, output of jobs
 charts           options of charts with several curves over time
 machine_stage, logs_stage, check_stage, identify_stage, results_stage, control_stage, export_stage
 

@@ -14,12 +14,27 @@ _LEFT, _RIGHT = 62, 14
 
 
 def ink(role: str, dark: bool) -> str:
-    """Return the color of a role of the pages, on a light or a dark display."""
+    """Return the color of a role of the pages, on a light or a dark display.
+
+    Args:
+        role: Role, see `hframe_gym.web_page.COLORS`.
+        dark: Whether the display is dark.
+
+    Returns:
+        Hexadecimal color, "#rrggbb".
+    """
     return COLORS[role][dark]
 
 
 def height_of(count: int) -> int:
-    """Return the height of a chart of several curves, in pixels."""
+    """Return the height of a chart of several curves, in pixels.
+
+    Args:
+        count: Number of curves.
+
+    Returns:
+        Height, pixels.
+    """
     return _TOP + count * (_PLOT + _GAP) + _BOTTOM - _GAP + 8
 
 
@@ -62,7 +77,7 @@ def curves_chart(
                 "textStyle": {
                     "rich": {
                         "name": {"fontSize": 13, "fontWeight": 600, "color": ink("ink" if used[k] else "muted", dark)},
-                        "note": {"fontSize": 12, "color": muted},
+                        "note": {"fontSize": 12, "fontWeight": "normal", "color": muted},
                     }
                 },
             }
@@ -78,7 +93,13 @@ def curves_chart(
                 "nameLocation": "middle",
                 "nameGap": 22,
                 "nameTextStyle": {"color": muted},
-                "axisLabel": {"show": is_last, "color": muted, "hideOverlap": True, "showMinLabel": False},
+                "axisLabel": {
+                    "show": is_last,
+                    "color": muted,
+                    "hideOverlap": True,
+                    "showMinLabel": False,
+                    "showMaxLabel": False,
+                },
                 "axisTick": {"show": is_last},
                 "axisLine": {"lineStyle": {"color": line}, "onZero": False},
                 "splitLine": {"show": False},
@@ -139,7 +160,15 @@ def _frame(dark: bool) -> dict[str, Any]:
 
 
 def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Add a slider that chooses the times, and the zoom by the wheel with Ctrl."""
+    """Add a slider that chooses the times, and the zoom by the wheel with Ctrl.
+
+    Args:
+        options: Options of a chart of curves, which are changed.
+        dark: Whether the display is dark.
+
+    Returns:
+        The same options.
+    """
     options["dataZoom"] = [
         {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "ctrl", "filterMode": "none"},
         {
@@ -159,7 +188,15 @@ def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Let the mouse select an interval of times."""
+    """Let the mouse select an interval of times.
+
+    Args:
+        options: Options of a chart of curves, which are changed.
+        dark: Whether the display is dark.
+
+    Returns:
+        The same options.
+    """
     options["toolbox"] = {"show": False}
     options["brush"] = {
         "xAxisIndex": "all",

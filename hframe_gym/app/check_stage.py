@@ -11,10 +11,11 @@ from nicegui import ui
 from ..data_validation import Finding, group_findings
 from ..errors import InputError
 from ..machine import Machine
+from ..recordings import run_name
 from .charts import curves_chart, height_of
 from .log_columns import Curve, run_curves
 from .session import FINDINGS, check_command
-from .window import Stage, State, banner
+from .stage import Stage, State, banner, heading, table
 
 _TONES = {"fault": ("warning", "Fault"), "advice": ("neutral", "Advice"), "note": ("good", "Note")}
 _MOST_CHARTS = 12  # findings that are drawn at once; the others on request
@@ -28,6 +29,11 @@ class CheckStage(Stage):
         "Before a fit: clock, sensors, wiring, excitation, and which parameters these runs can determine. A fault "
         "makes a fit meaningless; advice is worth a look."
     )
+
+    def __init__(self, page: Any) -> None:
+        """Create the stage."""
+        super().__init__(page)
+        self._run = ""
 
     def missing(self) -> tuple[str, str] | None:
         """Return that runs must come first."""
@@ -66,8 +72,32 @@ class CheckStage(Stage):
         else:
             banner("good", "No faults.", "The runs can be fitted.")
         order = list(_TONES)
-        for k, finding in enumerate(sorted(groups, key=lambda f: order.index(f.severity))):
+        serious = sorted((f for f in groups if f.severity != "note"), key=lambda f: order.index(f.severity))
+        for k, finding in enumerate(serious):
             self._show_finding(finding, machine, draw=k < _MOST_CHARTS)
+        notes = [finding for finding in groups if finding.severity == "note"]
+        if notes:
+            heading("Properties of the runs")
+            table(("run", "of", "note"), [(note.run or "all", note.channel, note.message) for note in notes])
+        heading("The runs")
+        self._show_run(machine)
+
+    def _show_run(self, machine: Machine) -> None:
+        """Show all channels of a run that the user chooses."""
+        paths = {run_name(path): path for path in self.session.runs}
+        self._run = self._run if self._run in paths else next(iter(paths))
+        choice = ui.select(list(paths), value=self._run, label="run")
+        choice.props("dense outlined options-dense").style("max-width: 22rem; width: 100%")
+        place = ui.element("div").classes("hf-chart")
+
+        def draw() -> None:
+            self._run = choice.value
+            place.clear()
+            with place:
+                self._chart(run_curves(paths[self._run], machine))
+
+        draw()
+        choice.on_value_change(lambda _: draw())
 
     def _show_finding(self, finding: Finding, machine: Machine, *, draw: bool) -> None:
         """Show a finding and the curves of the run and channel that it names."""
@@ -82,11 +112,14 @@ class CheckStage(Stage):
 
     def _curves(self, finding: Finding, machine: Machine) -> list[Curve]:
         """Return the curves that show a finding: its channel in its run, with the inputs for a wrong wiring."""
-        by_name = {path.name.split(".")[0]: path for path in self.session.runs}
+        by_name = {run_name(path): path for path in self.session.runs}
         name = finding.run.split(" and ")[0].split(",")[0].strip()
         run = by_name.get(name)
-        channels = (*machine.input_channels, *machine.output_channels)
-        named = [c for c in channels if c == finding.channel or c in finding.message.split()]
+        coordinate = {sensor.channel: sensor.coordinate for sensor in machine.sensors}
+        coordinate |= {c: d.coordinate for c, d in zip(machine.input_channels, machine.drives, strict=True)}
+        words = {word.strip(".,:;()") for word in finding.message.split()}
+        named = [c for c in coordinate if c == finding.channel or c in words]
+        named = named or [c for c, name in coordinate.items() if name == finding.channel]
         if run is None and named:
             run = next(iter(by_name.values()), None)
         if run is None or not named:
@@ -96,8 +129,8 @@ class CheckStage(Stage):
         except InputError:
             return []
         outputs = set(named) & set(machine.output_channels)
-        wanted = set(named) | (set(machine.input_channels[:1]) if outputs and finding.severity != "note" else set())
-        return [Curve(c.name, f"{run.name}", c.time, c.values, c.held) for c in curves if c.name in wanted]
+        wanted = set(named) | (set(machine.input_channels) if outputs else set())
+        return [Curve(c.name, run_name(run), c.time, c.values, c.held) for c in curves if c.name in wanted]
 
     def _chart(self, curves: list[Curve]) -> None:
         """Draw curves."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 from nicegui import events, ui
@@ -15,8 +16,8 @@ from ..recordings import load_machine
 from ..web_page import number
 from .machine_stage import StageView
 from .session import CONTROL, evaluate_command
+from .stage import Stage, State, banner, heading, table
 from .stage_drawing import drawing_of, read_motions
-from .window import Stage, State, banner, heading, table
 
 _PERIODS = (0.01, 0.005, 0.002, 0.001, 0.0005)  # s, control periods that are offered
 
@@ -70,10 +71,6 @@ class ControlStage(Stage):
         )
         return [command]
 
-    def before(self) -> None:
-        """Forget the motions of controllers that are not compared any more."""
-        self.session.forget(CONTROL)
-
     def show(self) -> None:
         """Build the stage."""
         machine = load_machine(self.session.path(self.session.corrected))
@@ -107,44 +104,49 @@ class ControlStage(Stage):
             self._show_scores()
             self._show_motions()
 
-    def _set_controllers(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_controllers(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the controllers."""
         self._controllers = list(event.value or [])
         self.update_command()
 
-    def _set_task(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_task(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the task."""
         self._task = str(event.value)
         self.update_command()
 
-    def _set_period(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_period(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the control period."""
         self._period = str(event.value or "")
         self.update_command()
 
-    def _set_episodes(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_episodes(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the number of episodes."""
         self._episodes = int(event.value or 1)
         self.update_command()
 
+    def _scores(self) -> dict[str, Any]:
+        """Return the content of scores.json."""
+        content: dict[str, Any] = json.loads(self.session.path(CONTROL, "scores.json").read_text(encoding="utf-8"))
+        return content
+
     def _show_scores(self) -> None:
         """Show the scores of the controllers."""
-        scores = json.loads(self.session.path(CONTROL, "scores.json").read_text(encoding="utf-8"))
+        scores = self._scores()
         heading(f"Scores, {scores['task']}, {scores['episodes']} episodes")
         bands = list(BANDS)
         head = [
             "controller",
-            *(f"within {band}" for band in bands),
-            "settled within 0.2 mm, s",
-            "largest error left, mm",
+            *(f"within {1e3 * BANDS[band]:g} mm" for band in bands),
+            "until 0.2 mm, s",
+            "at the end, mm",
         ]
         rows = []
         for name, score in scores["controllers"].items():
             success = [f"{100 * score['success'][band]:.0f} %" if "success" in score else "" for band in bands]
             settling = score.get("settling_s", {}).get("0.2mm", {}).get("mean")
-            left = score.get("final_error_mm", {})
-            left = left.get("max", left.get("p95", left.get("mean"))) if isinstance(left, dict) else left
-            rows.append([name, *success, number(settling, "-"), number(left, "-")])
+            left = score.get("final_error_mm", {}).get("mean")
+            error = "-" if left is None else "< 0.001" if left < 1e-3 else number(left)
+            rows.append([name, *success, number(settling, "-"), error])
         table(head, rows, numbers=range(1, len(head)))
         if self.session.path(CONTROL, "scorecard.html").exists():
             ui.link("Open the scorecard", f"/session/{CONTROL}/scorecard.html", new_tab=True)
@@ -153,7 +155,8 @@ class ControlStage(Stage):
         """Show the stage in motion, with one view for each controller."""
         machine = load_machine(self.session.path(self.session.corrected))
         drawing = drawing_of(machine)
-        files = sorted(self.session.path(CONTROL).glob("*.csv"))
+        names = [Path(name).name.replace(":", "-") for name in self._scores()["controllers"]]
+        files = [path for path in (self.session.path(CONTROL, f"{name}.csv") for name in names) if path.exists()]
         if drawing is None or not files:
             return
         motions = {path.stem: read_motions(path, machine) for path in files}
@@ -164,7 +167,7 @@ class ControlStage(Stage):
         choice.props("no-caps unelevated")
         view = StageView(drawing, _of_episode(motions, self._episode))
 
-        def select(event: events.ValueChangeEventArguments) -> None:
+        def select(event: events.ValueChangeEventArguments[Any]) -> None:
             self._episode = int(event.value)
             view.props["motions"] = _of_episode(motions, self._episode)
             view.update()

@@ -13,7 +13,7 @@ from nicegui import events, ui
 
 from ..exporters import EXPORTERS
 from .session import EXPORTS, export_command
-from .window import Stage, State, heading
+from .stage import Stage, State, heading
 
 
 class ExportStage(Stage):
@@ -66,13 +66,14 @@ class ExportStage(Stage):
                     argument = ui.input(field.name, value=self._arguments).props("dense outlined stack-label")
                     argument.on_value_change(self._set_arguments)
                 elif isinstance(field.default, bool):
-                    switch = ui.checkbox(field.name, value=field.name in self._options).tooltip(_plain(text))
+                    switch = ui.checkbox(field.name, value=field.name in self._options)
+                    switch.props(f'title="{html.escape(_plain(text))}"')
                     switch.on_value_change(lambda e, name=field.name: self._set_option(name, "" if e.value else None))
                 else:
-                    shown = "" if field.default is None else str(field.default)
+                    default = "" if field.default is None else str(field.default)
                     value = self._options.get(field.name, "")
-                    entry = ui.input(field.name, value=value, placeholder=shown).tooltip(_plain(text))
-                    entry.props("dense outlined stack-label")
+                    entry = ui.input(field.name, value=value, placeholder=default)
+                    entry.props(f'dense outlined stack-label hint="{html.escape(_plain(text))}"')
                     entry.on_value_change(
                         lambda e, name=field.name: self._set_option(name, (e.value or "").strip() or None)
                     )
@@ -94,7 +95,7 @@ class ExportStage(Stage):
         self._kind, self._options, self._arguments = kind, {}, ""
         self.refresh()
 
-    def _set_arguments(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_arguments(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the words without option."""
         self._arguments = str(event.value or "")
         self.update_command()

@@ -11,7 +11,7 @@ from ..web_page import number
 from .charts import error_chart
 from .jobs import Job
 from .session import CONTROL, EXPORTS, RESULT, identify_command
-from .window import Stage, State, banner
+from .stage import Stage, State, banner
 
 _CHECKED_FIRST = "The check found a fault, which makes a fit meaningless. Correct it, or identify nevertheless."
 
@@ -22,7 +22,8 @@ class IdentifyStage(Stage):
     key, title, action = "identify", "Identify", "Identify"
     purpose = (
         "Fit the machine to the runs, then search for what its model lacks: friction, delays, play and others. Some "
-        "runs are held out and only judge the result. You may stop at any time; the best machine so far is kept and tested."
+        "runs are held out and only judge the result. You may stop at any time; the best machine so far is tested and "
+        "kept."
     )
 
     def __init__(self, page: Any) -> None:
@@ -50,11 +51,8 @@ class IdentifyStage(Stage):
 
     def commands(self) -> list[list[str]]:
         """Return the command that identifies."""
-        return [identify_command(self._hold_out, self._budget, self._force)]
-
-    def before(self) -> None:
-        """Forget what belongs to an earlier result."""
-        self.session.forget(CONTROL, EXPORTS)
+        aside = self.session.aside_command(RESULT, CONTROL, EXPORTS)
+        return [*aside, identify_command(self._hold_out, self._budget, self._force)]
 
     def show(self) -> None:
         """Build the stage."""
@@ -63,7 +61,8 @@ class IdentifyStage(Stage):
         with ui.element("div").classes("hf-fields"):
             names = [run_name(path) for path in self.session.runs]
             self._hold_out = [name for name in self._hold_out if name in names]
-            held = ui.select(names, value=self._hold_out, multiple=True, label="held-out runs (default: one of four)")
+            held = ui.select(names, value=self._hold_out, multiple=True, label="held-out runs")
+            held.props('hint="default: one of four"')
             held.props("dense outlined options-dense use-chips").classes("w-full")
             held.on_value_change(self._set_hold_out)
             budget = ui.input("budget, s of processor time", value=self._budget, placeholder="a minute per core")
@@ -86,17 +85,17 @@ class IdentifyStage(Stage):
             with ui.element("div").classes("hf-row"):
                 ui.button("See the results", on_click=lambda: self.page.go("results")).props("unelevated")
 
-    def _set_hold_out(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_hold_out(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the held-out runs."""
         self._hold_out = list(event.value or [])
         self.update_command()
 
-    def _set_budget(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_budget(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the budget."""
         self._budget = str(event.value or "")
         self.update_command()
 
-    def _set_force(self, event: events.ValueChangeEventArguments) -> None:
+    def _set_force(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose whether faults are ignored."""
         self._force = bool(event.value)
         self.update_command()

@@ -1,4 +1,4 @@
-"""Command lines that run in processes of their own: output, progress, and how to end them."""
+"""Command lines that run in other processes: output, progress, and how to end them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ class Progress:
     Attributes:
         doing: What it does, in words.
         spent: Processor time so far, s, or work done; None if unknown.
-        total: Budget, s, or the whole work; None if unknown.
+        total: Budget, s, or all the work; None if unknown.
         errors: Processor time, s, and chi-squared per sample of the best machine, each time that it changed.
     """
 
@@ -39,7 +39,11 @@ class Progress:
     errors: list[tuple[float, float]] = field(default_factory=list)
 
     def update(self, record: dict[str, Any]) -> None:
-        """Take over a record of progress."""
+        """Take over a record of progress.
+
+        Args:
+            record: What the command printed.
+        """
         self.doing = str(record.get("doing") or "")
         self.spent = record.get("spent", record.get("done"))
         self.total = record.get("budget", record.get("total"))
@@ -49,7 +53,7 @@ class Progress:
 
 
 class Job:
-    """Commands of a session that run one after the other, in threads and processes of their own.
+    """Commands of a session that run one after the other, in other threads and processes.
 
     Attributes:
         commands: Words after "hframe" of each command.
@@ -57,16 +61,15 @@ class Job:
         progress: What the present command has said last.
         exit_code: Exit code of the last command that ran; None while they run.
         began: Time when the job began, s, as `time.monotonic` counts.
-        stopped: Whether the user asked the job to end.
+        stopped: Whether the user has ended the job.
     """
 
-    def __init__(self, session: Session, commands: Sequence[Sequence[str]], before: Callable[[], None] | None) -> None:
+    def __init__(self, session: Session, commands: Sequence[Sequence[str]]) -> None:
         """Start the commands.
 
         Args:
             session: Session in whose folder they run, and whose script records them.
-            commands: Words after "hframe" of each command.
-            before: Called before the first one.
+            commands: Words after "hframe" of each command; or those of `Session.aside_command`.
         """
         self.commands = [list(words) for words in commands]
         self.lines: list[str] = []
@@ -74,7 +77,7 @@ class Job:
         self.exit_code: int | None = None
         self.began, self.ended = time.monotonic(), None
         self.stopped = False
-        self._session, self._before = session, before
+        self._session = session
         self._process: subprocess.Popen[str] | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -98,19 +101,20 @@ class Job:
             interrupt(self._process)
 
     def wait(self, seconds: float | None = None) -> None:
-        """Wait for the end of the commands, at most some seconds."""
+        """Wait for the end of the commands, at most some seconds.
+
+        Args:
+            seconds: Longest time to wait, s; None for no limit.
+        """
         self._thread.join(seconds)
 
     def _run(self) -> None:
         """Run the commands until one fails."""
         code = 0
         try:
-            if self._before is not None:
-                self._before()
             for words in self.commands:
-                if words[0] == "rm":
-                    self._session.forget(*words[2:])
-                    code = 0
+                if words[0] == "mkdir":
+                    self._session.set_aside(*words[1:])
                 else:
                     code = self._run_command(words)
                 self._session.record(words, code)

@@ -44,8 +44,8 @@ class Curve:
         """Return so many points that a drawing shows the same as all values would.
 
         Args:
-            first: First time to draw.
-            last: Last time to draw.
+            first: First time to draw, in the unit of the times.
+            last: Last time to draw, in the unit of the times.
             count: Largest number of points.
 
         Returns:
@@ -64,8 +64,8 @@ def thinned(
     Args:
         time: Times, increasing, shape (n,).
         values: Values, shape (n,); NaN in gaps.
-        first: First time to keep.
-        last: Last time to keep.
+        first: First time to keep, in the unit of the times.
+        last: Last time to keep, in the unit of the times.
         count: Largest number of points, at least 4.
 
     Returns:
@@ -148,8 +148,8 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
             continue
         remark = f" ({source.remark})" if source.remark else ""
         held = source.channel in machine.input_channels
-        shown = raw if source.integrate else source.conversion.apply(raw)
-        curves.append(Curve(column.header, f"{source.channel}{remark}", time, shown, held))
+        drawn = raw if source.integrate else source.conversion.apply(raw)
+        curves.append(Curve(column.header, f"{source.channel}{remark}", time, drawn, held))
     return LogView(log, curves, sources, problem, has_time)
 
 
@@ -160,7 +160,7 @@ def open_log(path: Path) -> Log:
         path: File.
 
     Returns:
-        The log.
+        The log, with columns of shape (rows,).
 
     Raises:
         InputError: If the file cannot be read.
@@ -215,7 +215,7 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
         machine: Machine that was recorded.
 
     Returns:
-        Curve of each input and output of the machine.
+        Curve of each input and output of the machine, of shape (n,).
 
     Raises:
         InputError: If the run is faulty.

@@ -24,7 +24,7 @@ from ..recordings import (
 from .charts import curves_chart, height_of, with_selection, with_zoom
 from .log_columns import LogView, open_log, run_curves, view_log
 from .session import CONTROL, EXPORTS, FINDINGS, RESULT, RUNS, ImportChoices, import_command
-from .window import Stage, State, banner, heading, table
+from .stage import Stage, State, banner, heading, table
 
 _NOT_MEASURED = "none"
 _RATE = "rate"
@@ -81,13 +81,10 @@ class LogsStage(Stage):
         choices.split = "" if self._split == "cuts" else self._split
         choices.seconds = self._seconds.get(self._split, 0.5)
         intervals = choices.intervals if self._split == "cuts" else []
-        shown = ImportChoices(choices.columns, choices.units, choices.scales, choices.split, choices.seconds, intervals)
-        first = [["rm", "-r", RUNS]] if self.session.runs else []
-        return [*first, import_command(shown)]
-
-    def before(self) -> None:
-        """Forget the results of other runs."""
-        self.session.forget(FINDINGS, RESULT, CONTROL, EXPORTS)
+        chosen = ImportChoices(
+            choices.columns, choices.units, choices.scales, choices.split, choices.seconds, intervals
+        )
+        return [*self.session.aside_command(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS), import_command(chosen)]
 
     def show(self) -> None:
         """Build the stage."""
@@ -120,7 +117,7 @@ class LogsStage(Stage):
         if len(logs) > 1:
             names = [path.name for path in logs]
             choice = ui.select(names, value=self._shown, label="log", on_change=lambda e: self._draw(e.value))
-            choice.props("dense outlined options-dense").classes("min-w-[14rem]")
+            choice.props("dense outlined options-dense").style("max-width: 22rem")
         self._chart = ui.element("div").classes("hf-chart")
         heading("Runs")
         self._cutting()
@@ -331,7 +328,7 @@ class LogsStage(Stage):
             label = "shortest rest, s" if self._split == "rests" else "duration of a run, s"
             seconds = ui.number(label, value=self._seconds[self._split], min=0.01, step=0.1).props("dense outlined")
 
-            def store(event: events.ValueChangeEventArguments) -> None:
+            def store(event: events.ValueChangeEventArguments[Any]) -> None:
                 self._seconds[self._split] = float(event.value or 0.5)
                 self.update_command()
 

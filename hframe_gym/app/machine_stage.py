@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nicegui import events, run, ui
+from nicegui import events, ui
 from nicegui.element import Element
 
 from ..dynamics import mode_frequencies
@@ -20,10 +20,11 @@ from ..recordings import (
 )
 from ..web_page import number
 from .session import CONTROL, EXPORTS, FINDINGS, MACHINE, RESULT, RUNS, new_machine_command
+from .stage import Stage, State, banner, heading, table
 from .stage_drawing import drawing_of
-from .window import Stage, State, banner, heading, table
 
 _MODES = 3  # natural frequencies that the table lists
+_OF_MACHINE = (RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)  # what belongs to one machine
 _KINDS = {"hframe": "H-frame, one belt for both motors", "axis": "One axis", "corexy": "CoreXY, a belt for each motor"}
 
 
@@ -65,11 +66,7 @@ class MachineStage(Stage):
 
     def commands(self) -> list[list[str]]:
         """Return the command that writes the machine."""
-        return [new_machine_command(self._like, self._values)]
-
-    def before(self) -> None:
-        """Forget the results that belong to another machine."""
-        self.session.forget(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)
+        return [*self.session.aside_command(*_OF_MACHINE), new_machine_command(self._like, self._values)]
 
     def show(self) -> None:
         """Build the stage."""
@@ -100,7 +97,7 @@ class MachineStage(Stage):
         field = ui.input(question, value=self._values.get(option, ""), placeholder=default)
         field.props(f'dense outlined stack-label data-option="{option}"').classes("w-full")
 
-        def store(event: events.ValueChangeEventArguments) -> None:
+        def store(event: events.ValueChangeEventArguments[Any]) -> None:
             self._values[option] = event.value or ""
             self.update_command()
 
@@ -114,12 +111,14 @@ class MachineStage(Stage):
     async def _uploaded(self, event: events.UploadEventArguments) -> None:
         """Take over a machine.json."""
         content = await event.file.read()
+        aside = self.session.aside_command(*_OF_MACHINE)
         try:
-            machine = await run.io_bound(self.session.use_machine, content)
+            machine = self.session.use_machine(content)
         except InputError as error:
             ui.notify(str(error), type="negative", multi_line=True, timeout=15000)
             return
-        self.before()
+        for words in aside:
+            self.session.set_aside(*words[1:])
         ui.notify(f"{machine.name} is the machine of this session", type="positive")
         self.page.changed()
 

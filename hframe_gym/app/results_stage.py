@@ -1,4 +1,4 @@
-"""Stage "Results": the verdict, what is left of the error, the report, and what to do next."""
+"""Stage "Results": the verdict, what to do next, and the report."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from nicegui import ui
 from ..identification.report import verdict_sentence
 from ..identification.saved_result import next_command
 from ..recordings import load_machine
-from ..web_page import number
 from .session import MACHINE, RESULT
-from .window import Stage, State, banner, heading, table
+from .stage import Stage, State, banner, heading
 
-_TITLES = {
-    "effect_found": ("good", "Effects found."),
-    "no_effect": ("good", "No effect is missing."),
-    "unexplained": ("warning", "Unexplained."),
-}
+_TITLES = {"effect_found": "Effects found.", "no_effect": "No effect is missing.", "unexplained": "Unexplained."}
+# The report is a page; its frame grows with it, so that there is one bar for scrolling.
+_FRAME = """<iframe class="hf-report" src="{address}" title="Report of the identification" onload="
+  const page = this.contentDocument.documentElement;
+  const grow = () => {{ this.style.height = page.scrollHeight + 8 + 'px' }};
+  grow(); new ResizeObserver(grow).observe(this.contentDocument.body);"></iframe>"""
 
 
 class ResultsStage(Stage):
@@ -51,55 +51,26 @@ class ResultsStage(Stage):
         report = self._report()
         assert report is not None
         corrected = load_machine(self.session.path(RESULT, MACHINE))
-        channels = list(corrected.output_channels)
-        tone, title = _TITLES[report["verdict"]]
-        banner("good" if tone == "good" else "warning", title, verdict_sentence(report, channels))
-        if report["effects"]:
-            heading("Effects")
-            rows = []
-            for effect in report["effects"]:
-                values = ", ".join(_value(name, p) for name, p in effect["parameters"].items())
-                rivals = ", ".join(effect.get("rivals") or []) or "none"
-                rows.append((f"{effect['name'].replace('_', ' ')} at {effect['site']}", values, rivals))
-            table(("effect", "parameters", "not told apart from"), rows)
-        heading("Error on the held-out runs")
-        held_out = ", ".join(report["runs"]["held_out"])
-        ui.label(f"Simulated over the whole run from its inputs alone; held out: {held_out}.").classes("hf-muted")
-        stages = ("declared", "before", "after")
-        rows = []
-        for channel in channels:
-            rows.append((channel, *(_error(report[stage]["held_out"][channel]) for stage in stages)))
-        table(("channel", "as declared", "refitted", "with effects"), rows, numbers=(1, 2, 3))
-        heading("Next")
-        command = next_command(report["verdict"], corrected, self.session.path(RESULT))
-        if command.startswith("hframe evaluate"):
-            with ui.element("div").classes("hf-row"):
-                ui.label("The corrected machine can be used to compare controllers, and exported.")
+        page = self.session.path(RESULT, "report.html")
+        if not page.exists():
+            sentence = verdict_sentence(report, list(corrected.output_channels))
+            tone = "warning" if report["verdict"] == "unexplained" else "good"
+            banner(tone, _TITLES[report["verdict"]], sentence)  # type: ignore[arg-type]
+        with ui.element("div").classes("hf-row"):
+            command = next_command(report["verdict"], corrected, self.session.path(RESULT))
+            if command.startswith("hframe evaluate"):
                 ui.button("Compare controllers", on_click=lambda: self.page.go("control")).props("unelevated")
-                ui.button("Export", on_click=lambda: self.page.go("export")).props("outline")
-        else:
-            ui.label("The report says on what the rest of the error depends and what to record next.")
-        heading("Report")
-        address = f"/session/{RESULT}/report.html"
-        if self.session.path(RESULT, "report.html").exists():
-            with ui.element("div").classes("hf-row"):
-                ui.link("Open the report in a tab of its own", address, new_tab=True)
-                ui.label("One file that opens anywhere; send it to whoever must believe it.").classes("hf-muted")
-            stamp = self.session.path(RESULT, "report.html").stat().st_mtime_ns
-            frame = ui.element("iframe").classes("hf-report")
-            frame.props(f'src="{address}?{stamp}" title="Report of the identification" loading=lazy')
+                ui.button("Export the machine", on_click=lambda: self.page.go("export")).props("outline")
+            if page.exists():
+                ui.link("Open the report in another tab", f"/session/{RESULT}/report.html", new_tab=True)
+        if page.exists():
+            ui.label("The report is one file that opens anywhere: result/report.html in the session.").classes(
+                "hf-muted"
+            )
+            address = f"/session/{RESULT}/report.html?{page.stat().st_mtime_ns}"
+            ui.html(_FRAME.format(address=address), sanitize=False).classes("w-full")
+        heading("Command")
         self.command_box()
 
-
-def _value(name: str, parameter: dict[str, Any]) -> str:
-    """Return a parameter with its deviation and unit."""
-    deviation = parameter.get("std")
-    spread = f" ± {number(deviation)}" if deviation is not None else ""
-    return f"{name} = {number(parameter['value'])}{spread} {parameter.get('unit') or ''}".rstrip()
-
-
-def _error(entry: dict[str, Any]) -> str:
-    """Return an error as a multiple of the noise and in the channel's unit."""
-    if entry["rmse"] is None:
-        return "diverges"
-    return f"{number(entry['rmse'])} ({number(entry['noise_ratio'])} x noise)"
+    def _next(self) -> None:
+        """Show no second way to the next stage."""

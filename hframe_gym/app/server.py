@@ -51,9 +51,9 @@ class TokenGate:
             await self._app(scope, receive, send)
             return
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        asked = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+        in_address = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
         kept = SimpleCookie(headers.get("cookie", "")).get(f"{COOKIE}_{self._port}")
-        by_address = secrets.compare_digest(asked.encode(), self._token.encode())
+        by_address = secrets.compare_digest(in_address.encode(), self._token.encode())
         by_cookie = kept is not None and secrets.compare_digest(kept.value.encode(), self._token.encode())
         origin = headers.get("origin", "").partition("//")[2]
         trusted = headers.get("host") in self._hosts and origin in ("", *self._hosts)

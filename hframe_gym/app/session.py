@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,7 @@ from ..atomic_files import atomic_file, write_text
 from ..errors import InputError
 from ..machine import Machine
 from ..operating_system import quoted
-from ..recordings import Interval, find_logs, load_machine, log_name, recording_files
+from ..recordings import Interval, find_logs, load_machine, recording_files
 
 MACHINE, LOGS, RUNS, RESULT, CONTROL, EXPORTS = "machine.json", "logs", "runs", "result", "control", "export"
 FINDINGS = "check.json"
@@ -61,7 +60,14 @@ class Session:
         (self.folder / LOGS).mkdir(parents=True, exist_ok=True)
 
     def path(self, *parts: str) -> Path:
-        """Return the path of a file in the session."""
+        """Return the path of a file in the session.
+
+        Args:
+            parts: Names of folders and of the file.
+
+        Returns:
+            The path.
+        """
         return self.folder.joinpath(*parts)
 
     @property
@@ -108,7 +114,11 @@ class Session:
         return self.path(LOGS, base)
 
     def remove_log(self, path: Path) -> None:
-        """Delete a log of the session."""
+        """Delete a log of the session.
+
+        Args:
+            path: File of the log.
+        """
         if path.parent == self.path(LOGS):
             path.unlink(missing_ok=True)
 
@@ -136,14 +146,31 @@ class Session:
             trial.unlink(missing_ok=True)
         return machine
 
-    def forget(self, *names: str) -> None:
-        """Delete folders or files of results that no longer belong to what comes before them."""
+    def aside_command(self, *names: str) -> list[list[str]]:
+        """Return the command that sets aside what no longer belongs to what comes before it; nothing is deleted.
+
+        Args:
+            names: Files and folders of the session; those that do not exist are left out.
+
+        Returns:
+            No command, or one: "mkdir", a new folder, and what is moved there.
+        """
+        existing = [name for name in names if self.path(name).exists()]
+        number = 1
+        while self.path(f"earlier_{number}").exists():
+            number += 1
+        return [["mkdir", f"earlier_{number}", *existing]] if existing else []
+
+    def set_aside(self, folder: str, *names: str) -> None:
+        """Move files and folders of the session to a new folder of it.
+
+        Args:
+            folder: Name of the new folder.
+            names: Files and folders of the session.
+        """
+        self.path(folder).mkdir()
         for name in names:
-            path = self.path(name)
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
+            self.path(name).replace(self.path(folder, name))
 
     def record(self, words: Sequence[str], exit_code: int) -> None:
         """Append a command to the script of the session.
@@ -162,13 +189,15 @@ def command_text(words: Sequence[str]) -> str:
     """Write a command as the user would type it.
 
     Args:
-        words: Words after "hframe"; "rm" and what follows if the first one is "rm".
+        words: Words after "hframe"; or those of `Session.aside_command`.
 
     Returns:
         One line.
     """
     line = " ".join(map(quoted, words))
-    return line if words[:1] == ["rm"] else f"hframe {line}"
+    if words[0] != "mkdir":
+        return f"hframe {line}"
+    return f"mkdir {words[1]} && mv {' '.join(map(quoted, words[2:]))} {words[1]}"
 
 
 def new_machine_command(like: str, values: Mapping[str, str]) -> list[str]:
@@ -214,7 +243,11 @@ def import_command(choices: ImportChoices) -> list[str]:
 
 
 def check_command() -> list[str]:
-    """Return the command that checks the runs of a session."""
+    """Return the command that checks the runs of a session.
+
+    Returns:
+        Words after "hframe".
+    """
     return ["check", RUNS, "--machine", MACHINE, "--json", FINDINGS]
 
 
@@ -275,8 +308,3 @@ def export_command(kind: str, machine: str | None, options: Mapping[str, str], a
     for name, value in options.items():
         words += [f"--{name.replace('_', '-')}", *([value] if value else [])]
     return [*words, "--out", f"{EXPORTS}/{kind}"]
-
-
-def log_names(logs: Sequence[Path]) -> list[str]:
-    """Return the names under which logs become runs."""
-    return [log_name(path) for path in logs]

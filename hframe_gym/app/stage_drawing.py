@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..machine import Machine, StageGeometry, stage_geometry
+from ..machine import Machine, Point, StageGeometry, stage_geometry
 
 FRAMES_PER_S = 100.0  # of a motion; a display has 60
+_HALF_TOOL = 0.035  # m, half of the side of the square that is the tool
+
+Part = tuple[str, str, list[Point]]  # kind and role of a shape, and its points, m
 
 
 def drawing_of(machine: Machine) -> dict[str, Any] | None:
@@ -28,18 +30,20 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
         return None
     geometry = stage_geometry(machine)
     single = len(machine.tool_axes) == 1
-    shapes = [_shape(lambda x, y, box=box: _corners(box), "box", "rail") for box in geometry.rails()]
-    for k in range(len(geometry.bridge(0.0, 0.0))):
-        shapes.append(_shape(lambda x, y, k=k: _corners(geometry.bridge(x, y)[k]), "box", "bridge"))
-    for name in geometry.sections(0.0, 0.0):
-        shapes.append(_shape(lambda x, y, name=name: geometry.sections(x, y)[name], "line", "belt"))
     motors = {index for index, _ in geometry.motors}
-    for k in range(len(geometry.pulleys(0.0, 0.0))):
-        role = "motor" if k in motors else "pulley"
-        shapes.append(_shape(lambda x, y, k=k: [geometry.pulleys(x, y)[k]], "circle", role))
-    half = 0.035
-    tool = _corners((-half, -half, half, half))
-    shapes.append(_shape(lambda x, y: [(x + a, (0.0 if single else y) + b) for a, b in tool], "box", "tool"))
+
+    def parts(x: float, y: float) -> list[Part]:
+        """Return everything that is drawn for a position of the tool, m."""
+        y = 0.0 if single else y
+        boxes = [("box", "rail", _corners(box)) for box in geometry.rails()]
+        boxes += [("box", "bridge", _corners(box)) for box in geometry.bridge(x, y)]
+        belts = [("line", "belt", line) for line in geometry.sections(x, y).values()]
+        centers = enumerate(geometry.pulleys(x, y))
+        pulleys = [("circle", "motor" if k in motors else "pulley", [center]) for k, center in centers]
+        tool = _corners((x - _HALF_TOOL, y - _HALF_TOOL, x + _HALF_TOOL, y + _HALF_TOOL))
+        return [*boxes, *belts, *pulleys, ("box", "tool", tool)]
+
+    shapes = [_shape(*part) for part in zip(parts(0.0, 0.0), parts(1.0, 0.0), parts(0.0, 1.0), strict=True)]
     workspace = [float(v) for v in (geometry.left, geometry.low, geometry.right, geometry.high)]
     return {"view": _limits(geometry, shapes), "workspace": workspace, "shapes": shapes, "axes": machine.tool_axes}
 
@@ -50,12 +54,12 @@ def _corners(box: tuple[float, float, float, float]) -> list[tuple[float, float]
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
-def _shape(points: Callable[[float, float], list[tuple[float, float]]], kind: str, role: str) -> dict[str, Any]:
-    """Return a shape with the affine functions that its points are."""
-    origin, along_x, along_y = points(0.0, 0.0), points(1.0, 0.0), points(0.0, 1.0)
+def _shape(at_origin: Part, along_x: Part, along_y: Part) -> dict[str, Any]:
+    """Return a shape with the affine functions that its points are, from three positions of the tool."""
+    kind, role, origin = at_origin
     affine = [
         [round(v, 6) for v in (o[0], x[0] - o[0], y[0] - o[0], o[1], x[1] - o[1], y[1] - o[1])]
-        for o, x, y in zip(origin, along_x, along_y, strict=True)
+        for o, x, y in zip(origin, along_x[2], along_y[2], strict=True)
     ]
     return {"kind": kind, "role": role, "points": affine}
 

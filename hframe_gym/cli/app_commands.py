@@ -1,4 +1,4 @@
-"""Command app: the window on the whole loop."""
+"""Command app: the window on the loop."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def run_app(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on the loopback address; 0: any free one.")] = 0,
     no_open: Annotated[bool, typer.Option("--no-open", help="Print the address, and open no browser.")] = False,
 ) -> None:
-    """Open a local page for the whole loop: machine, logs, check, identify, results, control, export.
+    """Open a local page for all steps: machine, logs, check, identify, results, control, export.
 
     Every step is a command, which the page shows and the session keeps in commands.sh. The page is served on this
     computer only, to whoever has the printed address, and requests nothing from a network. It needs the extra `app`.

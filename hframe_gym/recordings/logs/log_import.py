@@ -132,7 +132,6 @@ def import_logs(
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}: is a file, but must be a folder")
-    _refuse_unknown_logs(settings.intervals, paths)
     existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     if other_files:
         log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
@@ -148,6 +147,7 @@ def import_logs(
                 file = folder / f"{run.name}.{settings.run_format}"
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
+        importer.refuse_unused_intervals()
     return written
 
 
@@ -217,6 +217,7 @@ class _Importer:
         self._machine, self._settings, self._log, self._progress = machine, settings, log, progress
         self._converter = LogConverter(machine)
         self._last_mapping: list[str] = []
+        self._names: list[str] = []  # of the logs, before they are cut
         self._bytes_per_row = 0.0
 
     def runs(self, path: Path) -> Iterator[Recording]:
@@ -236,6 +237,7 @@ class _Importer:
         self._bytes_per_row = size / len(recording.time_s)
         remarks += _clock_remarks(recording.time_s)
         runs = [recording]
+        self._names.append(recording.name)
         intervals = [i for i in self._settings.intervals if i.log in ("", recording.name)]
         if intervals:
             runs = _parts(recording, intervals)
@@ -256,6 +258,13 @@ class _Importer:
         for remark in remarks:
             self._log(f"  {remark}")
         return runs
+
+    def refuse_unused_intervals(self) -> None:
+        """Raise an error if an interval names a log that was not imported."""
+        for interval in self._settings.intervals:
+            if interval.log and interval.log not in self._names:
+                names = ", ".join(self._names)
+                raise InputError(f"--cut {interval.log}=...: there is no such log; the logs are {names}")
 
     def count_rows(self, rows: int) -> None:
         """Report the progress of writing the last log, by its number of rows."""
