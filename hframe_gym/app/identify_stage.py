@@ -81,9 +81,6 @@ class IdentifyStage(Stage):
             self._chart = chart.props('role=img aria-label="Error of the best machine so far over the processor time"')
         self._drawn = 0
         self._show_live()
-        if self.state() == "done" and not (self.job is not None and self.job.running):
-            with ui.element("div").classes("hf-row"):
-                ui.button("See the results", on_click=lambda: self.page.go("results")).props("unelevated")
 
     def _set_hold_out(self, event: events.ValueChangeEventArguments[Any]) -> None:
         """Choose the held-out runs."""

@@ -9,6 +9,7 @@ from nicegui.element import Element
 
 from ..dynamics import mode_frequencies
 from ..errors import InputError
+from ..identification.plots import readable_unit
 from ..machine import Machine, motion_limits
 from ..recordings import (
     TEMPLATE_QUESTIONS,
@@ -170,10 +171,10 @@ def plausibility(machine: Machine) -> list[tuple[str, str, str]]:
     modes = [frequency for frequency in mode_frequencies(machine).tolist() if frequency > 0.0]
     rows += [(f"vibration {k} on the belts", number(f), "Hz") for k, f in enumerate(modes[:_MODES], start=1)]
     for sensor in machine.sensors:
-        unit = machine.unit(f"{sensor.channel}.noise")
-        rows.append((f"noise of {sensor.channel}", number(sensor.noise), unit))
-        if resolution := getattr(sensor, "resolution", 0.0):
-            rows.append((f"resolution of {sensor.channel}", number(resolution), unit))
+        for name in ("noise", "resolution"):
+            if value := getattr(sensor, name, 0.0):
+                factor, unit = readable_unit(sensor.channel, value)
+                rows.append((f"{name} of {sensor.channel}", number(factor * value), unit))
     return rows
 
 

@@ -59,7 +59,9 @@ class ResultsStage(Stage):
         with ui.element("div").classes("hf-row"):
             command = next_command(report["verdict"], corrected, self.session.path(RESULT))
             if command.startswith("hframe evaluate"):
-                ui.button("Compare controllers", on_click=lambda: self.page.go("control")).props("unelevated")
+                ui.button("Compare controllers", on_click=lambda: self.page.go("control")).props(
+                    "unelevated color=accent"
+                )
                 ui.button("Export the machine", on_click=lambda: self.page.go("export")).props("outline")
             if page.exists():
                 ui.link("Open the report in another tab", f"/session/{RESULT}/report.html", new_tab=True)

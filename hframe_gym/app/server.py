@@ -113,6 +113,7 @@ def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], N
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((HOST, port))
+        listener.listen()  # requests wait until the server has started
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror}; choose another one, or 0 for any free port") from None
     port = listener.getsockname()[1]

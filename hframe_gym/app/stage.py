@@ -131,7 +131,9 @@ class Stage(ABC):
         with ui.element("section").classes("hf-command").props('aria-label="Command"'):
             self._code = ui.html("", sanitize=False)
             with ui.element("div").classes("hf-row"):
-                self._button = ui.button(self.action, on_click=self.run).props(f'unelevated data-run="{self.key}"')
+                self._button = ui.button(self.action, on_click=self.run).props(
+                    f'unelevated color=accent data-run="{self.key}"'
+                )
                 self._stop = ui.button("Stop", on_click=self.stop).props("outline")
                 ui.button("Copy", on_click=self._copy).props('flat dense title="Copy the command"')
             self.update_command()

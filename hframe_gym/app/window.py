@@ -29,7 +29,7 @@ _STAGES: tuple[type[Stage], ...] = (
     ExportStage,
 )
 _POLL_S = 0.3  # s between two looks at a job
-_ON_PRIMARY = ("#ffffff", "#0d1219")  # color of text on the primary color, light and dark
+_FILLED = ("#0b69c7", "#1f6fc4")  # color of filled buttons, light and dark; white text has a contrast of 5 or more
 
 
 def style_sheet() -> str:
@@ -39,8 +39,7 @@ def style_sheet() -> str:
         Text of the style sheet.
     """
     light, dark = (
-        "".join(f"--{role}: {pair[k]};" for role, pair in COLORS.items()) + f"--on-primary: {_ON_PRIMARY[k]};"
-        for k in (0, 1)
+        "".join(f"--{role}: {pair[k]};" for role, pair in COLORS.items()) + f"--filled: {_FILLED[k]};" for k in (0, 1)
     )
     text = (Path(__file__).parent / "style.css").read_text(encoding="utf-8")
     colors = f":root {{ color-scheme: light dark; {light} }}"
@@ -78,7 +77,7 @@ class Window:
         ui.run_javascript(
             "matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => location.reload())"
         )
-        ui.colors(primary=COLORS["after"][bool(dark)])
+        ui.colors(primary=COLORS["after"][bool(dark)], accent=_FILLED[bool(dark)])
         Page(self, dark=bool(dark), narrow=bool(narrow)).build()
 
     @property

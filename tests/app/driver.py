@@ -19,7 +19,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.browser import WIDTHS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("machine", "logs", "check", "identify", "results", "control", "export")
 # Drops files on the element that matches a selector, as a file manager does.
 _DROP = """
@@ -132,6 +132,16 @@ class Visitor:
         """Click an element."""
         self.driver.execute_script("document.querySelector(arguments[0]).click()", selector)
 
+    def click_text(self, selector: str, text: str) -> None:
+        """Click the first of some elements whose text begins with a text."""
+        found = self.driver.execute_script(
+            "const found = [...document.querySelectorAll(arguments[0])]"
+            ".find((e) => e.innerText.trim().startsWith(arguments[1])); if (found) found.click(); return !!found",
+            selector,
+            text,
+        )
+        assert found, f"nothing of {selector} begins with {text}"
+
     def choose(self, selector: str, text: str) -> None:
         """Choose an entry of a menu (q-select) by the beginning of its text."""
         from selenium.webdriver.common.by import By
@@ -149,6 +159,31 @@ class Visitor:
         assert found, f"{selector} has no entry {text}"
         self.until("document.querySelectorAll('.q-menu .q-item').length === 0", 5.0)
 
+    def fill(self, selector: str, text: str) -> None:
+        """Type a text into a field."""
+        from selenium.webdriver.common.by import By
+        from selenium.webdriver.common.keys import Keys
+
+        field = self.driver.find_element(By.CSS_SELECTOR, selector)
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text, Keys.TAB)
+
+    def drag_over_chart(self, first: float, last: float) -> None:
+        """Drag the mouse over the curves of the stage Logs, between two fractions of their width."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        canvas = self.driver.execute_script(
+            "const c = document.querySelector('main[data-stage=logs] canvas');"
+            "c.scrollIntoView({block: 'center'}); return c"
+        )
+        time.sleep(1.5)
+        width, height = canvas.size["width"], canvas.size["height"]
+        left, up = int((first - 0.5) * width), 60 - height // 2  # in the first plot
+        chain = ActionChains(self.driver, duration=50).move_to_element_with_offset(canvas, left, up)
+        chain.click_and_hold().move_by_offset(int((last - first) * width / 2), 0)
+        chain.move_by_offset(int((last - first) * width / 2), 0).release().perform()
+
     def run(self, key: str, seconds: float) -> str:
         """Run the commands of a stage; return its text when they have ended."""
         self.click(f"[data-run={key}]")
@@ -158,8 +193,51 @@ class Visitor:
         time.sleep(0.5)
         return self.stage(key)
 
-    def picture(self, path: Path, *, full: bool = True) -> None:
-        """Save a picture of the page."""
-        time.sleep(0.5)
-        content = self.driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": full})
+    def picture(self, path: Path) -> None:
+        """Save a picture of the page in its full height."""
+        time.sleep(1.0)
+        width, height = self.driver.execute_script(
+            "return [innerWidth, Math.max(innerHeight, document.documentElement.scrollHeight)]"
+        )
+        size = {"width": width, "height": min(height, 4000), "deviceScaleFactor": 1, "mobile": width < 500}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        time.sleep(0.7)
+        content = self.driver.execute_cdp_cmd("Page.captureScreenshot", {})
         path.write_bytes(base64.b64decode(content["data"]))
+        size["height"] = WIDTHS.get(width, 800)
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
+def newcomers_session(visitor: Visitor) -> dict[str, str]:
+    """Go from a dropped log to exports; return what each stage shows at its end."""
+    texts = {}
+    visitor.look(1280, "light")
+    visitor.click_text("main[data-stage=machine] .q-radio", "One axis")
+    visitor.until(
+        "document.querySelector('[data-run=machine]').closest('main').innerText.includes('--like axis')", 10.0
+    )
+    texts["machine"] = visitor.run("machine", 60.0)
+    visitor.go("logs")
+    visitor.drop(foreign_logs())
+    visitor.until("document.querySelectorAll('main[data-stage=logs] canvas').length > 0", 30.0)
+    texts["dropped"] = visitor.stage("logs")
+    visitor.choose("[data-unit=x_m]", "mm")
+    visitor.until("document.querySelector('main[data-stage=logs]').innerText.includes('--unit x_m=mm')", 10.0)
+    texts["logs"] = visitor.run("logs", 60.0)
+    visitor.go("check")
+    texts["check"] = visitor.run("check", 120.0)
+    visitor.go("identify")
+    texts["identify"] = visitor.run("identify", 240.0)
+    visitor.go("results")
+    visitor.until("document.querySelector('.hf-report')?.contentDocument?.querySelector('.verdict')", 20.0)
+    texts["results"] = str(
+        visitor.driver.execute_script("return document.querySelector('.hf-report').contentDocument.body.innerText")
+    )
+    visitor.go("control")
+    texts["control"] = visitor.run("control", 120.0)
+    visitor.go("export")
+    texts["c"] = visitor.run("export", 60.0)
+    visitor.choose("[data-kind]", "fmu")
+    visitor.until("document.querySelector('main[data-stage=export]').innerText.includes('hframe export fmu')", 10.0)
+    texts["fmu"] = visitor.run("export", 60.0)
+    return texts
