@@ -7,8 +7,8 @@ from typing import Any
 
 from nicegui import ui
 
-from ..identification.report import verdict_sentence
-from ..identification.saved_result import next_command
+from ..identification.report.page import verdict_sentence
+from ..identification.report.saved_result import next_command
 from ..recordings import load_machine
 from .session import MACHINE, RESULT
 from .stage import Stage, State, banner, heading
