@@ -173,6 +173,8 @@ class Visitor:
         """Drag the mouse over the curves of the stage Logs, between two fractions of their width."""
         from selenium.webdriver.common.action_chains import ActionChains
 
+        self.until("document.querySelector('main[data-stage=logs] canvas')", 30.0)
+        time.sleep(1.0)  # the chart is armed for the selection a moment after it is drawn
         canvas = self.driver.execute_script(
             "const c = document.querySelector('main[data-stage=logs] canvas');"
             "c.scrollIntoView({block: 'center'}); return c"
