@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..atomic_files import atomic_file, complete_commit, output_batch, write_text
 from ..controllers import Controller, UnitCheck
@@ -46,18 +47,11 @@ RELATIVE_TOLERANCE = 1e-9  # parameters that differ by less are equal: files hol
 
 
 def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> dict[str, Any]:
-    """Build the argument `policy_kwargs` of a stable-baselines3 algorithm, with `LogScaleFeatures` as its input layer.
+    """Build `policy_kwargs` of a stable-baselines3 algorithm, with `LogScaleFeatures` as the input layer.
 
     Args:
-        policy: Keyword arguments of the policy class, for example layer sizes: the table [policy] of a recipe (a TOML
-            file with the settings of a training run).
+        policy: Keyword arguments of the policy class, for example layer sizes: the table [policy] of a recipe.
         features: Keyword arguments of `LogScaleFeatures`: kinematics of the machine and gains of controllers.
-
-    Returns:
-        Keyword arguments of the policy class: the entries of `policy` and the arguments that set the input layer.
-
-    Raises:
-        ImportError: If the extra `agents` is not installed.
     """
     import_optional("stable_baselines3")
     from .sb3_adapters import LogScaleFeatures
@@ -70,14 +64,9 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
 
 
 def policy_class(kind: str) -> Any:
-    """Return the class of the policy that a training algorithm needs for observations with several keys (dict).
+    """Return the class of the policy that an algorithm of `ALGORITHMS` needs for observations with several keys (dict).
 
-    Args:
-        kind: Algorithm of a recipe: "ppo", "sac", "tqc", "crossq", or "apg" (analytic policy gradient), which uses the
-            policy of PPO.
-
-    Returns:
-        Policy class of stable-baselines3 or sb3-contrib.
+    "apg" uses the policy of PPO.
 
     Raises:
         ImportError: If the extra `agents` is not installed.
@@ -111,16 +100,9 @@ class Agent(Controller):
         self.card = dict(card)
         self._sensors = self.card.get("settings", {}).get("env", {}).get("sensors", "state")
 
+    @override
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """Compute the actions for the control period that starts now; call it once per period.
-
-        Args:
-            observation: Arrays by key as the environment returns them (`observation`, `desired_goal` and, for a moving
-                goal, the next goals `preview`), each of shape (batch, entries of the key) for a batch of environments,
-                m, rad, m/s and rad/s.
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
 
         Raises:
             InputError: If the observation does not have the form of the training: an array has another width, or
@@ -150,33 +132,19 @@ class Agent(Controller):
         """Check of the units of observations, made when it is needed."""
         return UnitCheck(self.machine, self._sensors == "state")
 
+    @override
     def replace_last_action(self, actions: NDArray[np.float64]) -> None:
-        """Replace the stored last action with the action that was actually applied.
-
-        Call it if the result of `act` was changed. The policy may observe the last action in the next period.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
-                environments.
-        """
+        """Replace the stored last action, which the policy may observe in the next period, with the applied one."""
         if self.mapping:
             self.mapping.replace_last_action(actions)
 
+    @override
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear the memory of past periods for the environments that start a new episode.
-
-        Args:
-            mask: True for the environments whose next observation is the first of an episode, shape (batch,). Default:
-                all environments; the next batch may then have another size.
-        """
         if self.mapping:
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
         """Describe why the agent cannot run on a machine: other numbers of axes, observed coordinates or drives.
-
-        Args:
-            machine: Machine on which the agent is to run or to be trained further.
 
         Returns:
             A clause about the agent, for example "was trained on a machine with 2 axes, 2 drives, but 'stage' has
@@ -190,15 +158,12 @@ class Agent(Controller):
         return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
 
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
-        """Return a warning if an evaluation differs from the agent's training in machine, control period or sensors.
+        """Return one line if an evaluation differs from the agent's training in machine, control period or sensors.
 
         Args:
+            machine: Machine of the evaluation.
             period: Control period of the evaluation, s.
             sensors: What the agent observes in the evaluation: "state", or a sensor suite or its name.
-
-        Returns:
-            One line that names the differences (name or parameters of the machine, period, sensors); None if there are
-            none.
         """
         differences = []
         if machine.name != self.machine.name:
@@ -216,11 +181,7 @@ class Agent(Controller):
         return f"agent {self.card['name']}: {'; '.join(differences)}. Its scores may be poor."
 
     def weights(self) -> dict[str, Any]:
-        """Copy the weights that an agent needs to run.
-
-        Returns:
-            Tensors by name, without those of the critics, which estimate returns and are needed for training only.
-        """
+        """Copy the weights that an agent needs to run, by name; those of the critics are needed for training only."""
         state = self.policy.state_dict()
         return {name: v.detach().clone() for name, v in state.items() if not name.startswith(CRITIC_PREFIXES)}
 
@@ -233,9 +194,6 @@ class Agent(Controller):
         Args:
             folder: Folder for the files; created if it does not exist.
             weights: Weights as `weights()` returned them. Default: the present ones.
-
-        Raises:
-            ImportError: If the extra `agents` is not installed.
         """
         safetensors = import_optional("safetensors.torch")
         tensors = {name: value.contiguous() for name, value in (weights or self.weights()).items()}
@@ -248,13 +206,7 @@ class Agent(Controller):
 
     @classmethod
     def load(cls, folder: str | Path) -> Agent:
-        """Load an agent from its folder.
-
-        Args:
-            folder: Folder written by `save` or by the command `hframe train`.
-
-        Returns:
-            The agent, ready to run (no gradients, no exploration noise).
+        """Load an agent, ready to run, from a folder that `save` or the command `hframe train` wrote.
 
         Raises:
             InputError: If a file is missing, damaged or of another version.
@@ -288,13 +240,9 @@ def _no_optimizer(*_: Any, **__: Any) -> None:
 
 
 def load_weights(policy: Any, folder: Path) -> None:
-    """Replace the weights of a policy by those in policy.safetensors.
+    """Replace the weights of a policy, which is modified, by those in policy.safetensors of a folder.
 
     The weights of the critics, which estimate returns in training, are not in the file and stay unchanged.
-
-    Args:
-        policy: Policy of stable-baselines3, which is modified.
-        folder: Folder of an agent, with the file policy.safetensors.
 
     Raises:
         InputError: If the file is missing or damaged, lacks weights of the policy, or has weights that the policy lacks
@@ -335,11 +283,7 @@ def _counted(count: int, noun: str) -> str:
 
 
 def same_parameters(machine: Machine, other: Machine) -> bool:
-    """Return whether two machines have the same parameters with equal values.
-
-    Returns:
-        True if names and order are equal and values differ by at most a fraction of 1e-9, which rounding explains.
-    """
+    """Return whether two machines have the same parameters in the same order, equal but for rounding."""
     if list(machine.parameters) != list(other.parameters):
         return False
     values, other_values = (list(m.parameters.values()) for m in (machine, other))

@@ -106,13 +106,7 @@ class _AgentJson(_Table):
 
 
 def read_agent_json(folder: Path) -> dict[str, Any]:
-    """Read agent.json, which says how to build the policy of an agent, after a check of its values and of the folder.
-
-    Args:
-        folder: Folder of the agent, with agent.json, machine.json and policy.safetensors.
-
-    Returns:
-        Entries of agent.json. The values that build the policy have been checked: types and ranges are right.
+    """Read agent.json, which says how to build the policy of an agent, and check its values and the folder.
 
     Raises:
         InputError: If a file is missing, or agent.json is damaged, of another version, lacks an entry or has a value of
@@ -146,13 +140,11 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
         task: Name of the task of the new run.
         machine: Name of the machine of the new run.
         seed: Seed of the new run.
-        alone: Whether the command trains this seed only, not several seeds. Only then does it accept the option
-            --resume, which the message then proposes.
+        alone: Whether the command trains this seed only. Only then does it accept --resume, which the message proposes.
 
     Raises:
         InputError: If the folder holds such files. The message says what they are and how to replace the run in the
-            folder or to continue it, which is possible if that run has a checkpoint and the same recipe, task, machine
-            and seed as the new one.
+            folder or to continue it, which is possible if that run has a checkpoint and the same settings.
     """
     complete_commit(folder)
     files = [name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"]  # which a user may have written
@@ -208,13 +200,8 @@ def sign_checkpoint(path: Path) -> None:
     """Append a signature to a checkpoint, by which `refuse_unsigned` recognizes the files of this installation.
 
     The signature is a keyed hash (HMAC-SHA256) of the file with a secret key of this installation. If the key cannot be
-    stored, because its folder is read-only, the file is not changed.
-
-    Args:
-        path: Complete file, a pickle or a zip archive; both can be loaded with further bytes at their end.
-
-    Raises:
-        OSError: If the file cannot be written.
+    stored, because its folder is read-only, the file is not changed. The file is a pickle or a zip archive; both can be
+    loaded with further bytes at their end.
     """
     try:
         key = _installation_key()
@@ -252,12 +239,7 @@ def refuse_unsigned(path: Path) -> None:
 
 
 def key_file() -> Path:
-    """Return the path of the file with the secret key with which `sign_checkpoint` signs checkpoints.
-
-    Returns:
-        checkpoint.key in the folder hframe_gym of the user's data folder (`user_folder`), for example in
-        ~/.local/share/hframe_gym.
-    """
+    """Return the path of the secret key of `sign_checkpoint`, checkpoint.key in the user's data folder."""
     return user_folder("data") / "hframe_gym" / "checkpoint.key"
 
 

@@ -121,11 +121,7 @@ class AnalyticPolicyGradient:
         self.generators = (self._generator, self._period.generator)
 
     def set_logger(self, logger: Any) -> None:
-        """Set the attribute `logger`, to which the caller writes scores, as with stable-baselines3.
-
-        Args:
-            logger: Logger of stable-baselines3.
-        """
+        """Set the attribute `logger`, to which the caller writes scores, as with stable-baselines3."""
         self.logger = logger
 
     def learn(self, total_timesteps: int, callback: BaseCallback, reset_num_timesteps: bool = False) -> None:
@@ -135,8 +131,7 @@ class AnalyticPolicyGradient:
 
         Args:
             total_timesteps: Number of further environment steps, summed over all environments.
-            callback: Callback of stable-baselines3. Its `on_rollout_start` is called before each update, its `on_step`
-                after it.
+            callback: Its `on_rollout_start` is called before each update, its `on_step` after it.
             reset_num_timesteps: Whether to set the attribute `num_timesteps` to zero first.
         """
         if reset_num_timesteps:
@@ -232,11 +227,7 @@ class AnalyticPolicyGradient:
         return entries["base_action"] + torch.einsum("bij,bj->bi", gain, state - state.detach()).float()
 
     def save(self, path: str | Path) -> None:
-        """Write weights, optimizer and counters of the training to a file, from which `restore` continues it.
-
-        Args:
-            path: File to write. Reading it executes no code.
-        """
+        """Write weights, optimizer and counters of the training to a file; reading it executes no code."""
         state = {
             "trained": self._trained.state_dict(),
             "averaged": self.policy.state_dict(),
@@ -247,11 +238,7 @@ class AnalyticPolicyGradient:
         torch.save(state, path)
 
     def restore(self, path: str | Path) -> None:
-        """Load weights, optimizer and counters from a file that `save` wrote, to continue the training.
-
-        Args:
-            path: File to read. It is loaded without executing code.
-        """
+        """Load weights, optimizer and counters from a file that `save` wrote, to continue the training."""
         state = torch.load(path, weights_only=True)
         self._trained.load_state_dict(state["trained"])
         self.policy.load_state_dict(state["averaged"])

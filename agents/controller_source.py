@@ -13,6 +13,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario
 from ..machine import Machine
@@ -27,16 +29,13 @@ class AgentSource(ControllerSource):
     """Source of trained agents for `make_controller`: by folder, or by name for agents that come with the package."""
 
     @staticmethod
+    @override
     def make(name: str, scenario: Scenario) -> Agent | None:
         """Load a trained agent, and warn if it was trained with another machine, control period or other sensors.
 
         Args:
             name: Folder of an agent, or name of an agent that comes with the package, for example "ppo".
-            scenario: Machine, task, sensors and control period with which the agent will run. The task selects among
-                the agents that come with the package.
-
-        Returns:
-            The agent, or None if neither a folder nor an agent that comes with the package has this name.
+            scenario: Scenario in which the agent will run. Its task selects among the agents of the package.
 
         Raises:
             InputError: If the package has the agent for other tasks only, the folder holds no agent, its files are
@@ -62,31 +61,17 @@ class AgentSource(ControllerSource):
         return agent
 
     @staticmethod
+    @override
     def describe(scenario: Scenario) -> str:
-        """Describe the names by which a user can choose a trained agent.
-
-        Args:
-            scenario: Scenario in which the agent will run; its task selects the agents that are listed.
-
-        Returns:
-            A phrase that completes the error message "controller 'x' is unknown; choose ...".
-        """
         names = _recipes_of(_shipped_folders(scenario.task_name))
         if not names:
             return f"the folder of a trained agent (none was shipped for the task {scenario.task_name})"
         return f"the folder of a trained agent; or a shipped agent ({', '.join(names)}, or one of them by NAME-seedN)"
 
     @staticmethod
+    @override
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
         """List the files that determine an agent, so that results can identify it by their hash.
-
-        Args:
-            name: Folder of an agent, or name of an agent that comes with the package.
-            scenario: Scenario in which the agent will run; its task selects among the agents of the package.
-
-        Returns:
-            Name of the folder, files of the agent, and the sensors that its training environment observed; None if
-            there is no such agent.
 
         Raises:
             InputError: If the folder holds no agent or its description is damaged.
@@ -138,9 +123,6 @@ def shipped_agent_folder(name: str, task: str) -> Path:
         name: Name of the agent, for example "ppo-seed1", or its first part: "ppo" selects "ppo-seed0".
         task: Name of the task, "reach" or "track".
 
-    Returns:
-        Folder of the agent, for `Agent.load`.
-
     Raises:
         InputError: If there is no such agent; the message names the tasks that have it, or the agents of the task.
     """
@@ -155,11 +137,10 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
     """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues the training.
 
     Args:
+        recipe: Recipe whose `start` names the agent.
         task: Name of the task on which training continues; `recipe_task` selects among the agents of the package.
+        machine: Machine of the training.
         previews: Number of future goals that this task shows.
-
-    Returns:
-        Folder of the agent, for `load_weights`.
 
     Raises:
         InputError: If there is no such agent, or if it was trained on a machine with other numbers of axes, observed
@@ -180,11 +161,7 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
 
 
 def shipped_agent_names() -> tuple[str, ...]:
-    """List the trained agents that come with the package, of all tasks together.
-
-    Returns:
-        Names without the suffix "-seedN", each once, sorted, for example ("apg", "ppo", "residual", "sac").
-    """
+    """List the trained agents of the package, of all tasks, each once and without "-seedN"."""
     return tuple(sorted(_recipes_of(_shipped_folders("*"))))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hframe_gym.arrays import Array
+from hframe_gym.arrays import Array, ParameterRows, TravelStates, Volts
 
 from ..dynamics import Equations, rollout
 from ..envs.tasks.base import ReferenceTrajectories
@@ -70,15 +70,14 @@ class SimulatedPeriod:
             self._time_s = np.insert(self._time_s, 1, SWITCHING_S)
         self.generator = np.random.default_rng(seed)
 
-    def outputs(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> Array:
+    def outputs(self, state: TravelStates, volts: Volts, last_volts: Volts, parameters: ParameterRows) -> Array:
         """Simulate one control period.
 
         Args:
-            state: Belt travel (radius * angle if rotary) of n coordinates and its rate, m and m/s, shape (B, 2 n).
-            volts: Voltages of the drives, V, shape (B, d).
-            last_volts: Voltages of the period before, V, shape (B, d); they still act until a dead time has passed, and
-                have no influence without one.
-            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
+            state: State at its start.
+            volts: Voltages of the drives.
+            last_volts: Voltages of the period before; they still act until a dead time has passed.
+            parameters: Parameters of the machines.
 
         Returns:
             State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES = 2 equally spaced
@@ -101,20 +100,16 @@ class SimulatedPeriod:
         tool = states[:, -SAMPLES:, self._tool]
         return np.hstack([states[:, -1] * self._units, tool.reshape(len(state), -1)])
 
-    def differences(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> tuple[Array, Array]:
+    def differences(
+        self, state: TravelStates, volts: Volts, last_volts: Volts, parameters: ParameterRows
+    ) -> tuple[Array, Array]:
         """Simulate one control period and estimate the derivatives of its result by finite differences.
 
-        For each derivative the simulation is repeated with one entry of state or voltages changed by a random step.
-
-        Args:
-            state: Belt travel (radius * angle if rotary) of n coordinates and its rate, m and m/s, shape (B, 2 n).
-            volts: Voltages of the drives, V, shape (B, d).
-            last_volts: Voltages of the period before, V, shape (B, d), which act until a dead time has passed.
-            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
+        For each derivative the simulation is repeated with one entry of state or voltages changed by a random step. The
+        arguments are those of `outputs`.
 
         Returns:
-            outputs: Result of the method `outputs` for the unchanged arguments: state at the end of the period, m and
-                m/s, then tool positions within it, m, shape (B, o).
+            outputs: Result of the method `outputs`, shape (B, o).
             derivatives: Derivatives of the o outputs with respect to the entries of `state`, then of `volts` and, if
                 the drives have a dead time, of `last_volts`, SI, shape (2 n + d or 2 n + 2 d, B, o).
         """
@@ -208,33 +203,23 @@ limited: Any = _Limit.apply
 
 
 def distance_cost(distance: Any) -> Any:
-    """Compute a cost that increases with the distance d to the goal, from 0 at the goal towards 1.
+    """Compute a cost, dimensionless, that increases with the distance d to the goal, m, from 0 at the goal towards 1.
 
     The cost is the sum over k of w[k] * d / (d + s[k]), with the lengths s = 200, 20, 2, 0.2 and 0.02 mm and the
     weights w = 0.05, 0.05, 0.3, 0.5 and 0.1. Halving the distance thus reduces the cost noticeably, from 0.2 m down to
-    20 um.
-
-    Args:
-        distance: Distances to the goal, m, tensor of any shape.
-
-    Returns:
-        Costs, dimensionless, 0 to 1, tensor of the same shape.
+    20 um. The argument is a tensor of any shape.
     """
     scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (COST_SCALES, COST_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
 
 
 def reach_cost(tool: Any, goal: Any) -> Any:
-    """Compute the cost of one control period of a motion to a fixed goal; it increases with the distance to the goal.
+    """Compute the cost of one control period of a motion to a fixed goal, shape (B,): the mean of `distance_cost`.
 
     Args:
         tool: Tool positions of B environments in the middle and at the end of the period (SAMPLES = 2), m, shape (B,
             SAMPLES, axes).
         goal: Goals, m, shape (B, axes).
-
-    Returns:
-        Costs, dimensionless, shape (B,): mean over both times of a function of the distance (`distance_cost`) that
-        increases from 0 at the goal towards 1 far from it.
     """
     squares = ((tool - goal.double()[:, None]) ** 2).sum(2)
     return distance_cost(torch.sqrt(squares + SMALLEST_DISTANCE**2)).mean(1)
@@ -257,14 +242,14 @@ def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
 
 
 def path_cost(squares: Any) -> Any:
-    """Compute the cost of episodes along a path from the errors in each control period.
+    """Compute the cost of episodes along a path, rms contour error / 0.1 mm + rms distance to the goal / 0.2 mm.
 
     Args:
         squares: Squared distance to the path (contour error), then to the goal, in each period of B episodes, m^2,
             shape (B, periods, 2).
 
     Returns:
-        Rms contour error / 0.1 mm + rms distance to the goal / 0.2 mm, dimensionless, shape (B,).
+        Costs, dimensionless, shape (B,).
     """
     units = torch.tensor([CONTOUR_UNIT, TRACKING_UNIT], dtype=squares.dtype)
     return (torch.sqrt(squares.mean(1) + SMALLEST_DISTANCE**2) / units).sum(1)

@@ -290,13 +290,14 @@ class TransferBank:
     def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
         """Compute the first voltages of each transfer from the present state, by the design nearest to the goal.
 
+        The transfers of the declared machine, in the order of the durations, precede those of each variant.
+
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            Voltages, shape (batch, K, drives), and their derivatives: the transfers of the declared machine in the
-            order of the durations, then those of each variant.
+            Voltages and their derivatives, shape (batch, K, ...).
         """
         gains = self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
         at_rest = self._model.observation(self._model.goal_state(goal))
@@ -326,7 +327,7 @@ class PlanBank:
         self._of_observation = _state_of_observation(self._model)
 
     def laws(self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any]) -> FeedbackLaws:
-        """Plan each transfer (motion to rest at the goal) for the estimated machine; return voltages and derivatives.
+        """Plan each transfer for the estimated machine, in the order of the durations.
 
         Args:
             observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
@@ -334,7 +335,7 @@ class PlanBank:
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
 
         Returns:
-            Voltages, shape (batch, K, drives), and their derivatives, in the order of the durations.
+            Voltages and their derivatives, shape (batch, K, ...).
         """
         rated = self._model.rated
         planned = self._transfers.plan(

@@ -47,8 +47,7 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         scenario: Machine, task and episodes in which the controller runs.
 
     Returns:
-        `costs`: cost of each of B episodes, shape (B,): by settling times and final error, s, or by errors along a
-        path, mm (`episode_costs`). `row`: scores by name.
+        `costs`: `episode_costs`, shape (B,). `row`: scores by name.
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the band that the task defines, 0 to 1.
             `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm.
@@ -86,14 +85,11 @@ def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
 
 
 def episode_costs(episodes: Episodes) -> Array:
-    """Compute the cost of every evaluation episode, by which agents of one training run are compared.
+    """Compute the cost of every evaluation episode, shape (B,), by which agents of one training run are compared.
 
-    With a fixed goal it is the sum of the settling times within 1, 0.2 and 0.05 mm, plus 0.01 s per millimeter of final
-    error. Along a path it is the sum of the rms contour error and the rms tracking error; the contour error alone
-    would be zero for a tool that never leaves its start.
-
-    Returns:
-        Costs, s for a fixed goal, mm for a moving goal, shape (B,).
+    With a fixed goal it is the sum of the settling times within 1, 0.2 and 0.05 mm, s, plus 0.01 s per millimeter of
+    final error. Along a path it is the sum of the rms contour error and the rms tracking error, mm; the contour error
+    alone would be zero for a tool that never leaves its start.
     """
     error = episodes.goal_error
     if episodes.contour is not None:
@@ -111,9 +107,6 @@ def improves(costs: Array, kept: Array | None) -> bool:
     Args:
         costs: Costs of the new agent, one per episode, s or mm, shape (B,).
         kept: Costs of the kept agent in the same episodes, in the same unit, shape (B,); None if there is none.
-
-    Returns:
-        True if the new agent replaces the kept one, or there is none.
     """
     if kept is None:
         return True
@@ -125,11 +118,7 @@ def progress_line(row: Mapping[str, Any]) -> str:
     """Format one row of a learning curve as a line for the terminal.
 
     Args:
-        row: `steps` (environment steps so far), `seconds` (elapsed time, s), and scores by name, such as `success`
-            (fraction of episodes, 0 to 1) and `final_error_mm`; `score_agent` lists them.
-
-    Returns:
-        One line of text without a line break.
+        row: `steps` (environment steps so far), `seconds` (elapsed time, s), and scores as `score_agent` lists them.
     """
     prefix = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"
     if "contour_rms_mm" in row:
@@ -141,14 +130,12 @@ def progress_line(row: Mapping[str, Any]) -> str:
 
 
 def versions(further: Sequence[str] = ()) -> dict[str, str]:
-    """List the installed versions of Python and of the packages on which the result of a training run depends.
+    """List the installed versions of Python and of the packages on which the result of a training run depends, by name.
+
+    Packages that are not installed, such as this one in a source tree, are omitted.
 
     Args:
         further: Names of packages to list in addition to those that every run uses, such as torch and NumPy.
-
-    Returns:
-        Version strings by package name; the version of Python has the name "python". Packages that are not installed,
-        such as this one in a source tree, are omitted.
     """
     return {"python": platform.python_version(), **installed_versions((*PACKAGES, *further))}
 
@@ -158,10 +145,6 @@ def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
 
     Each file is replaced only when its new version is complete.
 
-    Args:
-        folder: Folder of the agent; created if it does not exist.
-        card: Contents of card.json: recipe, versions, learning curve and, if known, scores and failures.
-
     Raises:
         ValueError: If a number in the card is not finite.
     """
@@ -170,14 +153,11 @@ def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:
 
 
 def render_card(card: Mapping[str, Any]) -> str:
-    """Format the record of an agent's training and scores (its card) as a Markdown page.
+    """Format the card of an agent, the record of its training and scores, as a Markdown page.
 
     Args:
         card: Contents of card.json as `train` returns them: name, task, seed, machine, settings (the recipe), package
             versions and learning curve. Optional: `kept` (training steps of the saved agent), `scores`, `failures`.
-
-    Returns:
-        Text of the page in Markdown.
     """
     last = card["curve"][-1]
     settings = card["settings"]

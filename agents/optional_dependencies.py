@@ -12,13 +12,7 @@ CONTRIB_ALGORITHMS = ("tqc", "crossq")  # of sb3-contrib, which the other algori
 
 
 def import_optional(module: str) -> Any:
-    """Import a module of the optional dependencies `hframe_gym[agents]`.
-
-    Args:
-        module: Full name of the module, for example "stable_baselines3.ppo".
-
-    Returns:
-        The module.
+    """Import a module of the optional dependencies `hframe_gym[agents]`, for example "stable_baselines3.ppo".
 
     Raises:
         ImportError: If the module is not installed; the message names the pip command.
@@ -31,10 +25,7 @@ def import_optional(module: str) -> Any:
 
 
 def require_training_packages(kind: str) -> None:
-    """Import every package that training needs, so that a missing one is reported before any work starts.
-
-    Args:
-        kind: Algorithm of the recipe, for example "ppo".
+    """Import every package that an algorithm needs, so that a missing one is reported before any work starts.
 
     Raises:
         ImportError: If a package of the optional dependencies `hframe_gym[agents]` is not installed.
@@ -48,12 +39,6 @@ def single_threaded_torch() -> Iterator[None]:
     """Limit torch to one thread inside a `with` block; afterwards, restore the number of threads.
 
     The policies are small: waiting for a second thread costs more time than the thread saves.
-
-    Yields:
-        Nothing.
-
-    Raises:
-        ImportError: If torch is not installed; the message names the pip command.
     """
     torch = import_optional("torch")
     threads_before = torch.get_num_threads()

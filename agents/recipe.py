@@ -31,14 +31,9 @@ class LinearSchedule:
     last: float
 
     def __call__(self, remaining: float) -> float:
-        """Interpolate the rate linearly at a point of the training run.
+        """Interpolate the rate, in the unit of `first`, at the fraction `remaining` of the run (1 at its start).
 
-        Args:
-            remaining: Fraction of the training run that remains, 1 at the first step and 0 at the last; beyond the last
-                step it is negative and counts as 0.
-
-        Returns:
-            Rate between `first` and `last`, in their unit.
+        Beyond the last step, the fraction is negative and counts as 0.
         """
         return self.last + (self.first - self.last) * max(remaining, 0.0)
 
@@ -117,30 +112,18 @@ class Recipe:
         return max((*self.features.get("transfers", ()), *self.actuation.get("transfers", ())), default=-1)
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert the recipe to a dictionary, for card.json.
-
-        Returns:
-            Values of the attributes by name; tables are dictionaries.
-        """
+        """Convert the recipe to a dictionary of its attributes, for card.json."""
         return asdict(self)
 
 
 def recipe_names() -> tuple[str, ...]:
-    """List the recipes (settings of training runs) that come with the package.
-
-    Returns:
-        Names of the form ALGORITHM_TASK, for example "ppo_reach", sorted.
-    """
+    """List the recipes that come with the package, as "ppo_reach" (ALGORITHM_TASK), sorted."""
     files = (resources.files(__package__) / "recipes").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
 
 
 def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
-    """Raise an error if a recipe uses longer transfers (motions to rest at the goal) than a machine's workspace allows.
-
-    Args:
-        machine: Machine on which it is to train.
-        task: Name of the task.
+    """Check that the workspace of a machine allows all transfers (motions to rest at the goal) of a recipe.
 
     Raises:
         InputError: If a transfer is too long; the message lists recipes of the same task that suit the machine.
@@ -162,13 +145,7 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
 
 
 def build_task(recipe: Recipe, name: str) -> Task:
-    """Build the task of a training run with the recipe's settings.
-
-    Args:
-        name: Name of a registered task, or `module:name`.
-
-    Returns:
-        The task.
+    """Build the task of a training run, a registered name or `module:name`, with the recipe's settings.
 
     Raises:
         InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its observation
@@ -191,12 +168,8 @@ def build_task(recipe: Recipe, name: str) -> Task:
 def recipe_task(task: str) -> str:
     """Name the task whose recipes and shipped agents apply to a task.
 
-    Args:
-        task: Name of a registered task, or `module:name`.
-
-    Returns:
-        The task itself if the package has recipes for it; else the task with recipes that has the same metrics:
-        "reach" if an episode has a fixed goal, "track" if the goal moves along a path.
+    It is the task itself if the package has recipes for it; else the task with recipes that has the same metrics:
+    "reach" if an episode has a fixed goal, "track" if the goal moves along a path.
 
     Raises:
         InputError: If the task is unknown or its module cannot be imported.
@@ -214,9 +187,6 @@ def load_recipe(name: str, task: str) -> Recipe:
     Args:
         name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt".
         task: Name of the task, for example "reach", or `module:name`.
-
-    Returns:
-        The settings of the training run.
 
     Raises:
         InputError: If the task is unknown, or there is no such recipe; the message lists the available recipes.

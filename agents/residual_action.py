@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hframe_gym.arrays import Array
+from hframe_gym.arrays import Actions
 
 from ..controllers import CONTROLLERS, DeadTime, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
@@ -57,30 +57,20 @@ class Authority:
     hold_m_s: float = 0.015
 
     def __call__(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the rated voltage that a policy output of 1 represents.
+        """Compute the fraction of the rated voltage that a policy output of 1 represents, shape (batch, 1).
 
-        Args:
-            distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, array or torch tensor of shape (batch,).
-
-        Returns:
-            min(most, least + distance / full_at_m + speed / full_at_m_s), of the same type, shape (batch, 1).
+        It is min(most, least + distance / full_at_m + speed / full_at_m_s) of distances, m, and tool speeds,
+        m/s, arrays or torch tensors of shape (batch,).
         """
         return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
 
     def held(self, distance: Any, speed: Any) -> Any:
-        """Compute the fraction of the last action that remains in the next action (is held).
+        """Compute the fraction of the last action that remains in the next action (is held), shape (batch, 1).
 
-        It approaches 1 at rest near the goal. The policy's output then changes the action, so that the policy acts as
-        an integrator, which can overcome static friction.
-
-        Args:
-            distance: Distances to the goal, m, array or torch tensor of shape (batch,).
-            speed: Tool speeds, m/s, array or torch tensor of shape (batch,).
-
-        Returns:
-            max(0, 1 - distance / hold_m - speed / hold_m_s), dimensionless, array or tensor of shape (batch, 1); the
-            number 0 if the attribute `hold_m` is 0.
+        It is max(0, 1 - distance / hold_m - speed / hold_m_s), or the number 0 if `hold_m` is 0, and
+        approaches 1 at rest near the goal. The policy's output then changes the action, so that the policy
+        acts as an integrator, which can overcome static friction. Distances, m, and tool speeds, m/s, are
+        arrays or torch tensors of shape (batch,).
         """
         if not self.hold_m:
             return 0.0
@@ -152,25 +142,14 @@ class ResidualAction:
         self._distance = self._speed = np.zeros(0)  # m and m/s, (batch,)
 
     def action_space(self) -> spaces.Box:
-        """Build the space of the policy's outputs.
+        """Build the space of the policy's outputs: a box from -1 to 1 with one entry for each drive.
 
-        Returns:
-            Box from -1 to 1: one entry for each drive. If the policy weights several transfers (motions to rest at the
-            goal, attribute `bank`), one entry for the weight of each follows.
+        If the policy weights several transfers (attribute `bank`), one entry for the weight of each follows.
         """
         return spaces.Box(-1.0, 1.0, (self._drives + (self.bank.size if self.bank else 0),), np.float32)
 
     def observation_space(self, observation_space: spaces.Dict) -> spaces.Dict:
-        """Extend the observation space of an environment by the keys that `augment` adds.
-
-        Args:
-            observation_space: Observation space of one environment.
-
-        Returns:
-            Observation space of the policy: the keys of the environment, `last_observation`, `last_action` and,
-            depending on the base controller and its estimates, `base_action`, `expected_friction` and `estimates`; the
-            method `history` documents the added keys.
-        """
+        """Extend the observation space of one environment by the keys that `augment` adds; `history` documents them."""
         action_box = spaces.Box(-1.0, 1.0, (self._drives,), np.float32)
         added: dict[str, spaces.Space[Any]] = {
             "last_observation": observation_space["observation"],
@@ -188,8 +167,7 @@ class ResidualAction:
         """Clear the memory of past periods for the environments that start a new episode.
 
         Args:
-            mask: True for the environments whose next observation is the first of an episode, shape (batch,). Default:
-                all environments; the next batch may then have another size.
+            mask: True for these environments, shape (batch,). Default: all; the next batch may then have another size.
         """
         if self.base:
             self.base.reset(mask)
@@ -200,13 +178,9 @@ class ResidualAction:
 
         Call it exactly once per control period: each call stores the observation and advances the base controller.
 
-        Args:
-            observation: Arrays by key as the environment returns them, m, rad, m/s and rad/s, each of shape (batch,
-                entries of the key) for a batch of environments.
-
         Returns:
-            Arrays by key, SI, each of shape (batch, entries of the key): the arrays of `observation` and those that the
-            method `history` documents, such as the previous observation and the action of the base controller.
+            The arrays of `observation` and those that the method `history` documents, SI, shape (batch,
+            entries of the key).
 
         Raises:
             InputError: If the base controller does not accept the observation.
@@ -263,18 +237,14 @@ class ResidualAction:
             added["estimates"] = self._filter.estimates
         return {key: values.astype(np.float32) for key, values in added.items()}
 
-    def action(self, output: NDArray[Any]) -> Array:
+    def action(self, output: NDArray[Any]) -> Actions:
         """Convert policy outputs to actions, and record these as applied.
 
         Without transfers and held actions, the action is base action + authority * output, where the authority is the
         fraction of the rated voltage that an output of 1 represents. The module documents the complete formula.
 
         Args:
-            output: Policy outputs, usually in [-1, 1], with the entries of `action_space`, shape (batch, entries) for a
-                batch of environments.
-
-        Returns:
-            Voltages divided by the rated voltages, limited to [-1, 1], shape (batch, drives).
+            output: Policy outputs, usually in [-1, 1], with the entries of `action_space`, shape (batch, entries).
         """
         base_action = self._base_action if self.base else 0.0
         volts = self.laws.volts if self.laws else None
@@ -315,15 +285,11 @@ class ResidualAction:
         limited = laws.clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED)
         return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
 
-    def replace_last_action(self, actions: Array) -> None:
+    def replace_last_action(self, actions: Actions) -> None:
         """Replace the stored last action with the action that was actually applied.
 
         Call it if the result of `action` was changed. The next observation contains the replacement, and the base
         controller receives it.
-
-        Args:
-            actions: Applied voltages divided by the rated voltages, in [-1, 1], shape (batch, drives) for a batch of
-                environments.
         """
         self._last_action = actions
         if self._filter:
@@ -333,16 +299,12 @@ class ResidualAction:
 
 
 def residual_action(machine: Machine, settings: Mapping[str, Any], period: float) -> ResidualAction | None:
-    """Create the `ResidualAction` that a recipe (settings of a training run) asks for.
+    """Create the `ResidualAction` of a recipe; None without settings: the outputs are then the actions.
 
     Args:
         machine: Machine for which the base controller is designed.
-        settings: The recipe's table [actuation], for example `base` (controller that the policy corrects) and `most`
-            (largest authority): keyword arguments of `ResidualAction` except machine and period.
+        settings: The recipe's table [actuation]: keyword arguments of `ResidualAction` except machine and period.
         period: Control period, s.
-
-    Returns:
-        Conversion of policy outputs to actions. None if `settings` is empty: the outputs are then the actions.
 
     Raises:
         InputError: If no controller is registered under the name of the base, or `plans` are given without `estimates`

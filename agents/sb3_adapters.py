@@ -21,6 +21,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnvWrapper
+from typing_extensions import override
 
 from ..envs.sb3_vec_env import HFrameVecEnv
 from .features import OBSERVATION_KEYS, feature_matrix
@@ -68,17 +69,12 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         self.register_buffer("matrix", torch.as_tensor(matrix.astype(np.float32)), persistent=False)
         self.register_buffer("gain", torch.as_tensor(gain.astype(np.float32)), persistent=False)
 
+    @override
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z.
+        """Compute the features g * sign(z M) * log(1 + |z M|) of a batch of observations z, shape (batch, features).
 
         z joins all arrays of an observation. M (`matrix`) forms position errors and speeds, each divided by several
-        scales; g (`gain`) scales the features.
-
-        Args:
-            observation: Arrays by key, in m, rad, m/s and rad/s, each of shape (batch, entries of the key).
-
-        Returns:
-            Features, dimensionless, about -1 to 1, shape (batch, features).
+        scales; g (`gain`) scales the features, which are dimensionless, about -1 to 1.
         """
         entries = torch.cat([observation[key] for key in self.keys], dim=1)
         scaled = entries @ self.matrix
@@ -163,24 +159,18 @@ class ResidualActionVecEnv(VecEnvWrapper):
         """Restore a pickled environment; the base class would look for this method in the wrapped environment."""
         self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
 
+    @override
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Start a new episode in every environment.
-
-        Returns:
-            First observations by key, SI, shape (num_envs, entries of the key) each. The keys include those that
-            `ResidualAction.augment` adds.
-        """
+        """Start a new episode in every environment; observations have the keys of `ResidualAction.augment`."""
         self.mapping.reset()
         return self.mapping.augment(_as_dict(self.venv.reset()))
 
+    @override
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Convert policy outputs to drive actions and send them to the environments; `step_wait` returns the result.
-
-        Args:
-            actions: Policy outputs, usually in [-1, 1], shape (num_envs, entries of the action space).
-        """
+        """Convert policy outputs to drive actions and send them to the environments; `step_wait` returns the result."""
         self.venv.step_async(self.mapping.action(actions))
 
+    @override
     def step_wait(
         self,
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
@@ -189,13 +179,6 @@ class ResidualActionVecEnv(VecEnvWrapper):
         In the last observation of an episode (`terminal_observation`), the arrays that `ResidualAction` adds are those
         of the period before, except `last_action`. To compute them again, the base controller (whose action the policy
         corrects) would be called twice in a period. The machine is usually at rest by then, so they hardly differ.
-
-        Returns:
-            observations: Arrays by key, SI, each of shape (num_envs, entries of the key); the first ones of a new
-                episode where `dones` is True.
-            rewards: Rewards of the step, dimensionless, shape (num_envs,).
-            dones: True where an episode has ended, shape (num_envs,).
-            infos: One dictionary per environment; `terminal_observation` holds an ended episode's last observation.
         """
         observation, reward, done, infos = self.venv.step_wait()
         history = self.mapping.history()
@@ -216,9 +199,6 @@ def set_mean_action_to_zero(policy: Any) -> None:
     """Set weights and biases of the layer that outputs a policy's mean action to zero, in place.
 
     A policy that corrects a base controller then starts with the behavior of this controller.
-
-    Args:
-        policy: Policy of PPO, SAC or the analytic policy gradient, which is modified.
     """
     layer = policy.action_net if hasattr(policy, "action_net") else policy.actor.mu
     for parameter in layer.parameters():
@@ -228,11 +208,7 @@ def set_mean_action_to_zero(policy: Any) -> None:
 def random_state(model: Any) -> dict[str, Any]:
     """Return the states of all random generators that the training of a model uses, for a checkpoint.
 
-    Args:
-        model: Model of stable-baselines3 or of the analytic policy gradient.
-
-    Returns:
-        States by name of the generator: "python", "numpy", "torch", "actions" (action space) and "algorithm".
+    Their names are "python", "numpy", "torch", "actions" (action space) and "algorithm".
     """
     return {
         "python": random.getstate(),
@@ -244,12 +220,7 @@ def random_state(model: Any) -> dict[str, Any]:
 
 
 def set_random_state(model: Any, state: dict[str, Any]) -> None:
-    """Restore the states of all random generators that the training of a model uses, from a checkpoint.
-
-    Args:
-        model: Model of stable-baselines3 or of the analytic policy gradient, whose generators are changed.
-        state: States by name of the generator, as `random_state` returned them.
-    """
+    """Restore the states of all random generators that the training of a model uses, see `random_state`."""
     random.setstate(state["python"])
     np.random.set_state(state["numpy"])  # noqa: NPY002
     torch.set_rng_state(state["torch"])

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..controllers import Controller, UnitCheck
 from ..envs import as_sensors
@@ -51,18 +52,8 @@ class Sb3Model(Controller):
         self.model, self._form = model, form
         self._check_units = UnitCheck(machine, full_state)
 
+    @override
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Compute the actions for the control period that starts now.
-
-        Args:
-            observation: Arrays by key, SI, shape (batch, entries of the key).
-
-        Returns:
-            Voltages divided by the rated voltages, in [-1, 1], shape (batch, drives).
-
-        Raises:
-            InputError: If the observation is one array or normalized.
-        """
         self._check_units(observation)
         with single_threaded_torch():
             actions, _ = self.model.predict(self._form.apply(dict(observation)), deterministic=True)
@@ -74,15 +65,9 @@ class ZipSource(ControllerSource):
     """Source of models in files `NAME.zip` of stable-baselines3."""
 
     @staticmethod
+    @override
     def make(name: str, scenario: Scenario) -> Sb3Model | None:
-        """Load a model, and find the form of observations with which it was trained.
-
-        Args:
-            name: Path of the file.
-            scenario: Machine, task, sensors and control period with which it will run.
-
-        Returns:
-            The controller; None if the name is not that of a zip file.
+        """Load a model from a zip file, and find the form of observations with which it was trained.
 
         Raises:
             InputError: If the file is no model of stable-baselines3, or its observations or actions are not those of an
@@ -110,24 +95,14 @@ class ZipSource(ControllerSource):
         raise InputError(f"{name}: {_difference(model.observation_space, environments[0].single_observation_space)}")
 
     @staticmethod
+    @override
     def describe(scenario: Scenario) -> str:
-        """Describe the names that this source accepts.
-
-        Returns:
-            A phrase that completes the error message "controller 'x' is unknown; choose ...".
-        """
         return "a model that stable-baselines3 saved (NAME.zip)"
 
     @staticmethod
+    @override
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the file, by whose content results identify the model.
-
-        Args:
-            name: Path of the file.
-            scenario: Scenario in which it runs; the model observes what this scenario observes.
-
-        Returns:
-            Name, file, sensors, algorithm and number of training steps; None if the name is not that of a zip file.
+        """List the file, by whose content results identify the model, and its algorithm and number of training steps.
 
         Raises:
             InputError: If the file is no model of stable-baselines3.

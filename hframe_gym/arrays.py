@@ -25,6 +25,9 @@ Index: TypeAlias = NDArray[np.intp]
 Times: TypeAlias = NDArray[np.float64]
 """Sample times, s, strictly increasing, shape (N,)."""
 
+Inputs: TypeAlias = NDArray[np.float64]
+"""Commanded voltage of each drive, V, held from each sample until the next, shape (N, drives)."""
+
 ElapsedTimes: TypeAlias = NDArray[np.float64]
 """Time since the start of the episode of each machine, s, shape (B,)."""
 

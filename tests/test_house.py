@@ -71,7 +71,7 @@ def test_shapes_and_units_without_sections(source: str, vague: list[str]) -> Non
     [
         ("x: Array) -> Array", "State, m.", "Force, N.", ["x: no shape", "Returns: no shape"]),
         ("x: NDArray[Any] | None) -> None", "State, m, shape (n,).", "", []),
-        ("x: Sequence[Value]) -> Value", "States, m, shape (...) each.", "Force, N, any shape.", []),
+        ("x: Sequence[Array]) -> Array", "States, m, shape (...) each.", "Force, N, any shape.", []),
         ("x) -> float", "State, m.", "The machine's force.", ["x: no shape", "Returns: no unit"]),
         ("x: float) -> float", "A period.", "Force, N", ["x: no unit"]),
         ("x: float | None) -> float", "Speed, m/s; None at rest.", "Value in the unit of x.", []),

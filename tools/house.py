@@ -32,7 +32,7 @@ _PROPERTY_DECORATORS = ("property", "cached_property")
 
 # Annotations of arrays, and of quantities that may be arrays. Their description states a shape, "shape (n, drives)" or
 # "any shape"; where many operands have the same one, the text above the sections may state it.
-_ARRAY = re.compile(r"\b(Array|ArrayLike|NDArray|Positions|Tensor|Value)\b")
+_ARRAY = re.compile(r"\b(Array|ArrayLike|NDArray|Positions|Tensor)\b")
 _NUMBER = re.compile(r"float( \| None)?|tuple\[float(, float)*\]")
 # The description of a number states its unit, ", m/s" or "in the unit of ...", or says that it has none.
 _UNIT = re.compile(

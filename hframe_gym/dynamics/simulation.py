@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import Array
+from ..arrays import Array, ParameterRows, Times
 from ..machine import Machine, Trajectory, rest_state
 from ..operating_system import cores
 from .codegen.kernel import Kernel
@@ -35,8 +35,7 @@ class NotFiniteError(ArithmeticError):
 def threads() -> int:
     """Return the number of threads over which the simulation of a batch of machines is distributed.
 
-    Returns:
-        `$HFRAME_THREADS` if it is set (at least 1), else the number of cores that this process may use.
+    It is `$HFRAME_THREADS` if that is set, else the number of cores that this process may use.
 
     Raises:
         ValueError: If `$HFRAME_THREADS` is not an integer.
@@ -46,9 +45,7 @@ def threads() -> int:
 
 
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
-    """Process blocks of machines in several threads; return when all are done.
-
-    A block is a group of `LANES` (8 or 16) machines that the processor simulates side by side.
+    """Process blocks of `LANES` machines in several threads; return when all are done.
 
     Args:
         run: Function (first, end) that processes the blocks first to end - 1. It is called in several threads at once
@@ -74,12 +71,8 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="hframe")
 
 
-def parameter_batch(machine: Machine) -> Array:
-    """Return the parameters of a machine as an array, a batch of one machine.
-
-    Returns:
-        Values of the P parameters in the order of `Machine.parameters`, SI, shape (1, P).
-    """
+def parameter_batch(machine: Machine) -> ParameterRows:
+    """Return the parameters of a machine as a batch of one machine."""
     return np.array([list(machine.parameters.values())])
 
 
@@ -99,10 +92,10 @@ class Motion(NamedTuple):
 
 def simulate_batch(
     machine: Machine,
-    time_s: Array,
+    time_s: Times,
     inputs: Array,
     *,
-    parameters: Array | None = None,
+    parameters: ParameterRows | None = None,
     start: Array | None = None,
     extra_force: Array | None = None,
     measured: Array | None = None,
@@ -112,18 +105,18 @@ def simulate_batch(
     readings: bool = True,
     parallel: bool = True,
 ) -> Motion:
-    """Simulate B machines that differ in parameter values only, over n samples; arguments are not checked.
+    """Simulate B machines that differ in parameter values only, over N samples; arguments are not checked.
 
     Args:
         machine: One of the machines; it gives the equations of motion and the default parameters.
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        inputs: Voltages, V, held from each sample until the next, shape (n, drives) for all machines or (B, n, drives).
-        parameters: P parameters in the order of `Machine.parameters`, SI, shape (B, P). Default: by `machine`.
+        time_s: Sample times.
+        inputs: Voltages, V, held from each sample until the next, shape (N, drives) for all machines or (B, N, drives).
+        parameters: Parameters of the machines. Default: by `machine`.
         start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,) or
             (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order of the
             machine's effects) may follow in further columns; without them they are zero.
-        extra_force: External force, N or Nm, held until the next sample, shape (n, coordinates) or (B, n, coordinates).
-        measured: Measurements that correct the simulation (observer), m or rad, shape (n, sensors) or (B, n, sensors),
+        extra_force: External force, N or Nm, held until the next sample, shape (N, coordinates) or (B, N, coordinates).
+        measured: Measurements that correct the simulation (observer), m or rad, shape (N, sensors) or (B, N, sensors),
             NaN where not measured.
         gains: Observer gains, SI, shape (2 * coordinates, sensors): at every sample gains @ (measured - reading) is
             added to the positions (first rows) and velocities (last rows). None: no correction.
@@ -133,8 +126,7 @@ def simulate_batch(
         parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
-        `Motion`: positions (m, rad) and velocities (m/s, rad/s), shape (B, n, coordinates), and noise-free readings (m,
-        rad), shape (B, n, sensors); empty where not requested. Diverged motions have NaN or large values.
+        The motion, arrays of shape (B, N, ...); diverged motions have NaN or large values.
     """
     parameters = parameter_batch(machine) if parameters is None else parameters
     # The compiled functions work in belt travel: position * radius.
@@ -194,18 +186,18 @@ def _run_kernel(
         run(0, blocks)
 
 
-def rollout(machine: Machine, time_s: Array, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
-    """Simulate B machines that differ in parameter values only, over n samples; return positions, no sensor readings.
+def rollout(machine: Machine, time_s: Times, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
+    """Simulate machines as `simulate_batch`, and return positions, no sensor readings.
 
     Args:
-        machine: One of the machines; it gives the equations of motion and the default parameters.
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        inputs: Voltages, V, held from each sample until the next, shape (n, drives) or (B, n, drives).
+        machine: One of the machines.
+        time_s: Sample times.
+        inputs: Voltages, V, held from each sample until the next, shape (N, drives) or (B, N, drives).
         velocities: Whether to append the velocities, m/s or rad/s, to the positions.
-        **options: Keyword arguments of `simulate_batch`: `parameters` (SI, shape (B, P)), `start` (initial state), ...
+        **options: Keyword arguments of `simulate_batch`: `parameters`, `start`, ...
 
     Returns:
-        Positions, m or rad, shape (B, n, coordinates), or with velocities (B, n, 2 * coordinates).
+        Positions, m or rad, shape (B, N, coordinates), or with velocities (B, N, 2 * coordinates).
     """
     motion = simulate_batch(machine, time_s, inputs, readings=False, **options)
     return np.concatenate(motion[:2], axis=2) if velocities else motion.positions
@@ -220,9 +212,7 @@ def simulate(
     offset: ArrayLike = 0.0,
     longest_step: float = LONGEST_STEP,
 ) -> Trajectory:
-    """Simulate a machine over a voltage history.
-
-    Inputs are held from each sample until the next (zero-order hold).
+    """Simulate a machine over a voltage history; inputs are held from each sample until the next.
 
     Args:
         time_s: Times of n samples, s, strictly increasing, shape (n,).
@@ -234,8 +224,7 @@ def simulate(
         longest_step: Largest step of the integrator, s.
 
     Returns:
-        Trajectory with `positions` and `velocities`, shape (n, coordinates), and sensor readings `outputs`, shape (n,
-        sensors), at every sample, in m or rad.
+        Motion at every sample: arrays of N rows, shape (N, coordinates) or (N, sensors).
 
     Raises:
         ValueError: If the shapes do not fit the machine, times do not increase or span more than 1e9 steps, or

@@ -29,14 +29,12 @@ class MetricSet(Protocol):
     """Signature of a function in `METRICS`, which computes the metrics of a task."""
 
     def __call__(self, episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
-        """Compute the metrics of B recorded episodes.
+        """Compute the metrics of B recorded episodes, by name, as data that JSON can hold.
 
         Args:
+            episodes: Recorded episodes.
             bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
             seed: Seed of the bootstrap resampling.
-
-        Returns:
-            Metrics by name, as data that JSON can hold.
         """
 
 
@@ -49,16 +47,14 @@ def score_episodes(
     """Compute the scores of one controller from its B recorded episodes.
 
     Args:
-        episodes: B recorded episodes: positions and goals, m, voltages, V, energy, J, belt forces, N.
+        episodes: Recorded episodes.
         bound_s: Shortest possible settling times, s, shape (B,), NaN where unknown; None if unknown for all.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
         metrics: "reach" (fixed goal), "track" (path) or another registered set. Default: "track" if there is a path.
 
     Returns:
-        The metrics of the set and four scores, by name. Names, meaning and units of the metrics are documented at
-        `reach_metrics` (success, settling_s, over_bound, overshoot_mm, final_error_mm) and `track_metrics` (success,
-        contour_mm, tracking_mm, delay_ms). Each score is a dictionary of two entries: `mean` over the episodes and
-        `ci95`, [lower, upper limit] of its 95 % confidence interval. The scores:
+        The metrics of the set (see `reach_metrics` and `track_metrics`) and four scores, by name. Each score has two
+        entries: `mean` over the episodes and `ci95`, [lower, upper limit] of its 95 % confidence interval. The scores:
 
         - `energy_J`: electrical energy drawn minus energy fed back, J.
         - `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
@@ -193,12 +189,9 @@ def overshoot(position: Array, goal: Array) -> Array:
 
 
 def tracking_delay(episodes: Episodes) -> Array:
-    """Compute the mean delay of the tool behind its moving goal in each of B episodes.
+    """Compute the mean delay of the tool behind its moving goal, s, shape (B,); 0 for a goal at rest.
 
     The delay T minimizes the sum over the samples of |g - T g' - p|^2: goal g, its velocity g', tool position p.
-
-    Returns:
-        Delay, s, negative if the tool leads, shape (B,); zero for a goal that does not move.
     """
     velocity = np.gradient(episodes.goal, episodes.time_s, axis=1)
     # The least-squares solution: T = sum (g - p) g' / sum |g'|^2.
@@ -290,13 +283,8 @@ class StoredBounds(NamedTuple):
 def condition_digests(conditions: EpisodeConditions) -> list[str]:
     """Compute a hash of the machine, start and goal of each episode, by which stored settling times are looked up.
 
-    Before hashing, numbers are rounded to nine significant digits. Seed, control period and sensors are not hashed.
-
-    Args:
-        conditions: Machine, sampled parameters, start and goal of B episodes.
-
-    Returns:
-        B digests of 16 hexadecimal digits (the start of SHA-256).
+    Before hashing (the first 16 hexadecimal digits of SHA-256), numbers are rounded to nine significant digits. Seed,
+    control period and sensors are not hashed.
     """
     machine = conditions.machine
     coordinates = [(c.name, c.kind) for c in machine.coordinates]
@@ -316,14 +304,7 @@ def _bounds_by_digest() -> dict[str, float]:
 
 
 def stored_bounds(scenario: Scenario) -> StoredBounds:
-    """Look up the time-optimal bounds (shortest possible settling times) of a scenario's episodes.
-
-    Args:
-        scenario: Machine, task, randomization and seeds of the episodes.
-
-    Returns:
-        times_s: Shortest possible settling times (0.2 mm) of B episodes, s, shape (B,), NaN where missing; None if all.
-        reason: Sentence that says why bounds are missing; None if none is missing.
+    """Look up the time-optimal bounds (shortest possible settling times) of a scenario's episodes, shape (B,).
 
     Raises:
         ValueError: If the environment rejects the scenario's options.

@@ -78,9 +78,6 @@ def export_dataset(
         flat: Whether a stored observation is one array instead of a dict of arrays.
         author: Author in the metadata. Default: none.
 
-    Returns:
-        Id, folder, number of episodes and steps, mean return (dimensionless) and success rate (0 to 1) of the data set.
-
     Raises:
         InputError: If the controller is unknown or cannot run in this scenario, an option of the scenario is not the
             name of a preset, the control period is not 0.01 s in a task with a path, the simulated motion diverges, or

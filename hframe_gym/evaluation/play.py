@@ -137,11 +137,7 @@ class PlayedStage:
         self._trail.append(self.position)
 
     def draw(self) -> Any:
-        """Draw this stage from above in its present state, with goal and trail of the tool.
-
-        Returns:
-            Pygame surface of 880 x 660 pixels, which the next call overwrites.
-        """
+        """Draw this stage from above on a Pygame surface of 880 x 660 pixels, which the next call overwrites."""
         self.view.draw(Scene.of(self.env.batch, 0, self._trail))
         return self.view.surface
 
@@ -215,11 +211,7 @@ class Game:
         self._due = 0.0
 
     def handle(self, event: Any) -> None:
-        """React to a pygame event: keys and mouse set voltages or targets, and restart, pause or end the game.
-
-        Args:
-            event: Event of keyboard, mouse or window.
-        """
+        """React to a pygame event: keys and mouse set voltages or targets, and restart, pause or end the game."""
         pygame = self._pygame
         if event.type == pygame.QUIT:
             self.done = True
@@ -322,11 +314,7 @@ class Game:
             self.window.blit(self._small.render(text, True, INK), (center + half + 10, row + 1))
 
     def run(self, frames: int | None = None) -> None:
-        """Handle events, simulate and draw, 50 times per second, until the user ends the game.
-
-        Args:
-            frames: Number of frames of the window after which to stop. Default: no limit.
-        """
+        """Handle events, simulate and draw, 50 times per second, until the user ends the game."""
         clock, count = self._pygame.time.Clock(), 0
         while not self.done and (frames is None or count < frames):
             for event in self._pygame.event.get():
@@ -337,10 +325,7 @@ class Game:
             count += 1
 
     def save_picture(self, path: Path) -> None:
-        """Save the window as a picture.
-
-        Args:
-            path: File ending in .png; it appears complete or not at all.
+        """Save the window as a picture; the file, ending in .png, appears complete or not at all.
 
         Raises:
             InputError: If the file does not end in .png.

@@ -21,15 +21,7 @@ BAND_TEXTS = {name: f"{1e3 * band:g} mm" for name, band in BANDS.items()}  # set
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
     """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and voltages.
 
-    The first panel shows the position over time if the machine has one axis.
-
-    Args:
-        episodes: Recorded episodes of one controller: positions and goals, m, voltages, V, and times, s.
-        episode: Index of the episode, from 0 to the number of episodes - 1.
-        title: Title of the figure; empty for none.
-
-    Returns:
-        Figure of matplotlib (`matplotlib.figure.Figure`).
+    The first panel shows the position over time if the machine has one axis. The result is a figure of matplotlib.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
@@ -54,13 +46,7 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
 
 
 def save_plot(path: str | Path, episodes: Episodes, episode: int = 0, *, title: str = "") -> None:
-    """Plot one episode (tool path, error, voltages) to a file; if this fails, an existing file stays unchanged.
-
-    Args:
-        path: File to write; the suffix is .png, .svg or .pdf.
-        episodes: Recorded episodes of one controller: positions and goals, m, voltages, V, and times, s.
-        episode: Index of the episode, from 0 to the number of episodes - 1.
-        title: Title of the figure; empty for none.
+    """Plot one episode with `plot_episode` to a .png, .svg or .pdf file; on failure an existing one stays.
 
     Raises:
         ImportError: If matplotlib is not installed; the message names the extra.
@@ -134,15 +120,7 @@ def _point(position: NDArray[np.float64]) -> str:
 
 
 def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Panel]:
-    """Describe the three plots of an episode for the scorecard (HTML page): tool path, distance over time, voltages.
-
-    Args:
-        name: Name of the controller.
-        episode: Index of the episode, from 0 to the number of episodes - 1.
-
-    Returns:
-        The three plots as data for `write_page` (`Panel`: title, description, function that draws the plot).
-    """
+    """Describe the three plots of an episode for the scorecard: tool path, distance over time, voltages."""
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
     route = f"from {_point(start)} mm"
@@ -171,14 +149,7 @@ def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Pane
 
 
 def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
-    """Describe a plot for the scorecard: distances to the goal in the first episode, one curve per controller.
-
-    Args:
-        recorded: Recorded episodes by name of the controller, at least one.
-
-    Returns:
-        The plot as data for `write_page` (`Panel`: title, description, function that draws it), distances in mm.
-    """
+    """Describe a plot for the scorecard: distances to the goal in the first episode, mm, one curve per controller."""
 
     def draw(axes: Any) -> None:
         for name, episodes in recorded.items():
@@ -200,9 +171,6 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
         unit: Unit of the values; empty for a ratio.
         scores: By name of the controller, `mean` and `ci95` (lower and upper limit), in `unit`; None if the controller
             has no value.
-
-    Returns:
-        The plot as data for `write_page` (`Panel`: title, description, function that draws it).
     """
     known = {name: score for name, score in scores.items() if score}
 
@@ -230,9 +198,6 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
     Args:
         title: Caption.
         success: By name of the controller, the fraction of successful episodes, 0 to 1, by name of the settling band.
-
-    Returns:
-        The plot as data for `write_page` (`Panel`: title, description, function that draws it).
     """
     bands = list(BANDS)
 

@@ -105,9 +105,7 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
             a list with one value per episode, mm or s.
 
     Returns:
-        By key: "protocol" and "digest" (its name and hash), "entry" (controller or agent), "versions" of packages,
-        "checksum", "scores" by part and metric, "draws" unchanged, and "schema" (version of the format) and "about"
-        (empty text).
+        The keys of `ResultFile`; `about` is empty.
     """
     content = {
         "schema": SCHEMA,
@@ -123,29 +121,17 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
 
 
 def checksum(content: Mapping[str, Any]) -> str:
-    """Compute the hash by which a result file shows that it was not edited after the run.
+    """Compute the SHA-256 by which a result file shows that it was not edited after the run.
 
-    It protects against mistakes; whoever computes it anew is found by running the entry again.
-
-    Args:
-        content: Content of a result file.
-
-    Returns:
-        SHA-256 of the protocol with its digest, the entry, the versions and the draws.
+    It covers the protocol with its digest, the entry, the versions and the draws. It protects against mistakes; whoever
+    computes it anew is found by running the entry again.
     """
     covered = {key: content[key] for key in ("protocol", "digest", "entry", "versions", "draws")}
     return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()
 
 
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
-    """List the versions of packages on which results depend.
-
-    Args:
-        packages: Names of packages; those that are not installed are omitted.
-
-    Returns:
-        Version strings by name of the package.
-    """
+    """List the versions of packages on which results depend, by name; those that are not installed are omitted."""
     versions = {}
     for package in packages:
         try:
@@ -179,61 +165,40 @@ def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
 
 
 def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
-    """Copy a metric's values to an array, with the length of an episode for draws (episodes) that do not settle.
+    """Return a metric's values as an array, shape (B,), with the length of an episode for draws that do not settle.
 
     Args:
         column: B settling times, s, None for a draw that does not settle; values of another metric are not changed.
         duration_s: Length of an episode, s.
-
-    Returns:
-        Values, in the unit of the metric, shape (B,).
     """
     return np.array([duration_s if value is None else value for value in column], np.float64)
 
 
 def settling_or_none(success: float, settling: Any) -> Any:
-    """Return scores of settling times, or None if no episode settles.
+    """Return scores of settling times, in their unit, or None if no episode settles.
 
     An episode that does not settle counts with its length. If none settles, the scores say nothing but this length.
 
     Args:
         success: Fraction of the episodes that settle, 0 to 1.
         settling: Mean settling time, s, or an object with several scores of the settling times.
-
-    Returns:
-        `settling`; None if `success` is 0.
     """
     return settling if success else None
 
 
 def result_file_name(content: Mapping[str, Any]) -> str:
-    """Return the name of a result file, made of the names of the protocol and of the controller or agent.
+    """Return the name of a result file, PROTOCOL_ENTRY.json, for example "reach-v1_adaptive-pid.json".
 
-    Args:
-        content: Content of the file. The names of the protocol and of the entry (the controller or agent) are used.
-
-    Returns:
-        PROTOCOL_ENTRY.json, for example "reach-v1_adaptive-pid.json". In the name of the entry, characters other than
-        letters, digits, "-" and "." become "-".
+    In the name of the entry, characters other than letters, digits, "-" and "." become "-".
     """
     safe = "".join(c if c.isalnum() or c in "-." else "-" for c in content["entry"]["name"])
     return f"{content['protocol']}_{safe}.json"
 
 
 def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
-    """Write the scores of a controller or agent in a protocol (fixed benchmark) to a result file.
+    """Write the result of `result_content` to PROTOCOL_ENTRY.json in a folder; return the path of the file.
 
     If this fails, an existing file stays unchanged.
-
-    Args:
-        folder: Folder for the file; created if it does not exist.
-        content: Result of `result_content`: protocol, controller or agent (entry), scores, and values of all episodes.
-
-    Returns:
-        Path of the file; its name is PROTOCOL_ENTRY.json.
-
-    Raises:
-        OSError: If the file cannot be written.
     """
     path = Path(folder) / result_file_name(content)
     head = {key: value for key, value in content.items() if key != "draws"}
@@ -250,9 +215,6 @@ def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
 
 def read_result(path: str | Path) -> ResultFile:
     """Read a result file (scores of a controller or agent in a protocol) and check that its scores are consistent.
-
-    Returns:
-        Content of the file: protocol, controller or agent, versions of packages, scores, and values of all episodes.
 
     Raises:
         InputError: If the file is not a result file, names an unknown protocol, or lacks the digest (hash), parts
@@ -368,9 +330,6 @@ def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     Args:
         result: Content of the file.
         draws: Values of the repeated run by part and metric.
-
-    Returns:
-        Numbers of compared and of equal values, the largest difference, and whether the file is reproduced.
     """
     protocol = get_protocol(result.protocol)
     count = equal = 0

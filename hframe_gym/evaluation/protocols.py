@@ -93,14 +93,9 @@ class Protocol:
         return actuators.apply(machine) if actuators else machine
 
     def scenario(self, part: str) -> Scenario:
-        """Return the settings with which the episodes of a part (one task of the benchmark) are simulated.
+        """Return the settings with which the episodes of a part, for example "reach", are simulated.
 
-        Args:
-            part: Name of the part, for example "reach".
-
-        Returns:
-            Machine, task, randomization, sensors, drives, period, number of episodes and seed. The machine includes
-            effects that controllers do not know, if the protocol has any.
+        The machine includes effects that controllers do not know, if the protocol has any.
         """
         machine, rules = as_machine(self.machine), RANDOMIZATION_PRESETS[self.randomize]
         if self.undeclared_effects:
@@ -121,12 +116,6 @@ class Protocol:
         """Return the settings from which a controller is designed that will run in a part (task) of the benchmark.
 
         They differ from the simulated ones: the machine lacks undeclared effects, and the full state is observed.
-
-        Args:
-            part: Name of the part, for example "reach".
-
-        Returns:
-            Scenario with the declared machine, its randomization, and full state in place of the sensors.
         """
         return dataclasses.replace(
             self.scenario(part),
@@ -136,11 +125,7 @@ class Protocol:
         )
 
     def compute_digest(self) -> str:
-        """Compute a hash of the settings and of all episodes (starts, goals, parameters); this takes about a second.
-
-        Returns:
-            16 hexadecimal digits, equal to `digest` unless the installed packages give other settings or episodes.
-        """
+        """Compute the `digest` of this installation's settings and episodes; this takes about a second."""
         settings = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
@@ -203,13 +188,7 @@ PROTOCOLS: dict[str, Protocol] = {
 
 
 def get_protocol(name: str) -> Protocol:
-    """Return a benchmark protocol by its name.
-
-    Args:
-        name: Name with the version, for example "reach-v1".
-
-    Returns:
-        The protocol (a fixed benchmark).
+    """Return a benchmark protocol by its name with the version, for example "reach-v1".
 
     Raises:
         InputError: If there is no such protocol.
@@ -274,8 +253,7 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
         protocol: Benchmark to run.
 
     Returns:
-        entry: Name, kind and hash of the controller or agent.
-        draws: Values of all draws (episodes), by part (task) and metric, in the unit of the metric.
+        The controller or agent, and the values of all draws (episodes) by part and metric, in the unit of the metric.
 
     Raises:
         InputError: If the name is unknown, the entry cannot run on the tasks, the simulated motion diverges, or the
@@ -317,7 +295,7 @@ def _combined(entries: Sequence[Entry]) -> Entry:
 
 
 def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Controller]:
-    """Create the controller or agent of a given name for a part (task) of a protocol.
+    """Create the controller or agent of a given name for a part (task) of a protocol; it controls all draws at once.
 
     Controllers are designed from the declared machine. If the protocol observes sensors, a controller that needs the
     full state, or an agent that was trained with it, receives the estimates of a `StateEstimator`.
@@ -326,10 +304,6 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
         name: Controller such as "pid", agent or its folder, or folder with one agent each in `reach` and `track`.
         protocol: Benchmark in which it will run.
         part: Name of the part, for example "reach".
-
-    Returns:
-        entry: Name, kind and hash of the controller or agent.
-        controller: The controller, which can control all draws (episodes) at once.
 
     Raises:
         InputError: If the name is unknown or the controller cannot run on the task.
@@ -423,10 +397,7 @@ def _hash(files: tuple[Path, ...], others: Sequence[bytes] = ()) -> str:
 
 
 def draw_values(episodes: Episodes) -> Draws:
-    """Compute the metrics of every episode of one task of a protocol (fixed benchmark); its scores follow from them.
-
-    Args:
-        episodes: The B recorded episodes of the task.
+    """Compute the metrics of every episode of one task of a protocol; its scores follow from them.
 
     Returns:
         By name of the metric, a list of B values, rounded to 6 decimals. For moves to a point: `settling_s.1mm`,

@@ -67,10 +67,6 @@ def evaluate(
         period: Control period, s.
         duration_s: Length of an episode, s.
 
-    Returns:
-        scores: Contents of scores.json: description of the scenario, and the scores by name of the controller.
-        episodes: Recorded episodes by name of the controller.
-
     Raises:
         InputError: If an option or a controller's name is wrong or missing, a controller cannot run in this scenario,
             the simulated motion diverges, or the episodes would have more than 2e8 samples (10 per control period).
@@ -124,14 +120,12 @@ def _describe(scenario: Scenario) -> dict[str, Any]:
 def rollout(controller: Controller, scenario: Scenario) -> Episodes:
     """Simulate all episodes of a scenario with one controller, all at the same time, and record them.
 
+    Energy and force are computed from motion and voltages by the laws of Ohm and Hooke, without effects on currents and
+    tensions. `Episodes` states the shape of each array; there are 10 samples per control period, and one more.
+
     Args:
         controller: Controller designed for the scenario's control period. Its memory is cleared first.
         scenario: Machine, task, randomization, sensors and number of episodes.
-
-    Returns:
-        B recorded episodes with m control periods and n = 10 m + 1 samples: tool positions and goals, m, shape (B, n,
-        axes), voltages, V, shape (B, m, drives), energy, J, and largest belt force, N, shape (B,). Energy and force
-        are computed from motion and voltages by the laws of Ohm and Hooke, without effects on currents and tensions.
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
@@ -226,14 +220,7 @@ def _points(travel: Array, speed: Array) -> MotionPoint:
 
 
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
-    """Write the scores of an evaluation to scores.json; if this fails, an existing file stays unchanged.
-
-    Args:
-        folder: Folder; created if it does not exist.
-        scores: Description of the scenario, and the scores by name of the controller (`Evaluation.scores`).
-
-    Returns:
-        Path of the written file.
+    """Write `Evaluation.scores` to scores.json in a folder, and return the path; on failure an existing file stays.
 
     Raises:
         ValueError: If a value is not finite, which JSON cannot hold.

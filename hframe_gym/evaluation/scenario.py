@@ -171,14 +171,9 @@ class EpisodeConditions(NamedTuple):
 
 
 def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrameVectorEnv:
-    """Build the environments of a scenario, one per episode, without a limit on the number of steps.
+    """Build the environments of a scenario, one per episode, without a limit on the number of steps, not reset yet.
 
-    Args:
-        scenario: Machine, task, randomization and drives of the environments, and their number.
-        **options: Other options of the environments. By default they observe the state, with a period of 10 ms.
-
-    Returns:
-        Vector environment, not reset yet.
+    The further options are those of the environments. By default they observe the state, with a period of 10 ms.
     """
     common = EnvOptions(machine=scenario.machine, task=scenario.controller_task, randomize=scenario.randomize)
     return HFrameVectorEnv(scenario.episodes, max_episode_steps=None, **common | {"drives": scenario.drives} | options)
@@ -187,11 +182,7 @@ def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrame
 def episode_conditions(scenario: Scenario) -> EpisodeConditions:
     """Sample the machine parameters, starts and goals of a scenario's episodes, without simulating any motion.
 
-    Args:
-        scenario: Machine, task, randomization, number of episodes and seed.
-
-    Returns:
-        Machine, sampled parameters, SI, shape (B, P), and start positions and goals of the tool, m, shape (B, axes).
+    The `EpisodeConditions` state the shape of each.
 
     Raises:
         ValueError: If the environment rejects the scenario's options, for example an unknown task.
@@ -233,14 +224,7 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def make(name: str, scenario: Scenario) -> Controller | None:
-        """Create the controller that this source provides under a name.
-
-        Args:
-            name: Controller name from the user, for example a path.
-            scenario: Machine, task, sensors and control period with which the controller will run.
-
-        Returns:
-            The controller, or None if this source has no controller of this name.
+        """Create the controller that this source provides under a name, for example a path; None if it has none.
 
         Raises:
             InputError: If this source has the controller but cannot create it, for example from a damaged file.
@@ -249,26 +233,16 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def describe(scenario: Scenario) -> str:
-        """Describe the names that this source accepts.
+        """Describe the names that this source accepts in a scenario, such as "the folder of a trained agent".
 
-        Args:
-            scenario: Scenario in which the controller will run; the accepted names may depend on its task.
-
-        Returns:
-            A phrase that completes the error message "controller 'x' is unknown; choose ...", for example "the folder
-            of a trained agent".
+        The phrase completes the error message "controller 'x' is unknown; choose ...".
         """
 
     @staticmethod
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
         """List the files that determine a controller, so that results can identify it by their hash.
 
-        Args:
-            name: Controller name from the user, for example a path.
-            scenario: Machine, task, sensors and control period with which the controller will run.
-
-        Returns:
-            Name, files and sensors of the controller; None if this source does not provide it or has no files.
+        None if this source does not provide the controller or it has no files.
         """
         return None
 
@@ -299,9 +273,6 @@ def make_controller(
         sensors: What the controller observes: "state" (true full state), "rig" (encoders and lasers), or a sensor
             suite.
         period: Control period, s.
-
-    Returns:
-        The controller, for any number of simulated machines at once.
 
     Raises:
         InputError: If the name is unknown, or the controller cannot run on this machine or from these sensors. Also if
@@ -386,13 +357,8 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
 def period_concern(machine: Machine, period: float) -> str | None:
     """Return a warning if all vibrations of a machine on its belts have frequencies above half the control rate.
 
-    A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
-
-    Args:
-        period: Control period, s.
-
-    Returns:
-        One sentence that suggests a shorter period; None if the period is short enough or nothing vibrates.
+    A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency). The
+    sentence suggests a period shorter than the present `period`, s.
     """
     modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
     if not modes or min(modes) <= 0.5 / period:

@@ -35,7 +35,7 @@ def write_scorecard(
 
     Args:
         folder: Folder; created if it does not exist.
-        scores: Contents of scores.json: description of the scenario, and the scores by name of the controller.
+        scores: Contents of scores.json.
         recorded: Recorded episodes by name of the controller, for the plots of the first episode. Default: no plots.
         warnings: Sentences about results that cannot be trusted.
 

@@ -21,6 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from typing_extensions import override
 
 from ..arrays import Array
 from ..effects import EFFECTS
@@ -62,6 +63,7 @@ class Sometimes(Distribution):
         if not (0.0 < self.probability <= 1.0 and outside and (self.otherwise == 0.0 or not self.signed)):
             raise InputError(f"randomize: the distribution {self} has an invalid probability, constant or sign")
 
+    @override
     def quantile(self, u: Array) -> Array:
         """Compute quantiles (inverse of the cumulative distribution function); for uniform u they are samples.
 
@@ -70,12 +72,6 @@ class Sometimes(Distribution):
         - with `signed`: negative log-uniform numbers, 0, positive log-uniform numbers;
         - with `otherwise` >= `high`: the log-uniform numbers, then the constant;
         - else: the constant, then the log-uniform numbers.
-
-        Args:
-            u: Probabilities in (0, 1), dimensionless, shape (k,).
-
-        Returns:
-            Quantiles, in the unit of `low`, shape (k,).
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed
@@ -116,14 +112,10 @@ class EffectFamily:
     fixed: Mapping[str, float] = field(default_factory=dict)
 
     def distributions(self, site: str) -> Mapping[str, Distribution]:
-        """Return the distributions of the effect's random parameters other than its size, such as a wavelength.
+        """Return the distributions of the effect's random parameters but its size, by name, SI, at a site.
 
-        Args:
-            site: Coordinate, drive, belt or sensor on which the effect acts, a key of `ranges`, for example "motor1".
-
-        Returns:
-            Distributions by name of the parameter, in SI units. For a pulley angle (its name begins with "phi"), these
-            are the attribute `rotary` if it is not empty. In all other cases, they are the attribute `others`.
+        For a pulley angle (its name begins with "phi"), they are the attribute `rotary` if it is not empty;
+        else `others`.
         """
         return self.rotary if self.rotary and site.startswith("phi") else self.others
 
@@ -178,13 +170,7 @@ def with_absent_effects(machine: Machine) -> Machine:
 
     An effect that is switched off has parameter values with which it has no influence, for example an amplitude of 0.
     Randomization rules (`effect_rules`) can change these values and thus switch it on. One effect is never off:
-    `current_limit` limits the motor currents, here to 12 A.
-
-    Args:
-        machine: The H-frame; it must not have these effects and is not changed.
-
-    Returns:
-        Copy with the effects. It moves like `machine` would with motor currents limited to 12 A.
+    `current_limit` limits the motor currents, here to 12 A. The machine must not have the effects.
     """
     effects = []
     for family in EFFECT_FAMILIES:
@@ -200,11 +186,9 @@ def with_absent_effects(machine: Machine) -> Machine:
 def effect_rules() -> tuple[RandomizeParameter, ...]:
     """Return the randomization rules that switch on effects at random in every episode, two on average.
 
-    The rules are for a machine that `with_absent_effects` returned: it has these effects, switched off.
-
-    Returns:
-        For each effect on each of its components, one rule for its size, which leaves it off in most episodes (the
-        distribution is `Sometimes`), and one rule for each other parameter that varies, such as a phase or a period.
+    The rules are for a machine that `with_absent_effects` returned. For each effect on each of its components, there is
+    one rule for its size, which leaves it off in most episodes (`Sometimes`), and one for each other parameter that
+    varies, such as a phase or a period.
     """
     rules = []
     for family in EFFECT_FAMILIES:
@@ -221,13 +205,11 @@ def effect_rules() -> tuple[RandomizeParameter, ...]:
 def acting_effects(machine: Machine, parameters: Array) -> Machine:
     """Return the machine of one episode, with its sampled parameters and without the effects that are off.
 
+    It keeps the effect `current_limit`, which is never off, with the sampled limit or 12 A.
+
     Args:
         machine: Machine of the environment, with all effects that an episode may switch on.
         parameters: Values of the P `Machine.parameters` in the episode, SI, shape (P,).
-
-    Returns:
-        Machine that moves exactly as the machine in the episode. It keeps the effect `current_limit`, which is never
-        off, with the sampled limit or 12 A.
     """
     values = dict(zip(machine.parameters, np.asarray(parameters, np.float64).tolist(), strict=True))
     sampled = machine.replace(values)

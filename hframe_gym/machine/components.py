@@ -96,9 +96,6 @@ class Coordinate:
                 such as "position", "speed", "force", "stiffness", "drag" (force per squared speed) or "rad/position"
                 (a phase per position). Keys of `FIXED_UNITS`, such as "voltage", have one unit at all coordinates.
 
-        Returns:
-            The unit, for example "kg m^2" for the mass of a rotary coordinate.
-
         Raises:
             KeyError: If the quantity is none of these.
         """
@@ -207,18 +204,14 @@ class SensorKind:
 
     @staticmethod
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
-        """Convert ideal readings to measurements: add noise, then round to the resolution.
+        """Convert ideal readings to measurements, m or rad: add noise, then round; the shapes broadcast.
 
         Args:
             reading: Ideal (noise-free, continuous) readings, m or rad, any shape.
-            noise: Standard deviation of the noise, m or rad, of a shape that broadcasts.
-            resolution: Quantization step of the sensor, m or rad, of a shape that broadcasts; 0 for a continuous
-                sensor.
-            normal: Samples of the standard normal distribution, dimensionless, of a shape that broadcasts; they are
-                multiplied by `noise`.
-
-        Returns:
-            Measured values, m or rad, in the broadcast shape of the four arguments.
+            noise: Standard deviation of the noise, m or rad, any shape.
+            resolution: Quantization step of the sensor, m or rad, any shape; 0 for a continuous sensor.
+            normal: Samples of the standard normal distribution, dimensionless, any shape; they are multiplied
+                by `noise`.
         """
         value = np.asarray(reading + np.asarray(noise) * normal)
         quantum = np.broadcast_to(np.asarray(resolution, float), value.shape)
@@ -299,14 +292,7 @@ class Uncertainty:
     covariance: Array
 
     def std(self, name: str) -> float | None:
-        """Return the standard deviation of a parameter.
-
-        Args:
-            name: Full name of the parameter, for example "x.mass".
-
-        Returns:
-            The standard deviation in the parameter's unit, or None if the parameter was not identified.
-        """
+        """Return the standard deviation of a parameter in its unit, or None if it was not identified."""
         if name not in self.names:
             return None
         index = self.names.index(name)

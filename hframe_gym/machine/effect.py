@@ -166,13 +166,7 @@ class Effect:
     signal_order: int = 0
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the declaration of one parameter of the effect (deviation from the nominal model): unit, bounds, role.
-
-        Args:
-            name: Name of the parameter, for example "A".
-
-        Returns:
-            The declaration.
+        """Return the declaration of one parameter of the effect: unit, bounds, role.
 
         Raises:
             KeyError: If the effect has no parameter with this name.
@@ -185,11 +179,8 @@ class Effect:
     def possible_sites(self, machine: Machine) -> tuple[str, ...]:
         """List the components of a machine on which the effect can act, by the kind of component (attribute `site`).
 
-        The further conditions `fits` and `fits_site` are not checked.
-
-        Returns:
-            Names of coordinates, drives, belts or sensor channels. "drives" and "belts" stand for all drives or belts
-            at once, "machine" for the whole machine. Empty if the machine has no such component.
+        "drives" and "belts" stand for all drives or belts at once, "machine" for the whole machine. The
+        further conditions `fits` and `fits_site` are not checked.
         """
         drives = tuple(d.name for d in machine.drives)
         return {
@@ -213,15 +204,12 @@ class Effect:
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:
-        """Return the effect (deviation from the nominal model) on a component, with parameter values.
+        """Return the effect on a component, with parameter values, for `Machine.with_effects`.
 
         Args:
             site: Name of the coordinate, drive, belt or sensor channel on which the effect acts; or "drives" or "belts"
                 for all of them, or "machine". `possible_sites` lists the choices, `Machine.with_effects` checks them.
             **parameters: Value of every parameter of the effect, SI, within its bounds (`EffectParameter`).
-
-        Returns:
-            The effect on this component, for `Machine.with_effects`.
 
         Raises:
             InputError: If a parameter is missing, unknown, no number, outside its bounds or below the parameter that
@@ -267,11 +255,10 @@ class AppliedEffect:
         return f"{self.definition.name}@{self.site}"
 
     def components(self, machine: Machine) -> tuple[str, ...]:
-        """Return the components of a machine on which the effect (deviation from the nominal model) acts.
+        """Return the components of a machine on which the effect acts.
 
-        Returns:
-            The site itself if it is one component. All drives for the site "drives", all belts for "belts", all
-            coordinates for "machine"; but ("machine",) for an effect that adds components (`Effect.structure`).
+        They are all drives for the site "drives", all belts for "belts", and all coordinates for "machine";
+        but ("machine",) for an effect that adds components (`Effect.structure`).
         """
         kind = self.definition.site
         if kind == "machine":
@@ -282,22 +269,14 @@ class AppliedEffect:
         return (self.site,) if self.site in names or not names else names
 
     def with_parameters(self, parameters: Mapping[str, float]) -> AppliedEffect:
-        """Return a copy of the effect (deviation from the nominal model) with other parameter values.
-
-        Args:
-            parameters: Values of all parameters by name, SI. Names and bounds are not checked.
-
-        Returns:
-            Copy with these values, on the same component.
-        """
+        """Return a copy of the effect with other values, SI, of all parameters; names and bounds are not checked."""
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Machine) -> None:
-        """Raise an error if a machine lacks the component on which the effect acts, or has the effect there already.
+        """Check that a machine has the component on which the effect acts, and does not have the effect there already.
 
         Raises:
-            ValueError: If the machine has no such coordinate, drive, belt or sensor channel (the message lists the
-                possible sites), or has the effect at this site already.
+            ValueError: If not; the message lists the possible sites.
         """
         if any(present.label == self.label for present in machine.effects):
             raise ValueError(f"effect {self.label}: machine {machine.name!r} has it already")
@@ -312,12 +291,9 @@ class AppliedEffect:
         """Evaluate one hook (a formula of the effect) with the effect's parameter values.
 
         Args:
-            hook: Name of a hook that the effect has, for example "force"; `Effect` lists all hooks.
+            hook: Name of a hook that the effect has, for example "force"; `Effect` lists all hooks with their units.
             **quantities: Quantities that the hook takes as arguments by their symbols, for example q (position) and v
-                (speed): floats, arrays or symbolic expressions. Surplus quantities are ignored.
-
-        Returns:
-            Value of the hook in the unit that `Effect` states, for example N for "force" at a linear coordinate.
+                (speed). Surplus quantities are ignored.
 
         Raises:
             KeyError: If an argument of the hook is neither a parameter nor given; the message names it.
@@ -330,12 +306,5 @@ class AppliedEffect:
 
 @lru_cache(maxsize=1024)
 def argument_names(function: Hook) -> tuple[str, ...]:
-    """Return the names of the quantities that a hook, a formula of an effect, takes as arguments.
-
-    Args:
-        function: The hook, a function that the simulation calls with these quantities, for example `force(q, k)`.
-
-    Returns:
-        Names in the order of the signature, for example ("q", "k") for position and stiffness.
-    """
+    """Return the names of the quantities that a hook takes as arguments, for example ("q", "k") of `force(q, k)`."""
     return tuple(inspect.signature(function).parameters)

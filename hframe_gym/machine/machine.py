@@ -76,56 +76,24 @@ class Machine:
         )
 
     def coordinate(self, name: str) -> Coordinate:
-        """Return the coordinate with a name.
-
-        Args:
-            name: Name of a coordinate of this machine, for example "x".
-
-        Returns:
-            The coordinate.
-
-        Raises:
-            ValueError: If the machine has no such coordinate.
-        """
+        """Return the coordinate with a name; a ValueError lists the names if there is none."""
         return self.coordinates[self.coordinate_names.index(name)]
 
     def drive(self, name: str) -> Drive:
-        """Return the drive with a name.
-
-        Args:
-            name: Name of a drive of this machine, for example "motor1".
-
-        Returns:
-            The drive.
-
-        Raises:
-            ValueError: If the machine has no such drive.
-        """
+        """Return the drive with a name; a ValueError lists the names if there is none."""
         return self.drives[[d.name for d in self.drives].index(name)]
 
     def sensor(self, channel: str) -> Sensor:
-        """Return the sensor of a channel.
-
-        Args:
-            channel: Output channel of this machine, for example "x_m".
-
-        Returns:
-            The sensor.
-
-        Raises:
-            ValueError: If the machine has no such channel.
-        """
+        """Return the sensor of a channel, for example "x_m"; a ValueError lists the channels if there is none."""
         return self.sensors[self.output_channels.index(channel)]
 
     def coefficients(self, row: Row) -> Array:
         """Convert the coefficients of a belt or sensor from a dictionary to an array over all coordinates.
 
-        Args:
-            row: Coefficients of a belt or sensor by coordinate name. Keys that are products ("y*yaw") are ignored.
+        Coordinates that the row does not name get zero; keys that are products ("y*yaw") are ignored.
 
         Returns:
-            The same values, shape (coordinates,): extension per belt travel, m/m, or reading per unit of a coordinate,
-            SI. They are zero for coordinates that the row does not name.
+            Extension per belt travel, m/m, or reading per unit of a coordinate, SI, shape (coordinates,).
         """
         return np.array([row.get(name, 0.0) for name in self.coordinate_names])
 
@@ -146,15 +114,15 @@ class Machine:
         return np.array([self.coefficients(s.row) for s in self.sensors])
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
-        """Return the coordinate on which an effect (deviation from the nominal model) acts, given the effect's site.
+        """Return the coordinate on which an effect acts: its site, what the drive moves or the sensor measures.
 
         Args:
             site: Site of the effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
             kind: Kind of the site (`Effect.site`). It is needed because different components may have the same name.
 
         Returns:
-            Name of the coordinate: the site itself, or what the drive moves, or what the sensor mainly measures. None
-            for a belt, for "drives", "belts" and "machine" (several coordinates), and for unknown sites.
+            Name of the coordinate. None for a belt, for "drives", "belts" and "machine" (several coordinates), and for
+            unknown sites.
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
@@ -181,14 +149,7 @@ class Machine:
         return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
-        """Return the linear coordinate that remains if a coordinate is left out, such as y for x.
-
-        Args:
-            coordinate: Name of the coordinate that is left out, linear or rotary.
-
-        Returns:
-            Name of the remaining linear coordinate; None if none or more than one remains.
-        """
+        """Return the one linear coordinate that remains if a coordinate is left out, such as y for x, or None."""
         others = [c.name for c in self.coordinates if c.kind == "linear" and c.name != coordinate]
         return others[0] if len(others) == 1 else None
 
@@ -219,13 +180,7 @@ class Machine:
         return {f"{owner}.{key}": value for owner, values in owners for key, value in values.items()}
 
     def unit(self, parameter: str) -> str:
-        """Return the unit of a parameter.
-
-        Args:
-            parameter: Full name in `parameters` or `device_parameters`, for example "x.viscous".
-
-        Returns:
-            The unit, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
+        """Return the unit of a parameter, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
 
         Raises:
             KeyError: If the machine has no such component, or no component has such a parameter.
@@ -245,14 +200,9 @@ class Machine:
         return FIXED_UNITS[key]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
-        """Return the unit of a parameter of an effect (deviation from the nominal model) on its component.
+        """Return the unit of a parameter of an effect on its component: "N" at a carriage, "Nm" at a motor.
 
-        Args:
-            effect: Effect on a component of this machine. The machine need not have it.
-            parameter: Name of the effect's parameter, for example "A".
-
-        Returns:
-            The unit, for example "N" for a Coulomb friction force at a carriage and "Nm" at a motor.
+        The machine need not have the effect.
 
         Raises:
             KeyError: If the effect has no such parameter.
@@ -268,9 +218,6 @@ class Machine:
             values: New values by full name in `parameters` or `device_parameters`, SI. Tied parameters (`ties`) change
                 with them; `converter_bits` are rounded to integers. None: no new values.
             **fields: New values of attributes of the machine, for example `name` or `drives`.
-
-        Returns:
-            The changed machine.
 
         Raises:
             KeyError: If a name in `values` is not a parameter of this machine.
@@ -296,14 +243,7 @@ class Machine:
         return dataclasses.replace(self, **(new | fields))  # type: ignore[arg-type]
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
-        """Return a copy with additional effects (deviations from the nominal model).
-
-        Args:
-            *effects: Effects, each at its site: the coordinate, drive, belt or sensor of this machine on which it acts.
-                Some, for example bridge yaw, also add coordinates, belts or sensor coefficients (`Effect.structure`).
-
-        Returns:
-            The extended machine.
+        """Return a copy with additional effects, each at its site; some also add components (`Effect.structure`).
 
         Raises:
             ValueError: If the machine lacks the site of an effect or components that it needs, or has it there already.
@@ -321,17 +261,16 @@ class Machine:
         return machine
 
     def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
-        """Simulate the machine over a voltage history.
+        """Simulate the machine over a voltage history; inputs are held from each sample until the next.
 
         Args:
-            time_s: Times of n samples, s, strictly increasing, shape (n,).
-            inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
+            time_s: Times of N samples, s, strictly increasing, shape (N,).
+            inputs: Drive voltages, V, shape (N, drives).
             initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
                 Default: at rest at the origin with unstretched belts.
 
         Returns:
-            Positions and velocities, shape (n, coordinates), and noise-free sensor readings, shape (n, sensors), at
-            every sample, SI.
+            Motion at every sample, SI: arrays of N rows, shape (N, coordinates) or (N, sensors).
 
         Raises:
             ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.

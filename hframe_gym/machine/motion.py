@@ -42,42 +42,26 @@ class Simulator(Protocol):
     def __call__(
         self, machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
     ) -> Trajectory:
-        """Simulate a machine over a voltage history.
+        """Simulate a machine, as `Machine.simulate` does; arrays of the result have the shape (N, ...).
 
         Args:
-            time_s: Times of n samples, s, strictly increasing, shape (n,).
-            inputs: Drive voltages, V, each held from its sample until the next, shape (n, drives).
-            initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
-                Default: at rest at the origin.
-
-        Returns:
-            Positions, velocities and noise-free sensor readings at every sample.
+            machine: Machine.
+            time_s: Times of N samples, s, strictly increasing, shape (N,).
+            inputs: Drive voltages, V, each held from its sample until the next, shape (N, drives).
+            initial: State at the first sample, shape (2 * coordinates,). Default: at rest at the origin.
         """
 
 
 def observed_coordinates(machine: Machine) -> tuple[str, ...]:
-    """List the coordinates that a full-state observation contains, in the order of its positions.
+    """List the coordinates of a full-state observation: the tool's axes, then the other driven ones by drive.
 
-    A full-state observation holds the positions of these coordinates, then their velocities.
-
-    Args:
-        machine: Machine with its tool axes and drives.
-
-    Returns:
-        Names of the tool's axes, then of the other driven coordinates in the order of the drives, each once.
+    The observation holds the positions of these coordinates, then their velocities.
     """
     return tuple(dict.fromkeys((*machine.tool_axes, *(drive.coordinate for drive in machine.drives))))
 
 
 def pulley_names(machine: Machine) -> tuple[str, ...]:
-    """List the pulleys of a machine: its rotary coordinates, except those that a spring holds, such as bridge yaw.
-
-    Args:
-        machine: Machine with its coordinates and effects (deviations from the nominal model).
-
-    Returns:
-        Names of the pulleys, in the order of the coordinates.
-    """
+    """List the pulleys of a machine: its rotary coordinates, except those that a spring holds, such as bridge yaw."""
     return tuple(c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded)
 
 
@@ -92,6 +76,7 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     extensions is minimal. Coordinates that a spring holds, such as the yaw of a bridge, are zero.
 
     Args:
+        machine: Machine.
         position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
             value applies to all of them. Default: zeros.
 
@@ -118,9 +103,6 @@ def rest_positions_per_axis(machine: Machine) -> Array:
     """Return how far every coordinate moves if the tool moves along one of its axes and no belt is stretched.
 
     Where the tool is at p, the positions in `rest_state` are this matrix times p.
-
-    Args:
-        machine: Machine with its tool axes and belts.
 
     Returns:
         Positions of all coordinates at rest per meter of each tool axis, m/m or rad/m, shape (coordinates, axes).
@@ -181,16 +163,9 @@ class MotionLimits:
 def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
     """Compute inertia, maximum force and steady speed along each rigid motion with every drive at its rated voltage.
 
-    A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y. The values show whether
-    a description of a machine is plausible, for example whether its units are right.
-
-    Args:
-        machine: Machine; its effects (deviations from the nominal model) are ignored.
-
-    Returns:
-        For each motion, by name of the coordinate that leads it (x or y on an H-frame, whose pulleys follow): moving
-        inertia, kg or kg m^2; force of the drives at standstill minus Coulomb friction, at least 0, N or Nm; steady
-        speed, m/s or rad/s, infinite without viscous friction and back-EMF. All refer to the leading coordinate.
+    A rigid motion stretches no belt; on an H-frame, these are the motions along x and along y. The values, by
+    name of the leading coordinate, show whether a description of a machine is plausible, for example whether
+    its units are right. Effects are ignored.
     """
     limits = {}
     for name, motion in rigid_motions(machine).items():

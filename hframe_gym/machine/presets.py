@@ -55,11 +55,7 @@ def hframe() -> Machine:
     """Return the nonlinear 8th-order model of Sollmann et al. (2010).
 
     It has Coulomb and viscous friction (Table 3), position-dependent belt stiffness (eq. 43-44) and a gear ratio of
-    5.9.
-
-    Returns:
-        The preset `hframe`: 4 coordinates x, y (m), phi1, phi2 (rad, pulley side of the gears), 3 belts, 2 drives, 4
-        sensors.
+    5.9; the coordinates are x, y (m), and phi1, phi2 (rad, pulley side of the gears).
     """
     l1, l2, l3, l4, l5, l6, l7, l8, l9 = SECTIONS  # m, with both carriages at the center
     return Machine(
@@ -85,11 +81,11 @@ def hframe() -> Machine:
 def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Machine:
     """Return a copy of a machine whose belt stiffness does not depend on the position, as in a linear model.
 
-    Args:
-        stiffness: Stiffness of every belt of the machine by belt name, N/m.
+    EA of the belts is unchanged; the rest lengths become EA / stiffness.
 
-    Returns:
-        The machine with these stiffnesses. EA of the belts is unchanged; the rest lengths become EA / stiffness.
+    Args:
+        machine: Machine to copy.
+        stiffness: Stiffness of every belt of the machine by belt name, N/m.
 
     Raises:
         KeyError: If a belt has no entry in `stiffness`.

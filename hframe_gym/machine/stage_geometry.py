@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from .machine import Machine
 from .motion import pulley_names, rigid_motions
@@ -100,27 +101,21 @@ class StageGeometry:
         return boxes if self.bridge_axis == 0 else [(b, a, d, c) for a, b, c, d in boxes]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute where to draw the pulleys; this base class draws neither belts nor pulleys.
+        """Compute the centers (x, y), m, of the pulleys to draw for a tool position; this base class draws none.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
-
-        Returns:
-            Centers (x, y) of the pulleys, m: an empty list here.
         """
         del x, y
         return []
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute where to draw the belt sections, seen from above; this base class draws none.
+        """Compute the vertices (x, y), m, of the belt sections to draw, by name; this base class draws none.
 
         Args:
             x: Tool position along x, m.
             y: Tool position along y, m.
-
-        Returns:
-            Vertices (x, y), m, of the line of each section, by name of the section: an empty dictionary here.
         """
         del x, y
         return {}
@@ -154,17 +149,9 @@ class BeltGeometry(StageGeometry):
             drawn = {section: section if section in names else lumped for section in sections}
             self.belts |= {section: name for section, name in drawn.items() if name in names}
 
+    @override
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute where to draw the eight pulleys of an H-frame, seen from above: at the corners and on the bridge.
-
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m. Only the position along the motion of the bridge, x or y, has an influence.
-
-        Returns:
-            Centers (x, y), m, of the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this
-            order.
-        """
+        """Return the pulleys phi3, phi1 (motor), phi4, phi2 (motor), phi7, phi5, phi8, phi6, in this order."""
         return [self._swap(point) for point in self._pulleys(self._swap((x, y))[0])]
 
     def _pulleys(self, bridge: float) -> list[Point]:
@@ -173,17 +160,9 @@ class BeltGeometry(StageGeometry):
         corners = [(u, v) for v in (self._v0, self._v1) for u in (self._u0, self._u1)]
         return [*corners, *((bridge + s * d, v) for v in (self._v0 + rise, self._v1 - rise) for s in (-1.0, 1.0))]
 
+    @override
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute where to draw the nine belt sections of an H-frame, seen from above.
-
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m.
-
-        Returns:
-            Vertices (x, y), m, of the line of each section, by name of the section, "s1" to "s9" as in the 20th-order
-            model.
-        """
+        """Return the nine belt sections of an H-frame, "s1" to "s9" as in the 20th-order model."""
         x, y = self._swap((x, y))
         phi3, phi1, phi4, phi2, phi7, phi5, phi8, phi6 = self._pulleys(x)  # centers
         # Each section is a straight line, which touches the pulleys at a distance r from their centers, and the arc
@@ -236,30 +215,21 @@ class CoreXYGeometry(StageGeometry):
                 for section in ("front", "rear") if len(rows) == 1 else (side,):
                     self.belts[section + label] = b.name
 
+    @override
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute where to draw the ten pulleys of a CoreXY stage, seen from above with the motors in front.
+        """Return the ten pulleys of a CoreXY stage, seen with the motors in front.
 
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m.
-
-        Returns:
-            Centers (x, y), m, in this order: left and right motor; left and right idler at the rear of the first belt
-            (on the left motor), then of the second belt; on the bridge: left and right in front, left and right
-            behind.
+        Their order is: left and right motor; left and right idler at the rear of the first belt (on the left
+        motor), then of the second belt; on the bridge: left and right in front, left and right behind.
         """
         return [self._swap(point) for point in self._pulleys(self._swap((x, y))[1])]
 
+    @override
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute where to draw the four belt sections of a CoreXY stage, seen from above with the motors in front.
+        """Return the four belt sections of a CoreXY stage, from a motor to the carriage.
 
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m.
-
-        Returns:
-            Vertices (x, y), m, of the line of each section from a motor to the carriage: "front1" directly and "rear1"
-            around the rear of the frame, both from the left motor; "front2" and "rear2" likewise from the right motor.
+        "front1" directly and "rear1" around the rear of the frame, both from the left motor; "front2" and
+        "rear2" likewise from the right motor.
         """
         carriage, bridge = self._swap((x, y))  # positions along the bridge, and along its motion
         motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(bridge)
@@ -303,12 +273,9 @@ def _arc(center: Point, start: float, end: float, radius: float = PULLEY_RADIUS)
 def stage_geometry(machine: Machine) -> StageGeometry:
     """Choose how to draw a machine from above (plan view) by its kinematics; names of belts do not matter.
 
-    Args:
-        machine: Machine with one or two tool axes; an axis without a range is drawn from -0.25 m to 0.25 m.
-
     Returns:
         `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a belt for
-        each motor), else a `StageGeometry` without belts.
+        each motor), else a `StageGeometry` without belts. An axis without a range is drawn from -0.25 m to 0.25 m.
 
     Raises:
         ValueError: If the machine has no tool axes.

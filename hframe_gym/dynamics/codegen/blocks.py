@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import helper
+from .compiled import compiled_only
 from .machine_code import LANES
 
 
@@ -20,11 +20,10 @@ def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     `LANES` is 16 on processors with AVX-512, otherwise 8.
 
     Args:
-        values: n values (parameters or states, any unit) of each of B machines, shape (B, n), B >= 1.
+        values: n values (parameters or states) of each of B machines, shape (B, n), B >= 1.
 
     Returns:
-        Blocks, in the unit of the values, shape (ceil(B / LANES), n, LANES). If B is not a multiple of `LANES`, copies
-        of the last machine fill the last block.
+        Blocks, shape (ceil(B / LANES), n, LANES); copies of the last machine fill the last block.
     """
     count = -(-len(values) // LANES) * LANES
     padded = np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])
@@ -34,7 +33,7 @@ def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
 # Most blocks are complete. Their loops have a constant number of machines, which makes them several times as fast.
 
 
-@helper
+@compiled_only
 def read_block(rows: Any, begin: int, block: Any) -> None:
     """Copy LANES rows of an array to the columns of a block; callable in compiled code only.
 
@@ -54,7 +53,7 @@ def read_block(rows: Any, begin: int, block: Any) -> None:
                 block[k, lane] = rows[min(begin + lane, rows.shape[0] - 1), k]
 
 
-@helper
+@compiled_only
 def write_block(block: Any, begin: int, count: int, rows: Any) -> None:
     """Copy the first values of the machines of a block to the rows of an array; callable in compiled code only.
 

@@ -17,28 +17,14 @@ _njit: Any = numba.njit
 _PATIENCE_S = 1.0  # of compilation, after which the user is told why nothing happens
 
 
-def helper(function: Function) -> Function:
-    """Let compiled functions call a function; without wrappers for Python and C it compiles faster.
-
-    Args:
-        function: Function in the subset of Python that Numba supports.
-
-    Returns:
-        Function that only compiled functions can call.
-    """
+def compiled_only(function: Function) -> Function:
+    """Let compiled functions call a function; without wrappers for Python and C it compiles faster."""
     options = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return cast("Function", _njit(**options)(function))
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function with Numba and cache the machine code on disk; calls release Python's interpreter lock.
-
-    Args:
-        function: Function in the subset of Python that Numba supports.
-
-    Returns:
-        Compiled function with the same arguments.
-    """
+    """Compile a function with Numba and cache the machine code on disk; calls release Python's interpreter lock."""
     config: Any = numba.config
     compile_cached = _njit(nogil=True, cache=True, error_model="numpy")
     try:

@@ -77,14 +77,7 @@ def _generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSou
 
 
 def kernel_source_text(machine: Machine) -> str:
-    """Return the generated Python source with which a machine is simulated, for inspection.
-
-    Args:
-        machine: The machine. Its names and parameter values do not occur in the text.
-
-    Returns:
-        Text of a Python module.
-    """
+    """Return the generated Python source with which a machine is simulated, for inspection."""
     return _generate(machine)[0]
 
 
@@ -97,12 +90,9 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
     Machines that differ only in parameter values get the same functions. The compiled code is kept on disk.
 
     Args:
+        machine: Machine.
         forced: Whether the function that simulates a recording (`Kernel.rollout`) takes, besides the voltages, an
             external force on every coordinate.
-
-    Returns:
-        `Kernel`: the functions, for example `rollout` and `read_blocks` (sensors), and the row of each parameter in the
-        arrays that they take.
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:
@@ -134,13 +124,5 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
 
 
 def is_generated(machine: Machine, *, forced: bool) -> bool:
-    """Return whether `kernel_for` can return the simulation functions of a machine without generating source code.
-
-    Args:
-        forced: Whether the functions take an external force on every coordinate.
-
-    Returns:
-        True if this process has generated functions with this `forced` for the machine, or for a machine that differs
-        from it in parameter values only.
-    """
+    """Return whether `kernel_for` can return the functions of a machine without generating source code."""
     return (machine.shape, forced) in _KERNELS

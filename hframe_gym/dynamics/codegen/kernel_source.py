@@ -91,17 +91,9 @@ class KernelSource:
         self.text = "\n\n".join(map(function_source, traces))
 
     def directions(self, i: int) -> tuple[str, ...]:
-        """Return the suffixes by which names of step constants distinguish the directions of motion of a coordinate.
+        """Return the suffixes of the names of step constants of coordinate i that distinguish directions of motion.
 
-        Constants that depend on viscous friction, for example the factor by which it reduces the speed in a step, have
-        two values where the viscous friction of the coordinate depends on the direction.
-
-        Args:
-            i: Index of the coordinate, from 0.
-
-        Returns:
-            ("_forward", "_backward") if an effect (deviation from the nominal model) changes the viscous friction of
-            the coordinate; else ("",), one value for both directions.
+        They are ("_forward", "_backward") if an effect changes the viscous friction of the coordinate, else ("",).
         """
         return ("_forward", "_backward") if any(self._plain.effects_on("viscous", i)) else ("",)
 

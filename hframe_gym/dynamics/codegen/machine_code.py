@@ -24,11 +24,9 @@ _LOADED: dict[str, Any] = {}  # engines by the hash of their code, which exists 
 
 
 def processor() -> tuple[str, str]:
-    """Return name and features of the processor for which code is compiled, as LLVM writes them.
+    """Return name and comma-separated features of the processor for which code is compiled, as LLVM writes them.
 
-    Returns:
-        Name, and comma-separated features: those of Numba, where NUMBA_CPU_NAME and NUMBA_CPU_FEATURES replace what
-        LLVM finds.
+    They are those of Numba, where NUMBA_CPU_NAME and NUMBA_CPU_FEATURES replace what LLVM finds.
     """
     name, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES  # type: ignore[attr-defined]
     return name or llvm.get_host_cpu_name(), (
@@ -42,15 +40,12 @@ LANES = 16 if "+avx512f" in processor()[1].split(",") else 8
 
 
 def native_functions(key: str, names: Sequence[str], build: Callable[[], ir.Module]) -> Mapping[str, int]:
-    """Return the addresses of compiled functions; compile them if no earlier process has.
+    """Return the addresses of compiled functions by name; compile them if no earlier process has.
 
     Args:
         key: Text that determines the module, besides the version of LLVM and the processor.
         names: Names of its functions.
         build: Function that builds the module.
-
-    Returns:
-        Address of each function by its name; they stay valid until the process ends.
     """
     text = "\n".join((key, llvmlite.__version__, llvm.get_default_triple(), *processor()))
     name = f"kernel_{hashlib.sha256(text.encode()).hexdigest()[:24]}"

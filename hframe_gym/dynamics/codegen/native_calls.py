@@ -27,15 +27,9 @@ def _emit_call(context: Any, builder: Any, signature: Any, values: Any) -> Any:
 
 @intrinsic
 def call_at(typing_context: Any, address: Any, *arguments: Any) -> Any:
-    """Call a function of a `LaneProgram`; only compiled functions can do so.
+    """Call the function of a `LaneProgram` at an address; only compiled functions can do so.
 
-    Args:
-        typing_context: Set by Numba.
-        address: Address of the function, integer.
-        *arguments: Contiguous arrays of rows, shape (n, LANES), of which the function gets the address; numbers, of
-            which it gets float64 or int64. Neither their number nor the arrays' sizes are checked.
-
-    Returns:
-        Signature and code generator, for Numba.
+    Arguments are contiguous arrays of rows, shape (n, LANES), of which the function gets the address, and numbers, of
+    which it gets float64 or int64. Neither their number nor the arrays' sizes are checked.
     """
     return types.void(types.int64, types.StarArgTuple(arguments)), _emit_call

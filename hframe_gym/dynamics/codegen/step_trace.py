@@ -29,18 +29,10 @@ if TYPE_CHECKING:
 
 
 def row_name(component: str, index: int, key: str) -> str:
-    """Return the name of a step constant: a quantity that depends on the parameters and the step length only.
+    """Return the name of a step constant, such as "coordinate_0.decay" for the factor exp(-b h / m).
 
-    The constants are computed before the integration and stored in the rows of an array. By the name, the generator of
-    the simulation code finds the row.
-
-    Args:
-        component: "coordinate", "drive" or "belt".
-        index: Index of the coordinate, drive or belt in the machine, from 0.
-        key: Quantity, for example "decay", the factor exp(-b h / m).
-
-    Returns:
-        Name, for example "coordinate_0.decay".
+    The constants depend on the parameters and the step length only. They are computed before the integration and stored
+    in the rows of an array. By the name, the generator of the simulation code finds the row.
     """
     return f"{component}_{index}.{key}"
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled, helper
+from .compiled import compiled, compiled_only
 from .machine_code import LANES
 from .native_calls import call_at
 
 
-@helper
+@compiled_only
 def held_mean(time, values, start: float, end: float, hint: int) -> float:
-    """Return the mean over [start, end] of an input that is held from each time until the next.
+    """Return the mean over [start, end] of an input that is held from each time until the next, in its unit.
 
     Args:
         time: Sample times, s, ascending, shape (n,).
@@ -25,9 +25,6 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
         start: Start of the interval, s.
         end: End of the interval, s, later than `start`; it may be later than the last sample.
         hint: Index of the sample at which the search for the start of the interval begins; any index is allowed.
-
-    Returns:
-        Mean value, in the unit of `values`.
     """
     i = hint
     while i > 0 and time[i] > start:
@@ -43,7 +40,7 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
         i += 1
 
 
-@helper
+@compiled_only
 def parabola(time, i: int, delay: float) -> tuple:
     """Return weights that interpolate a delayed value of a signal by a parabola through three of its samples.
 
@@ -70,16 +67,13 @@ def parabola(time, i: int, delay: float) -> tuple:
     return k, u * (u - h2) / (h1 * (h1 + h2)), u * (u + h1) / (h2 * (h1 + h2))
 
 
-@helper
+@compiled_only
 def most_steps(time, longest_step: float) -> int:
-    """Return the largest number of integration steps between two consecutive samples.
+    """Return the largest number of integration steps between two consecutive samples, at least 1.
 
     Args:
         time: Sample times, s, shape (n,).
         longest_step: Largest step of the integrator, s.
-
-    Returns:
-        Number of steps, at least 1.
     """
     steps = 1
     for i in range(time.shape[0] - 1):
@@ -87,19 +81,18 @@ def most_steps(time, longest_step: float) -> int:
     return steps
 
 
-@helper
+@compiled_only
 def start_block(block: int, coordinates: int, start_time: float, parameters, start, state, block_parameters) -> None:
     """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
 
     Columns without a machine repeat the first machine of the block.
 
     Args:
-        block: Index of the block; it simulates the machines block * LANES to block * LANES + LANES - 1.
+        block: Index of the block.
         coordinates: Number of coordinates.
         start_time: Time of the first sample, s.
         parameters: Parameters of all machines, SI, shape (B, parameters).
-        start: Belt travel (radius * angle of a pulley), m, its rate, m/s, and effect states, of all machines, shape
-            (B, rows of the state - 1).
+        start: States of all machines without their time, SI, shape (B, rows of the state - 1).
         state: Output: belt travel, m, its rate, m/s, time, s, and effect states, shape (rows of the state, LANES).
         block_parameters: Output: parameters, SI, shape (parameters, LANES).
     """
@@ -115,12 +108,12 @@ def start_block(block: int, coordinates: int, start_time: float, parameters, sta
             state[k, lane] = start[b, k - 1]
 
 
-@helper
+@compiled_only
 def copy_lanes(block: int, i: int, rows, table) -> None:
-    """Copy values of a block (LANES machines, simulated side by side) to one sample of a table over all samples.
+    """Copy values of a block to one sample of a table over all samples.
 
     Args:
-        block: Index of the block; its columns (lanes) are the machines from block * LANES on.
+        block: Index of the block.
         i: Index of the sample.
         rows: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k rows are copied.
         table: Output for B machines and n samples, in the unit of the rows, shape (B, n, k); if empty, nothing is done.
@@ -130,9 +123,9 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
             table[block * LANES + lane, i, k] = rows[k, lane]
 
 
-@helper
+@compiled_only
 def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
-    """Delay the readings of one sample by each sensor's delay, for a block (LANES machines, simulated side by side).
+    """Delay the readings of one sample by each sensor's delay, for a block.
 
     The readings become row i of `past_readings`. Those of sensors with a delay are then interpolated between its rows.
 
@@ -158,20 +151,20 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
                 reading[j, lane] = middle + before * (previous - middle) + after * (following - middle)
 
 
-@helper
+@compiled_only
 def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
-    """Correct the states of a block (LANES machines, simulated side by side) by measurements, as an observer does.
+    """Correct the states of a block by measurements, as an observer does.
 
     The correction gains @ (measured - reading) is added to the state (output injection).
 
     Args:
-        block: Index of the block; its columns (lanes) are the machines from block * LANES on.
+        block: Index of the block.
         i: Index of the sample.
         machines: Number of machines B.
         measured: Measurements, m or rad, shape (1 or B, n, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
         reading: Simulated readings, m or rad, shape (sensors, LANES).
-        state: Belt travel, m, its rate, m/s, time, s, and effect states, corrected in place, shape (rows, LANES).
+        state: State, corrected in place, shape (rows, LANES).
     """
     for lane in range(min(LANES, machines - block * LANES)):
         for j in range(reading.shape[0]):
@@ -182,7 +175,7 @@ def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, 
                     state[k, lane] += gains[k, j] * innovation
 
 
-@helper
+@compiled_only
 def hold_inputs(
     block: int,
     delayed: bool,
@@ -197,7 +190,7 @@ def hold_inputs(
     voltages,
     external_forces,
 ) -> None:
-    """Set voltages and external forces of a block (LANES machines, simulated side by side) until the next sample.
+    """Set voltages and external forces of a block until the next sample.
 
     Args:
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
@@ -253,7 +246,7 @@ def rollout(
     out,
     readings,
 ) -> None:
-    """Simulate blocks first..last-1 over a recording; a block is LANES of the B machines, simulated side by side.
+    """Simulate blocks first..last-1 of the B machines over a recording.
 
     Args:
         functions: Addresses of the kernel's functions, in the order of `kernel_source.FUNCTIONS`.
@@ -376,7 +369,7 @@ def advance_blocks(
 
 @compiled
 def read_blocks(read_sensors: int, state, parameters, first: int, last: int, readings) -> None:
-    """Compute the readings of blocks first..last-1 (LANES machines each, simulated side by side), without delay.
+    """Compute the readings of blocks first..last-1, without delay.
 
     Args:
         read_sensors: Address of the kernel's function.
@@ -392,7 +385,7 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
 
 @compiled
 def delay_blocks(delays: int, parameters, first: int, last: int, out) -> None:
-    """Compute the delays of drives or sensors for blocks first..last-1 (LANES machines each, simulated side by side).
+    """Compute the delays of drives or sensors for blocks first..last-1.
 
     Args:
         delays: Address of the kernel's function.

@@ -40,20 +40,7 @@ class BeltEquations(ParameterizedMachine):
     """
 
     def belt_states(self, point: MotionPoint) -> list[BeltState]:
-        """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010).
-
-        Effects on belts (deviations from the nominal model, such as slack) are included.
-
-        Args:
-            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
-                the states of effects: lists of floats, arrays of one common shape (...) or symbolic expressions.
-
-        Returns:
-            One `BeltState` per belt, in the machine's order: extension s (m), its rate (m/s), stiffness k (N/m),
-            tension T beyond the pretension (N), the force e = -(1/2) s^2 dk/dl (N) due to the change of k with the
-            length l (0 for constant k), and T - e (N), the force on a coordinate that changes extension and length by
-            equal amounts. Each has the shape (...), or is a constant.
-        """
+        """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010)."""
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys
         speed = [v * arm for v, arm in zip(point.speed, self._lever_arms(point), strict=True)]
         extensions, lengths = [], {}
@@ -77,15 +64,7 @@ class BeltEquations(ParameterizedMachine):
         return [self._belt_state(b, s, rates[b], per_length.get(b)) for b, s in enumerate(extensions)]
 
     def constant_stiffness(self, b: int) -> Value:
-        """Return the stiffness EA / rest length of a belt section whose length does not depend on the position.
-
-        Args:
-            b: Index of the belt in the machine, from 0.
-
-        Returns:
-            Stiffness, N/m: a float, array of any shape or symbolic expression, as the values of the belt's parameters
-            are.
-        """
+        """Return the stiffness EA / rest length, N/m, of belt b, whose length does not depend on the position."""
         name = self.machine.belts[b].name
         return self.parameter(f"{name}.EA") / self.parameter(f"{name}.rest_length")
 
@@ -135,17 +114,13 @@ class BeltEquations(ParameterizedMachine):
         return arms
 
     def belt_forces(self, point: MotionPoint, belts: Sequence[BeltState]) -> list[Value]:
-        """Return the force of the belts on each coordinate: -G' T - (1/2) s^2 dk/dp.
+        """Return the force of the belts on each coordinate, N: -G' T - (1/2) s^2 dk/dp.
 
-        Here p is the belt travel (position, or radius * angle of a pulley), s the extension, k the stiffness, T the
-        tension, and G = ds/dp. Values are floats, arrays of one common shape (...) or symbolic expressions.
+        Here p is the belt travel, s the extension, k the stiffness, T the tension, and G = ds/dp.
 
         Args:
-            point: Belt travel, m, and its rate, m/s, of every coordinate, one value each.
-            belts: Extension, stiffness and tension of each belt at this point: the result of `belt_states(point)`.
-
-        Returns:
-            Force along the belt travel of each coordinate, N (torque / radius for a pulley), shape (...) each.
+            point: Belt travel and its rate.
+            belts: The result of `belt_states(point)`.
         """
         forces = []
         for i, arm in enumerate(self._lever_arms(point)):
@@ -166,17 +141,9 @@ class BeltEquations(ParameterizedMachine):
 
 
 def combination(row: IndexRow, values: Sequence[Value]) -> Value:
-    """Return the weighted sum of some values: the sum of row[i] * values[i] over the indices i in `row`.
+    """Return the sum of row[i] * values[i] over the indices i in `row`; 0.0 without any.
 
     Terms with positive factors come first, because generated code with a minus at the beginning costs an instruction.
-
-    Args:
-        row: Factor by index, for example the extension of a belt per travel of each coordinate.
-        values: Values that `row` indexes, in any unit: floats, arrays of one common shape (...) or symbolic
-            expressions.
-
-    Returns:
-        The sum, in the unit of row[i] * values[i], shape (...); 0.0 for an empty row.
     """
     terms = sorted(((i, factor) for i, factor in row.items() if factor), key=lambda term: term[1] < 0)
     if not terms:
@@ -187,16 +154,7 @@ def combination(row: IndexRow, values: Sequence[Value]) -> Value:
 
 
 def add_combination(total: Value, row: IndexRow, values: Sequence[Value]) -> Value:
-    """Add a weighted sum to a value: return total + the sum of row[i] * values[i] over the indices i in `row`.
-
-    Args:
-        total: First summand, in the unit of row[i] * values[i]: a float, an array of shape (...) or an expression.
-        row: Factor by index, for example the extension of a belt per travel of each coordinate.
-        values: Values that `row` indexes: floats, arrays of shape (...) or expressions.
-
-    Returns:
-        The sum, in the unit of `total`, shape (...).
-    """
+    """Return total + the sum of row[i] * values[i] over the indices i in `row`."""
     for i, factor in sorted(row.items(), key=lambda term: term[1] < 0):
         size = values[i] if abs(factor) == 1.0 else abs(factor) * values[i]
         total = total - size if factor < 0 else total + size
@@ -208,12 +166,6 @@ def reciprocals(values: Sequence[Value]) -> list[Value]:
 
     A division costs as much as ten multiplications. With p = 1 / (a b c), the reciprocals are 1/a = p c b, 1/b = p c a
     and 1/c = p a b. They may differ from the results of separate divisions in the last digits.
-
-    Args:
-        values: Floats, arrays of one common shape (...) or symbolic expressions, none of them zero, in any units.
-
-    Returns:
-        1/value for each value, in the same order, shape (...) each.
     """
     if not any(isinstance(value, Expression) for value in values):  # no kernel is being generated
         return [1.0 / value for value in values]

@@ -32,13 +32,9 @@ class EffectInstance:
 
 
 def effect_instances(machine: Machine) -> list[EffectInstance]:
-    """List every effect of a machine (deviation from its nominal model) once for each component on which it acts.
+    """List every effect of a machine once for each component on which it acts, such as once per belt.
 
-    An effect on all belts, for example, has one instance per belt.
-
-    Returns:
-        One `EffectInstance` (effect, component, indices of its coordinates) per effect and component, in the order of
-        the machine's effects, and for each in the order of the machine's components.
+    The order is that of the machine's effects, and for each that of the machine's components.
     """
     # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
     index = {name: i for i, name in enumerate(machine.coordinate_names)}
@@ -53,14 +49,7 @@ def effect_instances(machine: Machine) -> list[EffectInstance]:
 
 
 def instances_with_state(machine: Machine) -> list[EffectInstance]:
-    """List the effect instances of a machine that have a state, such as the deflection of friction bristles.
-
-    An instance is an effect (deviation from the nominal model) on one component; an effect on all belts has one per
-    belt.
-
-    Returns:
-        The instances in the order in which their states follow positions and velocities in an initial state.
-    """
+    """List the effect instances that have a state, such as a bristle deflection, in an initial state's order."""
     return [instance for instance in effect_instances(machine) if instance.effect.definition.next_state]
 
 

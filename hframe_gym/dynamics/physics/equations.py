@@ -62,18 +62,10 @@ class Equations(BeltEquations, SignalEquations):
     # -- drives ----------------------------------------------------------------------------------------------------
 
     def add_drive_forces(self, forces: Sequence[Value], motor_voltages: Sequence[Value]) -> list[Value]:
-        """Add the force of each drive at standstill to the force on the one coordinate that it moves.
+        """Add the force of each drive at standstill to the force on the one coordinate that it moves, N.
 
         With gear ratio N, torque constant Kt, voltage V, resistance R and radius r of the driven pulley, the force is
-        N Kt V / (R r). The viscous coefficient contains the back-EMF (eq. 17 of Sollmann et al. 2010). Values are
-        floats, arrays of one common shape (...) or symbolic expressions.
-
-        Args:
-            forces: Force along the belt travel (radius * angle of a pulley) of each coordinate, N, shape (...) each.
-            motor_voltages: Voltage at the terminals of each motor, V, in the order of the drives, shape (...) each.
-
-        Returns:
-            Sums along the belt travel of each coordinate, N, shape (...) each.
+        N Kt V / (R r). The viscous coefficient contains the back-EMF (eq. 17 of Sollmann et al. 2010).
         """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
@@ -82,18 +74,10 @@ class Equations(BeltEquations, SignalEquations):
         return result
 
     def ohmic_current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
-        """Return the current (V - Ke N w) / R of a drive, without inductance (eq. 17 of Sollmann et al. 2010).
+        """Return the current (V - Ke N w) / R of drive j, A, without inductance (eq. 17 of Sollmann et al. 2010).
 
         V is the motor voltage, Ke the back-EMF constant, N the gear ratio (which eq. 17 omits), w the speed of the
         drive's coordinate (rad/s or m/s), and R the resistance.
-
-        Args:
-            j: Index of the drive in the machine, from 0.
-            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
-            motor_voltage: Voltage at the motor, V: float, array of any shape or symbolic expression.
-
-        Returns:
-            Current, A: float, array of that shape or symbolic expression.
         """
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]
@@ -118,20 +102,12 @@ class Equations(BeltEquations, SignalEquations):
     ) -> ForceBalance:
         """Add the forces of effects to the forces of belts and drives, and determine the Coulomb friction force.
 
-        Effects are deviations from the nominal model, such as Stribeck friction. Back-EMF counts as viscous friction
-        and is in none of the forces. Forces act along the belt travel (position, or radius * angle of a pulley). Values
-        are floats, arrays of one common shape (...) or symbolic expressions.
+        Back-EMF counts as viscous friction and is in none of the forces.
 
         Args:
-            point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
-            motor_voltages: Voltage at the terminals of each motor, V, in the order of the drives, shape (...) each.
-            forces: Sum of the forces of belts and drives on each coordinate, N, shape (...) each.
-
-        Returns:
-            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
-            coulomb: Coulomb friction force (>= 0) on each coordinate, N, shape (...); 0 where an effect replaces it.
-            arguments: Inputs of the formula `next_state` of effects, by index in `instances` (all effects, once per
-                component): "level", the Coulomb friction (N, Nm), or "i", the current (A), before the effect acts.
+            point: Belt travel and its rate, and the states of the effects.
+            motor_voltages: Voltage at the terminals of each motor, V.
+            forces: Sum of the forces of belts and drives on each coordinate, N.
         """
         arguments: dict[int, dict[str, Value]] = {}
         totals, levels = [], []
@@ -238,18 +214,9 @@ class Equations(BeltEquations, SignalEquations):
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
         """Return the sum of belt, drive and effect forces on each coordinate, and the Coulomb friction force.
 
-        Effects are deviations from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
-        expressions. Forces act along the belt travel (position, or radius * angle of a pulley).
-
         Args:
-            point: Belt travel, m, and its rate, m/s, of every coordinate, and the states of the effects.
-            voltages: Commanded voltage of each drive, V, after its delay, shape (...) each.
-
-        Returns:
-            forces: Sum of all forces on each coordinate except viscous and Coulomb friction, N, shape (...) each.
-            coulomb: Coulomb friction force (>= 0) on each coordinate, N, shape (...); 0 where an effect replaces it.
-            arguments: Inputs of the formula `next_state` of effects, by index in `instances` (all effects, once per
-                component): "level", the Coulomb friction (N, Nm), or "i", the current (A), before the effect acts.
+            point: Belt travel and its rate, and the states of the effects.
+            voltages: Commanded voltage of each drive, V, after its delay.
         """
         motor_voltages = self.motor_voltages(voltages)
         forces = self.belt_forces(point, self.belt_states(point))
@@ -258,20 +225,13 @@ class Equations(BeltEquations, SignalEquations):
     def net_forces(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return the sum of all forces on each coordinate, with viscous and Coulomb friction.
-
-        Forces of effects (deviations from the nominal model) are included. Values are floats, arrays of one common
-        shape (...) or symbolic expressions.
+        """Return the sum of all forces on each coordinate, N, with effects, viscous and Coulomb friction.
 
         Args:
-            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the effects'
-                states.
-            voltages: Commanded voltage of each drive, V, after its delay, shape (...) each.
-            direction: Function of the speed, m/s, shape (...), that gives the direction of the motion in [-1, 1]:
-                `sign`, or for optimization a smooth function such as tanh(v / v0) with a small speed v0.
-
-        Returns:
-            Net force along the belt travel of each coordinate, N, shape (...) each.
+            point: Belt travel and its rate, and the states of the effects.
+            voltages: Commanded voltage of each drive, V, after its delay.
+            direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
+                optimization a smooth function such as tanh(v / v0) with a small speed v0.
         """
         forces, coulomb, _ = self.balance(point, voltages)
         result = []
@@ -283,21 +243,7 @@ class Equations(BeltEquations, SignalEquations):
     def accelerations(
         self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
     ) -> list[Value]:
-        """Return the acceleration of each coordinate along its belt travel: net force divided by mass.
-
-        Effects (deviations from the nominal model) are included. Values are floats, arrays of one common shape (...) or
-        symbolic expressions.
-
-        Args:
-            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and the effects'
-                states.
-            voltages: Commanded voltage of each drive, V, after its delay, shape (...) each.
-            direction: Function of the speed, m/s, shape (...), that gives the direction of the motion in [-1, 1]:
-                `sign`, or for optimization a smooth function such as tanh(v / v0) with a small speed v0.
-
-        Returns:
-            Second derivative of the belt travel of each coordinate, m/s^2, shape (...) each.
-        """
+        """Return the acceleration of each coordinate along its belt travel, m/s^2: `net_forces` divided by mass."""
         return [force / self.mass(i) for i, force in enumerate(self.net_forces(point, voltages, direction))]
 
     # -- arrays ----------------------------------------------------------------------------------------------------
@@ -316,11 +262,7 @@ class Equations(BeltEquations, SignalEquations):
             velocities: Velocities, m/s or rad/s, shape (..., coordinates); None: at rest.
             time_s: Time since the machine was switched on, s, shape (...).
             effect_states: State of each effect that has one (bristle deflection, motor current, ...), SI, shape (...)
-                each, by index in `instances` (all effects, once per component); None: all zero.
-
-        Returns:
-            The point: one array of shape (...) per coordinate for the belt travel (position, or radius * angle of a
-            pulley), m, and one for its rate, m/s; `time_s` and `effect_states` unchanged.
+                each, by index in `instances`; None: all zero.
         """
         q = 1.0 * np.asarray(positions)  # real or complex
         v = np.zeros_like(q) if velocities is None else 1.0 * np.asarray(velocities)
@@ -333,14 +275,7 @@ class Equations(BeltEquations, SignalEquations):
         )
 
     def in_units(self, forces: Sequence[Value]) -> Any:
-        """Convert forces along the belt travel to forces (linear) and torques (rotary) on the coordinates.
-
-        Args:
-            forces: Force along the belt travel (radius * angle of a pulley) of each coordinate, N, shape (...) each.
-
-        Returns:
-            Forces, N, or torques, Nm (force * radius), shape (..., coordinates).
-        """
+        """Convert forces along the belt travel to forces, N, or torques, Nm, shape (..., coordinates)."""
         return np.stack(np.broadcast_arrays(*(f * self.radius(i) for i, f in enumerate(forces))), axis=-1)
 
 

@@ -24,13 +24,7 @@ _SMALL = 0.5
 def decay_integral(z: Any) -> Any:
     """Return (1 - exp(-z)) / z, the factor by which viscous friction reduces the speed that a force adds in a step.
 
-    A constant force f changes the speed by f h / m * decay_integral(b h / m) in a step of length h.
-
-    Args:
-        z: Viscous damping of the step, b h / m >= 0, dimensionless; float, or SIMD register of shape (LANES,).
-
-    Returns:
-        Factor in (0, 1], dimensionless, in the shape of z; 1 without damping.
+    A constant force f changes the speed by f h / m * decay_integral(b h / m) in a step of length h; 1 without damping.
     """
     # Taylor series to z**10 in Horner's form, because the closed form cancels for small z.
     p = fma(z, -1.0 / 39916800.0, 1.0 / 3628800.0)
@@ -50,16 +44,10 @@ def decay_integral(z: Any) -> Any:
 
 
 def end_weight(z: Any) -> Any:
-    """Return the weight of the final speed in the mean speed of a step with viscous friction.
+    """Return the weight, in [1/2, 1), of the final speed in the mean speed of a step with damping z = b h / m.
 
     The mean is (1 - w) v0 + w v1 for initial speed v0, final speed v1 and the weight w = 1/(1 - exp(-z)) - 1/z, if the
     force is constant. For small z this is the trapezoidal rule, w = 1/2.
-
-    Args:
-        z: Viscous damping of the step, b h / m >= 0, dimensionless; float, or SIMD register of shape (LANES,).
-
-    Returns:
-        Weight in [1/2, 1), dimensionless, in the shape of z.
     """
     square = z * z
     # Bernoulli series 1/2 + z/12 - z**3/720 + ..., because the closed form cancels for small z.
@@ -77,14 +65,8 @@ def end_weight(z: Any) -> Any:
 def ramp(z: Any) -> Any:
     """Return (z - 1 + exp(-z)) / z**2, which gives the distance of a motion from rest with viscous friction.
 
-    Under a constant force f, a mass m moves by f t**2 / m * ramp(b t / m) in the time t.
-
-    Args:
-        z: Viscous damping over the time t, b t / m, dimensionless; negative for motion reversed in time. Float, or SIMD
-            register of shape (LANES,), one value per machine.
-
-    Returns:
-        Factor, dimensionless, in the shape of z; 1/2 without damping.
+    Under a constant force f, a mass m moves by f t**2 / m * ramp(b t / m) in the time t. Without damping it
+    is 1/2; z is negative for motion reversed in time.
     """
     # Taylor series to z**8, relative remainder 2e-13 for |z| <= 1/4; in pairs, to shorten the chain of dependent terms.
     q = z * z
@@ -100,57 +82,26 @@ def ramp(z: Any) -> Any:
 
 
 def direction(v: Any, f: Any) -> Any:
-    """Return a number whose sign is the direction of motion, or at rest the direction of the force.
-
-    Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
-
-    Args:
-        v: Speed, m/s.
-        f: Sum of all forces on the coordinate except friction, N.
-
-    Returns:
-        v, or f where v is zero; only the sign is meaningful.
-    """
+    """Return a number whose sign is the direction of motion: the speed v or, where this is zero, the force f."""
     return where(v == 0.0, f, v)
 
 
 def static_friction(f: Any, coulomb: Any) -> Any:
-    """Return the dry friction force at rest: it balances the force f as far as the Coulomb force F permits.
-
-    Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
-
-    Args:
-        f: Sum of all forces on the coordinate except friction, N.
-        coulomb: Coulomb friction force F >= 0, N.
-
-    Returns:
-        Friction force, N, to be subtracted from f: f limited to [-F, F].
-    """
+    """Return the dry friction force at rest, N, to be subtracted from the force f: f limited to [-F, F]."""
     below = where(f < coulomb, f, coulomb)  # min(f, F)
     return where(below > -coulomb, below, -coulomb)
 
 
 def friction_force(v: Any, f: Any, coulomb: Any) -> Any:
-    """Return the dry friction force: F sign(v) in motion, static friction at rest.
-
-    Operands are floats or SIMD registers, shape (LANES,), with one value per machine.
-
-    Args:
-        v: Speed, m/s.
-        f: Sum of all forces on the coordinate except friction, N.
-        coulomb: Coulomb friction force F >= 0, N.
-
-    Returns:
-        Friction force, N, to be subtracted from f.
-    """
+    """Return the dry friction force, N, to be subtracted from f: F sign(v) in motion, static friction at rest."""
     return where(v == 0.0, static_friction(f, coulomb), copysign(coulomb, v))
 
 
 def update_speed(v: Any, f: Any, coulomb: Any, decay: Any, gain: Any) -> Any:
-    """Return the speed after one step of length h, under the assumption that it does not cross zero within the step.
+    """Return the speed after one step of length h, m/s, if it does not cross zero within the step.
 
-    Operands are SIMD registers, shape (LANES,), with one value per machine ("lane"). Where the result and v have
-    opposite signs, the assumption is wrong and the result invalid; `stop_or_reverse` then gives the speed.
+    Where the result and v have opposite signs, it does cross zero: the result is invalid, and `stop_or_reverse` gives
+    the speed.
 
     Args:
         v: Speed before the step, m/s.
@@ -158,9 +109,6 @@ def update_speed(v: Any, f: Any, coulomb: Any, decay: Any, gain: Any) -> Any:
         coulomb: Coulomb friction force F >= 0, N.
         decay: Factor exp(-b h / m), dimensionless, by which viscous friction reduces the speed.
         gain: Speed gained per unit of force, h / m * decay_integral(b h / m), s/kg.
-
-    Returns:
-        Speed after the step, m/s, one value per lane.
     """
     return fma(gain, f - friction_force(v, f, coulomb), decay * v)
 
@@ -168,11 +116,10 @@ def update_speed(v: Any, f: Any, coulomb: Any, decay: Any, gain: Any) -> Any:
 def stop_or_reverse(
     v: Any, f: Any, coulomb: Any, viscous: Any, viscous_after: Any, mass: Any, per_mass: Any, h: Any
 ) -> Any:
-    """Compute final speed and distance of a step of length h in which the coordinate comes to rest.
+    """Compute final speed, m/s, and distance, m, of a step of length h in which the coordinate comes to rest.
 
     The coordinate decelerates to rest. Then it stays at rest if static friction holds it (|f| <= F); otherwise it
-    reverses for the remaining time. Operands are SIMD registers, shape (LANES,), with one value per machine ("lane").
-    The result is valid only in lanes where `update_speed` changes the sign of the speed.
+    reverses for the remaining time. The result is valid only where `update_speed` changes the sign of the speed.
 
     Args:
         v: Speed before the step, m/s.
@@ -183,11 +130,6 @@ def stop_or_reverse(
         mass: Mass m, kg.
         per_mass: Reciprocal 1/m of the mass, 1/kg.
         h: Length of the step, s, float.
-
-    Returns:
-        speed: Speed after the step, m/s, one value per lane; zero if static friction holds the coordinate.
-        traveled: Change of the belt travel (position, or radius * angle of a pulley) over the step, m, one value per
-            lane.
     """
     net = f - copysign(coulomb, v)
     # stop = m/b log(1 - b v/net), by the series of atanh in s = x/(2 + x), x = -b v/net.

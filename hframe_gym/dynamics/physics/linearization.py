@@ -48,8 +48,7 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
     each belt at the operating point. It is differentiated by a complex step, exact to rounding (Squire and Trapp 1998).
 
     Args:
-        machine: Machine; its effects (deviations from the nominal model) are left out. Without belts the result is
-            zero.
+        machine: Machine; its effects are left out. Without belts the result is zero.
         position: One or several operating points with unstretched belts: position of every coordinate, m or rad, shape
             (..., coordinates). Default: one operating point, all positions zero.
 
@@ -69,17 +68,12 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
     The back-EMF of a drive acts as viscous friction of its coordinate. The equations are differentiated by a complex
-    step, exact to rounding (Squire and Trapp 1998).
+    step, exact to rounding (Squire and Trapp 1998). `StateSpace` states the shape of each matrix.
 
     Args:
-        machine: Machine to linearize; its effects (deviations from the nominal model) are left out.
+        machine: Machine to linearize.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
-
-    Returns:
-        Matrices A, shape (states, states), B, shape (states, drives), C, shape (sensors, states), and D, shape
-        (sensors, drives), in SI. States: positions, m or rad, then velocities; inputs: drive voltages, V; outputs:
-        sensor readings, m or rad.
 
     References:
         Sollmann, Jouaneh and Lavender (2010), eq. 20-24.
@@ -102,17 +96,14 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
 
 
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
-    """Return the undamped natural frequencies of the masses on the belts: sqrt(eigenvalues of M^-1 K) / (2 pi).
+    """Return the undamped natural frequencies of the masses on the belts, Hz, ascending, shape (coordinates,).
 
-    M is the diagonal matrix of masses and moments of inertia, and K the stiffness matrix of the belts.
+    They are sqrt(eigenvalues of M^-1 K) / (2 pi) with the masses M and the stiffness matrix K, and exactly zero for
+    rigid-body modes, which stretch no belt.
 
     Args:
-        machine: Machine with any number of belts; its effects (deviations from the nominal model) are left out.
-        position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
-            Default: zeros.
-
-    Returns:
-        Frequencies, Hz, ascending, shape (coordinates,); exactly zero for rigid-body modes, which stretch no belt.
+        machine: Machine with any number of belts; its effects are left out.
+        position: Operating point, as for `linearize`, m or rad, shape (coordinates,). Default: zeros.
     """
     from scipy.linalg import eigh  # SciPy takes most of the time of `import hframe_gym`
 
@@ -123,16 +114,10 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
 
 def resolved_step(machine: Machine, longest_step: float) -> float:
-    """Return an integration step that resolves the fastest vibration of the belts, at most a given step.
+    """Return an integration step, s, that resolves the fastest vibration of the belts, at most `longest_step`, s.
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
-    integrator diverge. The stiffness is that at position 0.
-
-    Args:
-        longest_step: Largest step, s, that the inputs and the friction permit.
-
-    Returns:
-        Step, s: `longest_step`, or 0.75 / highest natural frequency (rad/s) if that is shorter.
+    integrator diverge. The result is 0.75 / highest natural frequency (rad/s) at position 0, if that is shorter.
     """
     if not machine.belts:
         return longest_step
@@ -153,13 +138,10 @@ def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equa
 
 
 def matrix_exponential(matrix: Array) -> Array:
-    """Compute the exponential of a matrix; the result is the same to the bit for any number of threads.
+    """Compute the exponential of a matrix, shape (n, n); the result is the same to the bit for any number of threads.
 
     Args:
         matrix: Square matrix, dimensionless, shape (n, n).
-
-    Returns:
-        exp(matrix), shape (n, n).
     """
     from scipy.linalg import expm
 

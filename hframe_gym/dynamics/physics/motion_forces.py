@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...arrays import Array
+from ...arrays import Array, Inputs, Times
 from ...machine import AppliedEffect, Machine, argument_names
 from .belts import BeltState
 from .equations import Equations
@@ -23,33 +23,27 @@ _BRISTLE_STATE_STRIDE = 5
 
 
 def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
-    """Return extension, stiffness and tension of each belt along a motion.
+    """Return extension, stiffness and tension of each belt along a motion, in the machine's order.
 
     Args:
-        machine: Machine with belts; its effects on belts (deviations from the nominal model) are included.
+        machine: Machine; its effects on belts are included.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` per belt, in the machine's order: extension s (m), its rate (m/s), stiffness k (N/m), tension T
-        beyond the pretension (N), the force e = -(1/2) s^2 dk/dl (N) due to the change of k with the length l, and
-        T - e (N); arrays of shape (...), but floats k and e = 0 for a belt of constant stiffness.
+        One `BeltState` of arrays of shape (...) per belt; k and e are floats for a belt of constant stiffness.
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))
 
 
 def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> Array:
-    """Return the force of the belts on each coordinate along a motion.
+    """Return the force of the belts on each coordinate along a motion, N or Nm, shape (..., coordinates).
 
     Args:
-        machine: Machine with belts; its effects on belts (deviations from the nominal model) are included.
+        machine: Machine; its effects on belts are included.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
-
-    Returns:
-        Forces, N, on linear and torques, Nm, on rotary coordinates, positive in the direction of positive motion, shape
-        (..., coordinates).
     """
     equations = Equations(machine)
     point = equations.point(positions, velocities)
@@ -58,27 +52,27 @@ def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
 
 def net_forces(
     machine: Machine,
-    time_s: Array,
+    time_s: Times,
     positions: Array,
     velocities: Array,
-    inputs: Array,
+    inputs: Inputs,
     values: Mapping[str, Array] | None = None,
 ) -> Array:
-    """Return the sum of all forces on each coordinate along a motion of n samples, with friction and effects.
+    """Return the sum of all forces on each coordinate along a motion of N samples, with friction and effects.
 
     Coulomb friction is F sign(v), thus zero at zero speed, where static friction is unknown.
 
     Args:
-        machine: Machine with its effects (deviations from the nominal model).
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        positions: Positions, m or rad, shape (n, coordinates).
-        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
-        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+        machine: Machine with its effects.
+        time_s: Sample times.
+        positions: Positions, m or rad, shape (N, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (N, coordinates).
+        inputs: Commanded voltages.
         values: Parameter values by full name ("x.mass"), SI, that replace the machine's. An array of shape (variants,
             1) gives one value for each of several variants of the machine; otherwise a float.
 
     Returns:
-        Net forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a value is an array.
+        Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) if a value is an array.
     """
     equations = Equations(machine, values)
     voltages = delayed_voltages(equations, time_s, inputs)
@@ -89,13 +83,13 @@ def net_forces(
 
 def effect_forces(
     machine: Machine,
-    time_s: Array,
+    time_s: Times,
     positions: Array,
     velocities: Array,
-    inputs: Array,
+    inputs: Inputs,
     effects: Sequence[AppliedEffect] | None = None,
 ) -> Array:
-    """Return the forces that effects (deviations from the nominal model) add along a motion.
+    """Return the forces that effects add along a motion.
 
     The result is the difference of two net forces: of the machine with these effects, and of the machine without them.
     Therefore it contains everything that an effect changes: a force, friction, a voltage, a current or a belt tension.
@@ -103,15 +97,15 @@ def effect_forces(
     Args:
         machine: Machine. If `effects` is given, it must not have these effects; any other effect that it has acts in
             both cases. If `effects` is not given, all effects of the machine are evaluated.
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        positions: Positions, m or rad, shape (n, coordinates).
-        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
-        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+        time_s: Sample times.
+        positions: Positions, m or rad, shape (N, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (N, coordinates).
+        inputs: Commanded voltages.
         effects: Effects to evaluate together. A parameter is a float, or an array of shape (variants, 1) with one value
             for each of several variants. Default: the effects of the machine, which is compared with no effect.
 
     Returns:
-        Added forces, N or Nm, shape (n, coordinates), or (variants, n, coordinates) if a parameter is an array.
+        Added forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) if a parameter is an array.
     """
     motion = (time_s, positions, velocities, inputs)
     if effects is None:
@@ -124,34 +118,29 @@ def effect_forces(
 
 
 def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
-    """Return the readings of all sensors along a motion, without delay, noise and rounding.
+    """Return the readings of all sensors along a motion, m or rad, shape (..., sensors), with the effects on sensors.
+
+    Delay, noise and rounding are left out.
 
     Args:
-        machine: Machine; its effects on sensors (deviations from the nominal model: scale, skew, range) are included.
+        machine: Machine.
         positions: Positions, m or rad, shape (..., coordinates).
-
-    Returns:
-        Readings, m or rad (units of the channels), shape (..., sensors).
     """
     q = np.asarray(positions, float)
     readings = Equations(machine).sensor_readings([q[..., i] for i in range(q.shape[-1])])
     return np.stack(np.broadcast_arrays(*readings), axis=-1)
 
 
-def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list[Array]:
+def delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> list[Array]:
     """Return the voltage that reaches each drive, as its mean from each sample to the next.
 
-    The delay of a drive shifts the steps of the commanded voltage to times between the samples; hence the mean.
-
-    Args:
-        equations: Equations of the machine, with the delays of its drives.
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+    The delay of a drive shifts the steps of the commanded voltage to times between the samples; hence the
+    mean. The last mean is over an interval as long as the one before. Until the delay has passed, the voltage
+    of the first sample acts.
 
     Returns:
-        Mean voltages, V: for each drive an array of shape (n,), or (variants, n) if its delay is an array of shape
-        (variants, 1) with one value for each of several variants of the machine. The last mean is over an interval as
-        long as the interval before. Until the delay has passed, the voltage of the first sample acts.
+        Mean voltages, V: for each drive an array of shape (N,), or (variants, N) if its delay is an array of shape
+        (variants, 1) with one value for each of several variants of the machine.
     """
     # Length of the interval after each sample, s; the last one is as long as the one before it.
     steps = np.diff(time_s, append=2.0 * time_s[-1] - time_s[-2] if len(time_s) > 1 else time_s[-1] + 1.0)
@@ -171,22 +160,22 @@ def delayed_voltages(equations: Equations, time_s: Array, inputs: Array) -> list
 
 
 def effect_states(
-    equations: Equations, time_s: Array, positions: Array, velocities: Array, voltages: Sequence[Array]
+    equations: Equations, time_s: Times, positions: Array, velocities: Array, voltages: Sequence[Array]
 ) -> dict[int, Array]:
     """Integrate the states of effects (bristle deflection, motor current, ...) along a motion, from zero at its start.
 
     Args:
-        equations: Equations of the machine with its effects (deviations from the nominal model).
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        positions: Positions, m or rad, shape (n, coordinates).
-        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
-        voltages: Voltage of each drive after its delay, V, arrays of shape (n,), or (variants, n) for several variants
+        equations: Equations of the machine with its effects.
+        time_s: Sample times.
+        positions: Positions, m or rad, shape (N, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (N, coordinates).
+        voltages: Voltage of each drive after its delay, V, arrays of shape (N,), or (variants, N) for several variants
             of the parameters.
 
     Returns:
-        State of every effect that has one, SI, shape (n,) or (variants, n), by index in `equations.instances` (all
-        effects, once per component on which they act). The state is that at each sample; for an effect on a motor
-        current, it is the mean from the sample to the next, because the current varies while the voltage is held.
+        State of every effect that has one, SI, shape (N,) or (variants, N), by index in
+        `equations.instances`. The state is that at each sample; for an effect on a motor current, it is the
+        mean from the sample to the next, because the current varies while the voltage is held.
     """
     states: dict[int, Array] = {}
     for k in equations.states:

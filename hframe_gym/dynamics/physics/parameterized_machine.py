@@ -13,6 +13,8 @@ from ..symbolic.elementwise import named
 from ..symbolic.tracing import describe_formula_error
 from .effect_instances import effect_instances
 
+# A float, an array or a symbolic expression (of the kernel's source text, or of CasADi). The arrays of a call have one
+# common shape: that of samples, or of variants of the machine.
 Value = Any
 IndexRow = Mapping[int, float]
 
@@ -68,14 +70,9 @@ class ParameterizedMachine:
     # -- parameters ------------------------------------------------------------------------------------------------
 
     def parameter(self, name: str) -> Value:
-        """Return the value that a parameter of the machine has in this object.
+        """Return the value, SI, that a parameter of the machine has in this object, by its full name ("x.mass").
 
-        Args:
-            name: Full name, for example "x.mass".
-
-        Returns:
-            Value, SI: a float, an array of any shape or a symbolic expression, as given to the constructor. A tied
-            parameter (`Machine.ties`) is a factor times the value of another one.
+        A tied parameter (`Machine.ties`) is a factor times the value of another one.
 
         Raises:
             KeyError: If the machine has no such parameter.
@@ -101,65 +98,30 @@ class ParameterizedMachine:
         return dataclasses.replace(component, **values)
 
     def radius(self, i: int) -> Value:
-        """Return the belt travel per unit of a coordinate: the radius of a pulley.
-
-        Args:
-            i: Index of the coordinate in the machine, from 0.
-
-        Returns:
-            Radius of the pulley, m (m of belt per rad), or 1 for a linear coordinate; float, array of any shape or
-            expression.
-        """
+        """Return the belt travel per unit of coordinate i: the radius of a pulley, m, or 1 for a linear one."""
         return self._coordinates[i].travel_per_unit
 
     def per_radius(self, i: int) -> Value:
-        """Return the position of a coordinate per belt travel, the reciprocal of `radius`.
-
-        Args:
-            i: Index of the coordinate in the machine, from 0.
-
-        Returns:
-            1/radius of the pulley, 1/m, or 1 for a linear coordinate; float, array of any shape or expression.
-        """
+        """Return the position of coordinate i per belt travel, the reciprocal of `radius`, 1/m."""
         return 1.0 / self.radius(i)
 
     def mass(self, i: int) -> Value:
-        """Return the mass of a coordinate referred to its belt travel (radius * angle of a pulley).
-
-        Args:
-            i: Index of the coordinate in the machine, from 0.
-
-        Returns:
-            Mass of a carriage, or inertia / radius^2 of a pulley, kg; float, array of any shape or expression.
-        """
+        """Return the mass of coordinate i referred to its belt travel, kg: inertia / radius^2 of a pulley."""
         return self._coordinates[i].mass / (self.radius(i) * self.radius(i))
 
     def coulomb(self, i: int) -> Value:
-        """Return the Coulomb friction force of a coordinate along its belt travel (position, or radius * angle).
-
-        Changes by effects (deviations from the nominal model) are not included.
-
-        Args:
-            i: Index of the coordinate in the machine, from 0.
-
-        Returns:
-            Coulomb friction force F, N (torque / radius for a pulley); float, array of any shape or expression.
-        """
+        """Return the Coulomb friction force of coordinate i along its belt travel, N, without changes by effects."""
         return self._coordinates[i].coulomb / self.radius(i)
 
     def viscous(self, i: int, direction: Value) -> Value:
-        """Return the viscous friction coefficient of a coordinate along its belt travel (position, or radius * angle).
+        """Return the viscous friction coefficient of coordinate i along its belt travel, Ns/m.
 
-        The back-EMF of the drives and the effects (deviations from the nominal model) on friction are included.
+        The back-EMF of the drives and the effects on friction are included.
 
         Args:
-            i: Index of the coordinate in the machine, from 0.
+            i: Index of the coordinate.
             direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between blends the
-                coefficients of both directions, which differ only by effects. Float, array of any shape or expression.
-
-        Returns:
-            Viscous coefficient b, Ns/m (for a pulley: torque coefficient / radius^2): a float, an array of the common
-            shape of `direction` and the parameters, or an expression.
+                coefficients of both directions, which differ only by effects.
         """
         coefficient = self._coordinates[i].viscous
         for _, e in self.effects_on("viscous", i):
@@ -170,21 +132,17 @@ class ParameterizedMachine:
         return coefficient / (self.radius(i) * self.radius(i))
 
     def force_per_volt(self, j: int) -> Value:
-        """Return the force of a drive per volt at standstill, along the belt travel (radius * angle) of its coordinate.
+        """Return the force of drive j per volt at standstill, N/V, along the belt travel of its coordinate.
 
-        Args:
-            j: Index of the drive in the machine, from 0.
-
-        Returns:
-            Force per volt N Kt / (R r), N/V, with gear ratio N, torque constant Kt, resistance R and pulley radius r (1
-            for a linear coordinate); float, array of any shape or expression.
+        It is N Kt / (R r), with gear ratio N, torque constant Kt, resistance R and pulley radius r (1 for a linear
+        coordinate).
         """
         return self.drives[j].gain / self.radius(self.drive_coordinates[j])
 
     # -- effects ---------------------------------------------------------------------------------------------------
 
     def effects_at(self, hook: str, component: str) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield the effects (deviations from the nominal model) on a component that change a certain quantity.
+        """Yield the effects on a component that change a certain quantity, in the order in which they act.
 
         Args:
             hook: Quantity, for example "voltage". An effect changes it if it defines the formula of this name;
@@ -192,27 +150,14 @@ class ParameterizedMachine:
             component: Name of a drive, belt, coordinate or sensor channel, for example "motor1".
 
         Yields:
-            index: Index in the attribute `instances`, which lists all effects once per component on which they act.
-            effect: The effect with its parameter values, in the order in which they act (`Effect.signal_order`).
+            Index in the attribute `instances`, and the effect with its parameter values.
         """
         instances = enumerate(self.instances)
         here = [(k, i.effect) for k, i in instances if i.component == component and getattr(i.effect.definition, hook)]
         yield from sorted(here, key=lambda entry: entry[1].definition.signal_order)
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
-        """Yield the effects (deviations from the nominal model) on a coordinate that change a certain quantity.
-
-        Effects on a drive that moves the coordinate are included.
-
-        Args:
-            hook: Quantity, for example "force". An effect changes it if it defines the formula of this name;
-                `hframe_gym.machine.Effect` lists the formulas ("hooks").
-            i: Index of the coordinate in the machine, from 0.
-
-        Yields:
-            index: Index in the attribute `instances`, which lists all effects once per component on which they act.
-            effect: The effect with its parameter values.
-        """
+        """Yield what `effects_at` yields for coordinate i and for the drives that move it."""
         for k, instance in enumerate(self.instances):
             if getattr(instance.effect.definition, hook) and instance.coordinate == i:
                 yield k, instance.effect
@@ -221,13 +166,10 @@ class ParameterizedMachine:
         """Evaluate a formula of an effect with the parameter values of this object.
 
         Args:
-            effect: Effect of the machine (deviation from the nominal model, such as Stribeck friction).
-            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists these formulas ("hooks").
+            effect: Effect of the machine.
+            hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists them with their units.
             quantities: Arguments of the formula other than the effect's parameters, by symbol, for example position q
-                (m or rad) and speed v (m/s or rad/s): floats, arrays of one common shape (...) or symbolic expressions.
-
-        Returns:
-            Value of the formula, shape (...), in the unit that `hframe_gym.machine.Effect` states, for example N.
+                (m or rad) and speed v (m/s or rad/s).
 
         Raises:
             TypeError: If the formula cannot be evaluated, for example because it uses a function of NumPy.
@@ -241,46 +183,25 @@ class ParameterizedMachine:
             raise TypeError(f"{effect.label}, {hook}: {describe_formula_error(error)}") from error
 
     def position(self, point: MotionPoint, i: int) -> Value:
-        """Return the position of a coordinate at a point of the motion: belt travel divided by radius.
-
-        Args:
-            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
-            i: Index of the coordinate in the machine, from 0.
-
-        Returns:
-            Position in the coordinate's unit, m or rad: a float, array of shape (...) or expression, like the travel.
-        """
+        """Return the position of coordinate i in its unit, m or rad: belt travel divided by radius."""
         return point.travel[i] * self.per_radius(i)
 
     def speed(self, point: MotionPoint, i: int) -> Value:
-        """Return the speed of a coordinate at a point of the motion: rate of the belt travel divided by radius.
-
-        Args:
-            point: Belt travel (radius * angle of a pulley), m, and its rate, m/s, of every coordinate.
-            i: Index of the coordinate in the machine, from 0.
-
-        Returns:
-            Speed in the coordinate's unit, m/s or rad/s: a float, array of shape (...) or expression, like the travel.
-        """
+        """Return the speed of coordinate i in its unit, m/s or rad/s: rate of the belt travel divided by radius."""
         return point.speed[i] * self.per_radius(i)
 
     def effect_state(self, k: int, point: MotionPoint, **arguments: Value) -> Value:
-        """Return the state of an effect, such as a bristle deflection or a motor current, at a point of a motion.
+        """Return the state of effect k, such as a bristle deflection, SI; 0 for an effect without state.
 
-        An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
-        expressions. If `point.elapsed` (s) is set, the states in `point` are from this much earlier, and the effect's
-        formula `next_state` advances the state to the time of the point.
+        If `point.elapsed` (s) is set, the states in `point` are from this much earlier, and the effect's formula
+        `next_state` advances the state to the time of the point.
 
         Args:
-            k: Index of the effect in `instances` (all effects, once per component on which they act).
-            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate,
-                shape (...) each, and the states of the effects, SI, shape (...) each.
+            k: Index of the effect in `instances`.
+            point: Belt travel and its rate, and the states of the effects.
             **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for an effect
                 that replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes
                 the current of a drive. No input for any other effect.
-
-        Returns:
-            State (bristle deflection, m or rad; current, A; ...), shape (...); 0 for an effect without state.
         """
         if k not in self.states:
             return 0.0
@@ -320,24 +241,15 @@ class ParameterizedMachine:
         speed: Sequence[Value],
         dt: Value,
     ) -> Value:
-        """Return the state of an effect, such as a bristle deflection, after a step of the integrator.
-
-        An effect is a deviation from the nominal model. Values are floats, arrays of one common shape (...) or symbolic
-        expressions.
+        """Return the state of effect k after a step of the integrator, SI.
 
         Args:
-            k: Index of the effect in `instances` (all effects, once per component on which they act).
-            state: State before the step, SI, shape (...).
-            arguments: Further input, shape (...): `level`, the Coulomb friction force, N or Nm, for an effect that
-                replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes the
-                current of a drive. Empty for any other effect.
-            traveled: Change of the belt travel (position, or radius * angle of a pulley) of each coordinate over the
-                step, m, shape (...) each.
-            speed: Mean rate of the belt travel of each coordinate in the step, m/s, shape (...) each.
-            dt: Length of the step, s, shape (...).
-
-        Returns:
-            State after the step, SI, shape (...).
+            k: Index of the effect in `instances`.
+            state: State before the step, SI.
+            arguments: Further input, as for `effect_state`.
+            traveled: Change of the belt travel of each coordinate over the step, m.
+            speed: Mean rate of the belt travel of each coordinate in the step, m/s.
+            dt: Length of the step, s.
         """
         quantities = {"z": state, "dt": dt, **arguments}
         if (i := self.instances[k].state_coordinate) >= 0:

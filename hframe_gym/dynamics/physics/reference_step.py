@@ -52,13 +52,9 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.
-        state: Belt travel (position, or radius * angle of a pulley), m, its rate, m/s, time, s, and states of effects
-            (such as a bristle deflection) before the step.
-        voltages: Commanded voltage of each drive, V, constant over the step, one per drive.
+        state: State before the step.
+        voltages: Commanded voltage of each drive, V, constant over the step.
         h: Length of the step, s.
-
-    Returns:
-        Belt travel, m, its rate, m/s, time, s, and effect states after the step, as in `state`.
     """
     p, v = state.travel, state.speed
     coordinates = range(len(p))

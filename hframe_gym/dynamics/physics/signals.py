@@ -20,16 +20,9 @@ class SignalEquations(ParameterizedMachine):
     """
 
     def motor_voltages(self, voltages: Sequence[Value]) -> list[Value]:
-        """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages.
+        """Apply the effects of the amplifiers (offset, gain error, dead band, ...) to the commanded voltages, V.
 
-        Values are floats, arrays of one common shape (...) or symbolic expressions.
-
-        Args:
-            voltages: Commanded voltage of each drive, V, after its delay, in the order of the machine's drives, shape
-                (...) each.
-
-        Returns:
-            Voltage at the terminals of each motor, V, in the same order, shape (...) each.
+        The voltages are those after the drives' delays.
         """
         result = []
         for j, (drive, voltage) in enumerate(zip(self.machine.drives, voltages, strict=True)):
@@ -39,16 +32,9 @@ class SignalEquations(ParameterizedMachine):
         return result
 
     def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Compute the reading of every sensor, with its effects (scale, skew, ...) but without delay and noise.
+        """Compute the reading of every sensor, m or rad, with effects (scale, skew, ...), without delay and noise.
 
-        A reading is a sum of coordinates (or products of two) times the coefficients in the sensor's `row`. Values are
-        floats, arrays of one common shape (...) or symbolic expressions.
-
-        Args:
-            positions: Position of each coordinate, m or rad, in the machine's order, shape (...) each.
-
-        Returns:
-            Reading of every sensor, m or rad, in the machine's order, shape (...) each.
+        A reading is a sum of coordinates (or products of two), m or rad, times the coefficients in the sensor's `row`.
         """
         names = self.machine.coordinate_names
         readings = []
@@ -70,20 +56,11 @@ class SignalEquations(ParameterizedMachine):
         return readings
 
     def voltage_delays(self) -> list[Value]:
-        """Return the delay of each drive from commanded to applied voltage: the sum of the delays that effects declare.
-
-        Returns:
-            Delay of each drive, s, in the machine's order, 0 without delay: floats, arrays of any shape or expressions.
-        """
+        """Return the delay of each drive, s: the sum of the delays that effects declare."""
         return [self._delay("delay", d.name) for d in self.machine.drives]
 
     def measurement_delays(self) -> list[Value]:
-        """Return the delay of each sensor's measurement: the sum of the delays that effects declare.
-
-        Returns:
-            Delay of each sensor, s, in the machine's order, 0 without delay: floats, arrays of any shape or
-            expressions.
-        """
+        """Return the delay of each sensor's measurement, s: the sum of the delays that effects declare."""
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
     def _delay(self, hook: str, component: str) -> Value:

@@ -40,221 +40,98 @@ def exp(x: Any) -> Any:
     """Return e**x.
 
     In a simulation kernel the result is never infinite: 0 for x < -700, and e**700 = 1.01e304 for x > 700.
-
-    Args:
-        x: Exponent, dimensionless: number, array of any shape, or symbolic expression.
-
-    Returns:
-        e**x, element by element, in the shape of x.
     """
     return _apply("exp", x)
 
 
 def sin(x: Any) -> Any:
-    """Return the sine of an angle.
+    """Return the sine of an angle, rad.
 
     In a simulation kernel the error is below 5e-16 for |x| <= 1e12 rad; beyond 1e16 rad the result is meaningless.
-
-    Args:
-        x: Angle, rad: number, array of any shape, or symbolic expression.
-
-    Returns:
-        Sine, in [-1, 1], element by element, in the shape of x.
     """
     return _apply("sin", x)
 
 
 def cos(x: Any) -> Any:
-    """Return the cosine of an angle.
-
-    In a simulation kernel the error is below 5e-16 for |x| <= 1e12 rad; beyond 1e16 rad the result is meaningless.
-
-    Args:
-        x: Angle, rad: number, array of any shape, or symbolic expression.
-
-    Returns:
-        Cosine, in [-1, 1], element by element, in the shape of x.
-    """
+    """Return the cosine of an angle, rad, with the errors of `sin`."""
     return _apply("cos", x)
 
 
 def tanh(x: Any) -> Any:
-    """Return the hyperbolic tangent.
-
-    Args:
-        x: Operand, dimensionless: number, array of any shape, or symbolic expression.
-
-    Returns:
-        Hyperbolic tangent, in [-1, 1], element by element, in the shape of x.
-    """
+    """Return the hyperbolic tangent."""
     return _apply("tanh", x)
 
 
 def sqrt(x: Any) -> Any:
-    """Return the square root.
-
-    Args:
-        x: Operand, not negative, any unit: number, array of any shape, or symbolic expression.
-
-    Returns:
-        Square root, element by element, in the shape of x.
-    """
+    """Return the square root."""
     return _apply("sqrt", x)
 
 
 def absolute(x: Any) -> Any:
-    """Return |x|.
-
-    Args:
-        x: Operand, any unit: number, array of any shape, or symbolic expression.
-
-    Returns:
-        Absolute value, element by element, in the unit and shape of x.
-    """
+    """Return |x|."""
     return _apply("absolute", x)
 
 
 def sign(x: Any) -> Any:
-    """Return the sign of a value, which is 0 for x = 0; `copysign(1.0, x)` is never 0.
-
-    Args:
-        x: Operand, any unit: number, array of any shape, or symbolic expression.
-
-    Returns:
-        -1 for x < 0, 0 for x = 0, 1 for x > 0, element by element, in the shape of x.
-    """
+    """Return -1 for x < 0, 0 for x = 0, 1 for x > 0; `copysign(1.0, x)` is never 0."""
     return _apply("sign", x)
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Return the smaller of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b.
-
-    Args:
-        a: First operand, any unit: number, array of any shape, or symbolic expression.
-        b: Second operand, in the same unit, of the same or a broadcastable shape.
-
-    Returns:
-        The smaller value, element by element, in the common shape.
-    """
+    """Return the smaller of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b."""
     return _apply("minimum", a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Return the larger of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b.
-
-    Args:
-        a: First operand, any unit: number, array of any shape, or symbolic expression.
-        b: Second operand, in the same unit, of the same or a broadcastable shape.
-
-    Returns:
-        The larger value, element by element, in the common shape.
-    """
+    """Return the larger of two values; if one of them is NaN, NumPy returns NaN and a simulation kernel returns b."""
     return _apply("maximum", a, b)
 
 
 def copysign(magnitude: Any, sign_of: Any) -> Any:
-    """Return |magnitude| with the sign of `sign_of`.
-
-    Args:
-        magnitude: Number, array of any shape, or symbolic expression, any unit; its sign is ignored.
-        sign_of: Operand whose sign is used, of a broadcastable shape; unlike in `sign`, 0.0 is positive, -0.0 negative.
-
-    Returns:
-        |magnitude| with the sign of `sign_of`, in the common shape.
-    """
+    """Return |magnitude| with the sign of `sign_of`; unlike in `sign`, 0.0 is positive, -0.0 negative."""
     return _apply("copysign", magnitude, sign_of)
 
 
 def where(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where the condition holds and `no` elsewhere, element by element.
-
-    Args:
-        condition: Truth value, array of truth values of any shape, or symbolic condition.
-        yes: Value where the condition holds, any unit: number, array of a broadcastable shape, or symbolic expression.
-        no: Value elsewhere, in the same unit: number, array of a broadcastable shape, or symbolic expression.
-
-    Returns:
-        The selected values, in the common shape.
-    """
+    """Return `yes` where the condition holds and `no` elsewhere, element by element."""
     return _apply("where", condition, yes, no)
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Return a * b + c: rounded once in a simulation kernel (fused multiply-add), twice elsewhere.
-
-    Args:
-        a: First factor, any unit: number, array of any shape, or symbolic expression.
-        b: Second factor, of a broadcastable shape.
-        c: Summand in the unit of a * b, of a broadcastable shape.
-
-    Returns:
-        a * b + c, in the common shape.
-    """
+    """Return a * b + c: rounded once in a simulation kernel (fused multiply-add), twice elsewhere."""
     return _apply("fma", a, b, c)
 
 
 def rint(x: Any) -> Any:
-    """Return the nearest integer, ties to even (not available for CasADi expressions).
+    """Return the nearest integer, ties to even, as a float (not available for CasADi expressions).
 
     The kernel's `exp`, `sin` and `cos` use it, and environments round measurements to the sensor's resolution with it.
-
-    Args:
-        x: Operand, dimensionless: number, array of any shape, or traced expression.
-
-    Returns:
-        Nearest integer, as a floating-point value, in the shape of x.
     """
     return _apply("rint", x)
 
 
 def floor(x: Any) -> Any:
-    """Return the largest integer that does not exceed x.
-
-    Args:
-        x: Operand, dimensionless: number, array of any shape, or symbolic expression.
-
-    Returns:
-        Largest integer that does not exceed x, in the shape of x: float, but int for an int with NumPy >= 2.1.
-    """
+    """Return the largest integer that does not exceed x: a float, but an int for an int with NumPy >= 2.1."""
     return _apply("floor", x)
 
 
 def pow2(n: Any) -> Any:
-    """Return 2**n for integers n, exactly; the simulation kernel's `exp` uses it for e**x = 2**n e**r.
-
-    Args:
-        n: Exponent in [-1022, 1023], an integer as a floating-point value: number or array of any shape.
-
-    Returns:
-        2**n, in the shape of n.
-    """
+    """Return 2**n for integers n in [-1022, 1023], exactly; the kernel's `exp` uses it for e**x = 2**n e**r."""
     return _apply("pow2", n)
 
 
 def any_of(condition: Any) -> Any:
     """Return whether a condition holds in at least one element; `if` and `while` statements of the kernel use it.
 
-    Args:
-        condition: Truth value, array of truth values of any shape, or SIMD mask (one truth value per machine).
-
-    Returns:
-        One truth value. Where it is true, the kernel takes the branch for all machines of the register.
+    Where it is true, the kernel takes the branch for all machines of the register.
     """
     return _apply("any_of", condition)
 
 
 def named(role: str, index: int, value: Any) -> Any:
-    """Give a value the name `role_index` in the source text of a simulation kernel; elsewhere do nothing.
+    """Give a value the name `role_index`, as "extension_0", in the source text of a kernel, and return it.
 
     The names make this text, which `hframe kernel` prints, readable; they do not change results.
-
-    Args:
-        role: First part of the name: what the value is, for example "extension".
-        index: Index of the coordinate, belt, drive, sensor or effect, for example 0 for "extension_0".
-        value: Value to name, in any unit: number, array of any shape, or symbolic expression.
-
-    Returns:
-        The same value.
     """
     return value.name_as(role, index) if isinstance(value, Expression) else value
 
@@ -269,12 +146,9 @@ def update_if_any(
 
     Args:
         condition: Function without arguments that returns the condition; it is called only to generate a kernel.
-        values: Numbers, arrays of one common shape (...) or symbolic expressions to update, in any units.
+        values: Values to update.
         update: Function from the values to the new values. For a machine whose condition is false it must return that
             machine's values unchanged.
-
-    Returns:
-        The updated values, in the order, units and shape (...) of `values`.
     """
     # Only a kernel can skip the update; NumPy and CasADi evaluate it in any case.
     traced = next((value for value in values if isinstance(value, Expression)), None)

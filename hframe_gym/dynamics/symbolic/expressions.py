@@ -53,29 +53,11 @@ class Expression:
         return self.operation in ("number", "variable")
 
     def traced_function(self, name: str, operands: Sequence[Any]) -> Expression:
-        """Return the expression that applies a mathematical function, such as sin, to some operands.
-
-        The module `elementwise` calls this method where an operand is an expression.
-
-        Args:
-            name: Name of the function in `elementwise`, for example "sin".
-            operands: Operands of the function: expressions and numbers.
-
-        Returns:
-            Expression of the function's value.
-        """
+        """Return the expression that applies a function of `elementwise`, such as sin, to some operands."""
         return self.trace.node(name, *operands)
 
     def name_as(self, role: str, index: int) -> Expression:
-        """Give the expression the name `role_index` in the generated source text, and compute it at this point.
-
-        Args:
-            role: First part of the name, for example "tension".
-            index: Index of the coordinate, belt, drive, sensor or effect, for example 0 for "tension_0".
-
-        Returns:
-            The same expression.
-        """
+        """Give the expression the name `role_index` in the generated source text, and compute it at this point."""
         return self.trace.let(role, index, self)
 
     def __bool__(self) -> bool:
@@ -172,7 +154,7 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
         values: One operand for "neg", otherwise two.
 
     Returns:
-        The simplified expression, or None if the operation cannot be simplified.
+        The simplified expression, or None.
 
     Raises:
         ValueError: If an operation on two numbers gives no finite number.
@@ -205,12 +187,6 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 def function_source(trace: Trace) -> str:
     """Write the source text of a function from its recorded operations, for the module `lane_compiler`.
-
-    Args:
-        trace: Record of the statements and expressions of the function.
-
-    Returns:
-        Python text of the function, from `def` to its last line.
 
     Raises:
         RuntimeError: If an expression uses a variable after a new value has been assigned to the variable.

@@ -53,16 +53,9 @@ class Trace:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def node(self, operation: str, *operands: Any) -> Expression:
-        """Return the expression of an operation, such as a + b or sin(a), in the generated function.
+        """Return the expression of an operation, such as a + b or sin(a); equal operations give the same object.
 
         The operation is simplified if the result is the same but for the sign of a zero, for example x + 0 to x.
-
-        Args:
-            operation: Operator such as "+" or "neg", or name of a function such as "sin".
-            *operands: Expressions of this trace, and finite numbers.
-
-        Returns:
-            The expression; equal operations on the same operands give the same object.
 
         Raises:
             ValueError: If a number, or the result of an operation on two numbers, is not finite.
@@ -80,17 +73,7 @@ class Trace:
         return self._nodes[key]
 
     def expression(self, value: Any) -> Expression:
-        """Convert a number to an expression of the generated function; return an expression unchanged.
-
-        Args:
-            value: Expression of this trace, or a number.
-
-        Returns:
-            The expression.
-
-        Raises:
-            ValueError: If the number is not finite.
-        """
+        """Convert a finite number to an expression of the generated function; return an expression unchanged."""
         if isinstance(value, Expression):
             return value
         number = float(value)
@@ -100,29 +83,17 @@ class Trace:
         return self._unique("number", (repr(number),), invariant=True)
 
     def argument(self, name: str) -> Expression:
-        """Return the symbol of a scalar argument of the function whose source code this trace writes, for example h.
-
-        Args:
-            name: Name of the argument in the function's signature.
-
-        Returns:
-            Symbol for use in expressions; the function never assigns a new value to it.
-        """
+        """Return the symbol of a scalar argument of the generated function, for example h."""
         return self._unique("variable", (name, 0), invariant=True)
 
     def load(self, array: str, row: int | str, name: str, *, invariant: bool = True) -> Expression:
         """Return the expression that loads one row of an array argument of the generated function.
-
-        A row holds one quantity of `LANES` (8 or 16) machines, which are computed together.
 
         Args:
             array: Name of the argument in the function's signature; an array of shape (rows, LANES).
             row: Index of the row, as a number or as source text such as "step * 2 + 0".
             name: Name of the value in the source text. If it is empty, the text loads the row where it uses the value.
             invariant: Whether the row is the same in all steps of the integration loop.
-
-        Returns:
-            Expression of the loaded row.
         """
         value = self._unique("load", (f"load({array}, {row})",), invariant=invariant)
         if name:
@@ -130,16 +101,10 @@ class Trace:
         return value
 
     def let(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Give an expression a name in the generated source text, and compute it at this point of the text.
+        """Give an expression the name role_index in the source text, compute it at this point, and return it.
 
-        Args:
-            role: First part of the name, for example "tension". Inside a block `with trace.section(comment, prefix)`,
-                the prefix is put before it.
-            index: Second part: index of the coordinate, belt, drive, sensor or effect; None for no second part.
-            value: Expression to name. Numbers, variables and expressions that have a name already are left unchanged.
-
-        Returns:
-            The same expression.
+        Inside a block `with trace.section(comment, prefix)`, the prefix is put before the name. Numbers, variables and
+        expressions that have a name already are left unchanged.
         """
         if not value.is_leaf and value not in self.names:
             self.names[value] = self._identifier(role, index)
@@ -154,16 +119,7 @@ class Trace:
     # -- statements ------------------------------------------------------------------------------------------------
 
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
-        """Append a statement that creates a variable to the generated function; `assign` changes it later.
-
-        Args:
-            role: First part of the variable's name, for example "speed".
-            index: Second part: index of the coordinate, belt, drive, sensor or effect; None for no second part.
-            value: Initial value.
-
-        Returns:
-            Expression of the variable with its initial value.
-        """
+        """Append a statement that creates a variable, named role_index, with a value; `assign` changes it later."""
         variable = self._unique("variable", (self._identifier(role, index), 0), invariant=False)
         self._block.append(Statement(f"{variable.operands[0]} = {{}}", (value,), (variable,)))
         return variable
@@ -177,7 +133,7 @@ class Trace:
             results: For each returned value, the name of its variable in two parts: role ("speed") and index, or None.
 
         Returns:
-            One variable per returned value, in the same order.
+            One variable per returned value.
         """
         variables = [self._unique("variable", (self._identifier(*name), 0), invariant=False) for name in results]
         values = tuple(map(self.expression, arguments))
@@ -186,55 +142,27 @@ class Trace:
         return variables
 
     def assign(self, variable: Expression, value: Expression) -> Expression:
-        """Append an assignment to the generated function: a variable gets a new value.
-
-        Args:
-            variable: Latest expression of the variable.
-            value: Expression of the new value.
-
-        Returns:
-            Expression of the variable with the new value. Use only this one afterwards: the previous one is outdated.
-        """
+        """Append an assignment to a variable; use only the returned expression of the variable afterwards."""
         name, version = variable.operands
         changed = self._unique("variable", (name, version + 1), invariant=False)
         self._block.append(Statement(f"{name} = {{}}", (value,), (changed,)))
         return changed
 
     def store(self, array: str, row: int, value: Any) -> None:
-        """Append a statement to the generated function that writes a value to a row of an array argument.
-
-        Args:
-            array: Name of the argument in the function's signature; an array of shape (rows, LANES) with one machine
-                per column, where LANES is the number of machines that are computed together.
-            row: Index of the row.
-            value: Expression, or a finite number for all machines.
-
-        Raises:
-            ValueError: If the number is not finite.
-        """
+        """Append a statement that writes an expression or a finite number to a row of an array argument."""
         value = self.expression(value)
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))
 
     def line(self, text: str) -> None:
-        """Append one line of source text to the generated function, inside the innermost open `with trace.block(...)`.
-
-        Args:
-            text: Source text without indentation and line break.
-        """
+        """Append one line of source text, without indentation, inside the innermost open `with trace.block(...)`."""
         self._block.append(Statement(text))
 
     @contextlib.contextmanager
     def section(self, comment: str, prefix: str = "") -> Iterator[None]:
         """Append a comment to the generated function; names that are given inside the `with` block get a prefix.
 
-        The prefix distinguishes quantities that are computed more than once.
-
-        Args:
-            comment: Text of the comment, without "#".
-            prefix: Prefix of the names, for example "half_" for forces in the middle of a step.
-
-        Yields:
-            None.
+        The prefix, for example "half_" for forces in the middle of a step, distinguishes quantities that are
+        computed more than once.
         """
         self._block.append(Statement(f"# {comment}"))
         self._prefix = prefix
@@ -250,9 +178,6 @@ class Trace:
             *values: Expressions in that line.
             loop: Whether this is the loop over the steps of the integrator; values in its body that are the same in all
                 steps are then computed before it.
-
-        Yields:
-            None.
         """
         statement = Statement(head, values)
         self._block.append(statement)
@@ -265,10 +190,7 @@ class Trace:
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:
-        """Append to the generated function a block that updates values only if a condition is true.
-
-        The block begins with `if any_of(condition):`. The function computes several machines together and skips the
-        block if the condition is false for all of them.
+        """Append a block that updates values only if a condition is true for one of the machines in a register.
 
         Args:
             condition: Expression of a condition, one truth value per machine.
@@ -287,13 +209,7 @@ class Trace:
 def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -> Any:
     """Return the expression that selects, for every machine, the value of the first condition that is true.
 
-    Args:
-        conditions: Expressions of conditions, one truth value per machine.
-        values: Expression or number for each condition.
-        otherwise: Expression or number for machines where no condition is true.
-
-    Returns:
-        Expression of the selected values; `otherwise` itself without conditions.
+    Where no condition is true, it is `otherwise`.
     """
     selected = otherwise
     for condition, value in reversed(list(zip(conditions, values, strict=True))):
@@ -302,14 +218,10 @@ def first_of(conditions: Sequence[Any], values: Sequence[Any], otherwise: Any) -
 
 
 def describe_formula_error(error: TypeError) -> str:
-    """Describe an error in a formula by its line, its message and, where a function of `elementwise` is needed, advice.
+    """Describe an error in a formula by its line, its message and, where one helps, advice.
 
-    Args:
-        error: Error that the evaluation of the formula raised with expressions, arrays or numbers.
-
-    Returns:
-        Text, for example "drag.py, line 7: must be real number, not Expression; use the functions of ..."; without a
-        line if the error was not raised in Python code outside this package.
+    The text is, for example, "drag.py, line 7: must be real number, not Expression; use the functions of
+    ..."; without a line if the error was not raised in Python code outside this package.
     """
     frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent != Path(__file__).parent]
     in_formula = [f for f in frames if f.filename == frames[0].filename]  # without functions of NumPy that it calls

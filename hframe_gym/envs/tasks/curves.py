@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...arrays import Array
-from ...dynamics.codegen.compiled import compiled, helper
+from ...dynamics.codegen.compiled import compiled, compiled_only
 from ..random_numbers import cos_sin_of_turns
 
 # Segments of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.
@@ -106,7 +106,7 @@ def _write_points(s: Any, curve: Any, points: Any) -> None:
         points[i, 0], points[i, 1] = point_at(s[i], curve)
 
 
-@helper
+@compiled_only
 def point_at(s: float, curve: Any) -> Any:
     """Compute the point (x, y), m, of a curve at an arc length; only other compiled functions can call it.
 
@@ -211,14 +211,14 @@ def _distance_to_polyline(x: float, y: float, s: float, curve: Any) -> float:
     return math.sqrt(smallest)
 
 
-@helper
+@compiled_only
 def _speed_up(t: float, speed: float, lead_s: float) -> float:
     """Return the distance, m, after time t, s, from rest to speed."""
     u = t / lead_s if t / lead_s < 1.0 else 1.0
     return speed * (lead_s * u * u * u * (1.0 - 0.5 * u) + (t - lead_s if t - lead_s > 0.0 else 0.0))
 
 
-@helper
+@compiled_only
 def traveled(t: float, speed: float, lead_s: float, length: float) -> float:
     """Compute how far, m, a goal has traveled along its path at time t. Only compiled functions can call it.
 
