@@ -11,7 +11,7 @@ import importlib
 import json
 import re
 import shutil
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from .. import __version__
 from ..atomic_files import atomic_file, output_batch, scratch_folder
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
@@ -225,10 +226,6 @@ def _metadata(
     dataset_id: str, name: str, controller: Controller, scenario: Scenario, author: str | None
 ) -> dict[str, Any]:
     """Return the metadata of a data set as plain data: Minari's fields, then those of this package below "hframe"."""
-    try:
-        package_version = version("hframe_gym")
-    except PackageNotFoundError:  # run from a source tree that is not installed
-        package_version = None
     machine = scenario.declared_machine
     card = getattr(controller, "card", None)  # of a trained agent
     metadata: dict[str, Any] = {
@@ -240,9 +237,9 @@ def _metadata(
             f"randomize {scenario.randomize}, sensors {scenario.sensors}, drives {scenario.drives}, control period "
             f"{scenario.period:g} s; episode i has the seed {scenario.seed} + i. Written by hframe export."
         ),
-        "requirements": ["hframe_gym" if package_version is None else f"hframe_gym=={package_version}"],
+        "requirements": [f"hframe_gym=={__version__}"],
         "hframe": {
-            "version": package_version,
+            "version": __version__,
             "controller": name,
             "controller_class": type(controller).__name__,
             "agent": None if card is None else json.loads(json.dumps(card)),
