@@ -16,6 +16,7 @@ import numpy as np
 from hypothesis import reject
 from hypothesis import strategies as st
 
+from ..log_samples import write_all
 from .materials import (
     HEADER,
     answer_curves,
@@ -242,6 +243,35 @@ def mat_log(draw: st.DrawFn) -> Case:
     return Case({"log.mat": draw(damaged_bytes(content)) if draw(st.booleans()) else content}, words)
 
 
+@cache
+def _foreign_logs() -> dict[str, tuple[bytes, tuple[str, ...]]]:
+    """Return the content of a valid log of each format of other programs, and the options that map its columns."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary, "logs")
+        maps = write_all(folder)
+        return {name: ((folder / name).read_bytes(), options) for name, options in maps.items()}
+
+
+def foreign_log(name: str) -> Callable[[], st.SearchStrategy[Case]]:
+    """Return a strategy for a damaged log in the format of another program."""
+
+    @st.composite
+    def damaged(draw: st.DrawFn) -> Case:
+        content, maps = _foreign_logs()[name]
+        if name.endswith(".json.gz") and draw(st.booleans()):  # the text inside
+            changed = gzip.compress(draw(damaged_bytes(gzip.decompress(content))), 1)
+        else:
+            changed = draw(damaged_bytes(content))
+        options = [word for pair in maps for word in ("--map", pair)]
+        scales = ("--scale", "v_V=0.1", "--scale", "x_m=0.001")
+        return Case({name: changed}, ("import", name, "--machine", "axis", *options, *scales, "--out", "runs"))
+
+    return damaged
+
+
+FOREIGN_LOGS = ("log.wpilog", "log.json.gz", "log.mat", "log.bag", "ros2.db3", "ros2.mcap", "log.mcap")
+
+
 @st.composite
 def mapping_file(draw: st.DrawFn) -> Case:
     """Return a strategy for a damaged mapping file."""
@@ -381,6 +411,7 @@ READERS: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
     "log of a dialect": dialect_log,
     "log.json": sysid_log,
     "log.mat": mat_log,
+    **{f"foreign {name}": foreign_log(name) for name in FOREIGN_LOGS},
     "mapping": mapping_file,
     "machine.json": machine_file,
     "machine values": machine_values,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zlib
 from pathlib import Path
 from typing import Any
@@ -14,53 +13,23 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
 from hframe_gym.recordings.logs.log_files import find_logs, open_logs
-
-# A motion of x: 0.1 s at 1000 mm/s^2, then 0.1 s at 100 mm/s, a pause of 0.1 s, and 0.05 s backward at 20 mm/s.
-PIECES = [
-    [10.0, 0.1, 0.0, 1000.0, [5.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
-    [10.1, 0.1, 100.0, 0.0, [10.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
-    [10.3, 0.05, 20.0, 0.0, [20.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
-]
-STEPS = {
-    "data": [[1000, 3, 10], [2000, -2, 0]],
-    "first_clock": 5000,
-    "last_clock": 5000 + 1010 + 1020 + 4000,
-    "first_step_time": 10.0,
-    "last_step_time": 10.0 + 6030e-6,
-    "start_position": 7.0,
-    "step_distance": 0.01,
-}
-
-
-def write_log(path: Path, *messages: dict[str, Any], tail: bytes = b"", end: bool = True) -> None:
-    """Write messages as data_logger.py does; without `end` the file ends as after a loss of power."""
-    stream = zlib.compressobj(-1, zlib.DEFLATED, 31)
-    text = b"".join(json.dumps(message).encode() + b"\x03" for message in messages) + tail
-    content = stream.compress(text) + stream.flush(zlib.Z_FINISH if end else zlib.Z_FULL_FLUSH)
-    path.write_bytes(content)
-
-
-def block(name: str, **params: Any) -> dict[str, Any]:
-    """Return a message of a subscription."""
-    return {"q": name, "params": params}
-
-
-INFO = {"id": "info", "result": {"state": "ready"}}
+from tests.log_samples import KLIPPER_INFO, KLIPPER_PIECES, KLIPPER_STEPS, write_klipper
+from tests.log_samples import klipper_block as block
 
 
 def test_the_data_logger_gives_a_recording(tmp_path: Path) -> None:
     axis = BUILTIN_MACHINES["axis"]()
     accelerations = [[10.0 + 0.003 * k, 100.0 * k, 0.0, 9810.0] for k in range(100)]
-    write_log(
+    write_klipper(
         tmp_path / "bench.json.gz",
-        INFO,
-        block("trapq:toolhead", data=PIECES[:1]),
+        KLIPPER_INFO,
+        block("trapq:toolhead", data=KLIPPER_PIECES[:1]),
         block("status", eventtime=3.0, status={}),
         block("adxl345:adxl345", data=accelerations[:40], errors=0),
-        block("trapq:toolhead", data=PIECES[1:]),
+        block("trapq:toolhead", data=KLIPPER_PIECES[1:]),
         block("adxl345:adxl345", data=accelerations[40:], errors=0),
     )
-    write_log(tmp_path / "bench.index.gz", INFO)
+    write_klipper(tmp_path / "bench.index.gz", KLIPPER_INFO)
     assert [path.name for path in find_logs(tmp_path)[0]] == ["bench.json.gz"]
     columns = dict.fromkeys(axis.output_channels, "none")
     columns |= {
@@ -83,7 +52,11 @@ def test_the_data_logger_gives_a_recording(tmp_path: Path) -> None:
 
 def test_steps_and_angles_have_their_times(tmp_path: Path) -> None:
     angles = [[1.0, 0], [1.1, 16384], [1.2, -65536]]
-    write_log(tmp_path / "a.json.gz", block("stepq:stepper_x", **STEPS), block("angle:hall", data=angles))
+    write_klipper(
+        tmp_path / "a.json.gz",
+        block("stepq:stepper_x", **KLIPPER_STEPS),
+        block("angle:hall", data=angles),
+    )
     (log,) = open_logs(tmp_path / "a.json.gz")
     assert [(c.header, c.unit) for c in log.columns] == [
         ("angle:hall/angle [rev]", "rev"),
@@ -118,7 +91,7 @@ def test_a_spectrum_is_refused_with_advice(tmp_path: Path) -> None:
 
 
 def test_an_incomplete_message_is_left_out(tmp_path: Path) -> None:
-    write_log(tmp_path / "a.json.gz", block("angle:hall", data=[[1.0, 1]]), tail=b'{"q": "an', end=False)
+    write_klipper(tmp_path / "a.json.gz", block("angle:hall", data=[[1.0, 1]]), tail=b'{"q": "an', end=False)
     (log,) = open_logs(tmp_path / "a.json.gz")
     assert "its last message is incomplete and left out" in log.remarks
 
@@ -126,20 +99,29 @@ def test_an_incomplete_message_is_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("messages", "problem"),
     [
-        ([INFO, block("status", status={})], r"no motions or measurements of Klipper \(subscriptions: status\)"),
-        ([block("adxl345:a", data=[[1.0, 2.0]])], "adxl345:a: the rows of its data must be lists of 4 numbers"),
-        ([block("adxl345:a", data=[[1.0, 2.0, "x", 1]])], "adxl345:a: the rows of its data must be lists of 4 numbers"),
-        ([block("trapq:t", data=[[1.0, 2.0]])], "trapq:t: its data are not pieces of a motion"),
-        ([block("trapq:t", data=[PIECES[0], [1e9, *PIECES[0][1:]]])], "trapq:t: lasts 1e[+]09 s"),
         (
-            [block("stepq:s", **{**STEPS, "data": [[1, 70_000, 0]]})],
+            [KLIPPER_INFO, block("status", status={})],
+            r"no motions or measurements .* \(subscriptions: status\)",
+        ),
+        ([block("adxl345:a", data=[[1.0, 2.0]])], "adxl345:a: the rows of its data must be lists of 4"),
+        (
+            [block("adxl345:a", data=[[1.0, 2.0, "x", 1]])],
+            "adxl345:a: the rows of its data must be lists of 4",
+        ),
+        ([block("trapq:t", data=[[1.0, 2.0]])], "trapq:t: its data are not pieces of a motion"),
+        (
+            [block("trapq:t", data=[KLIPPER_PIECES[0], [1e9, *KLIPPER_PIECES[0][1:]]])],
+            "trapq:t: lasts 1e[+]09 s",
+        ),
+        (
+            [block("stepq:s", **{**KLIPPER_STEPS, "data": [[1, 70_000, 0]]})],
             "stepq:s, block 1: has more than 65535 steps in a row",
         ),
         ([block("stepq:s", data=[[1, 2, 3]])], "stepq:s, block 1: is not the data of a stepper motor"),
     ],
 )
 def test_faulty_messages_are_refused(tmp_path: Path, messages: list[dict[str, Any]], problem: str) -> None:
-    write_log(tmp_path / "a.json.gz", *messages)
+    write_klipper(tmp_path / "a.json.gz", *messages)
     with pytest.raises(InputError, match=rf"a.json.gz.*{problem}"):
         open_logs(tmp_path / "a.json.gz")
 
@@ -149,6 +131,6 @@ def test_other_compressed_json_and_damaged_files_are_refused(tmp_path: Path) -> 
     (tmp_path / "b.json.gz").write_bytes(stream.compress(b'{"a": 1}') + stream.flush())
     with pytest.raises(InputError, match=r"b.json.gz: is no log of Klipper's data_logger"):
         open_logs(tmp_path / "b.json.gz")
-    write_log(tmp_path / "c.json.gz", INFO, tail=b"{no json\x03")
+    write_klipper(tmp_path / "c.json.gz", KLIPPER_INFO, tail=b"{no json\x03")
     with pytest.raises(InputError, match=r"c.json.gz, message 2: is not valid JSON"):
         open_logs(tmp_path / "c.json.gz")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -14,55 +13,11 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
 from hframe_gym.recordings.logs.log_files import open_logs
+from tests.log_samples import write_matlab
 
 COUNT = 50
 TIME = np.arange(COUNT) * 1e-3
 POSITION = 0.01 * TIME
-
-
-def add(group: h5py.Group, name: str, value: Any, references: h5py.Group) -> None:
-    """Store a value as MATLAB does: the axes of arrays reversed, cells and structure arrays as references."""
-    if isinstance(value, dict):
-        member = group.create_group(name)
-        member.attrs["MATLAB_class"] = np.bytes_("struct")
-        for key, content in value.items():
-            add(member, key, content, references)
-    elif isinstance(value, list) and isinstance(value[0], dict):
-        member = group.create_group(name)
-        member.attrs["MATLAB_class"] = np.bytes_("struct")
-        for key in value[0]:
-            pointers = [stored(element[key], references) for element in value]
-            member.create_dataset(key, data=np.array([pointers], dtype=h5py.ref_dtype))
-    elif isinstance(value, list):
-        pointers = [stored(element, references) for element in value]
-        member = group.create_dataset(name, data=np.array([pointers], dtype=h5py.ref_dtype))
-        member.attrs["MATLAB_class"] = np.bytes_("cell")
-    elif isinstance(value, str):
-        member = group.create_dataset(name, data=np.array([[ord(c)] for c in value], dtype=np.uint16))
-        member.attrs["MATLAB_class"] = np.bytes_("char")
-    else:
-        member = group.create_dataset(name, data=np.atleast_2d(np.asarray(value).T), compression="gzip")
-        member.attrs["MATLAB_class"] = np.bytes_("double")
-
-
-def stored(value: Any, references: h5py.Group) -> h5py.Reference:
-    """Store a value among the references of the file and return the reference."""
-    name = f"r{len(references)}"
-    add(references, name, value, references)
-    return references[name].ref
-
-
-def write_matlab(path: Path, **variables: Any) -> None:
-    """Write a file of MATLAB version 7.3, with the block of text that MATLAB writes before the HDF5 file."""
-    with h5py.File(path, "w", userblock_size=512) as file:
-        references = file.create_group("#refs#")
-        for name, value in variables.items():
-            add(file, name, value, references)
-        table = file.create_dataset("results", data=np.arange(12, dtype=np.uint32).reshape(1, 12))
-        table.attrs["MATLAB_class"] = np.bytes_("table")
-        table.attrs["MATLAB_object_decode"] = 3
-    with open(path, "r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
 
 
 def test_arrays_structures_and_cells_are_columns(tmp_path: Path) -> None:

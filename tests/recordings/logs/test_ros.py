@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from google.protobuf.timestamp_pb2 import Timestamp
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
-from rosbags import rosbag1, rosbag2
-from rosbags.typesys import Stores, get_typestore
+from rosbags import rosbag2
 
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -23,56 +19,7 @@ from hframe_gym.recordings.logs.formats.messages import UnreadableError, numbers
 from hframe_gym.recordings.logs.formats.ros_messages import RosDecoder
 from hframe_gym.recordings.logs.log import Log
 from hframe_gym.recordings.logs.log_files import find_logs, open_logs
-
-BEGIN = 1_700_000_000_000_000_000  # ns
-PERIOD = 10_000_000
-COUNT = 40
-POSITION = 0.001 * np.arange(COUNT) ** 1.5
-VOLTAGE = 5.0 * (np.arange(COUNT) >= 10)
-Write = Callable[..., None]
-
-
-def joint_states(store: Any, k: int, delay: int) -> Any:
-    """Return the message of two joints; the order of the joints changes from message to message."""
-    types = store.types
-    stamp = types["builtin_interfaces/msg/Time"](*divmod(BEGIN + k * PERIOD - delay, 1_000_000_000))
-    extra = {"seq": k} if "seq" in types["std_msgs/msg/Header"].__dataclass_fields__ else {}
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **extra)
-    names, positions = ["slide", "arm"], np.array([POSITION[k], -1.0])
-    order = 1 if k % 2 == 0 else -1
-    empty = np.empty(0)
-    return types["sensor_msgs/msg/JointState"](header, names[::order], positions[::order].copy(), empty, empty)
-
-
-def topics(store: Any, delay: int) -> list[tuple[str, str, list[Any]]]:
-    """Return topics with their types and messages."""
-    types = store.types
-    image = types["std_msgs/msg/String"]("no number")
-    return [
-        ("/joint_states", "sensor_msgs/msg/JointState", [joint_states(store, k, delay) for k in range(COUNT)]),
-        ("/motor/command", "std_msgs/msg/Float64", [types["std_msgs/msg/Float64"](float(v)) for v in VOLTAGE]),
-        ("/status", "std_msgs/msg/String", [image]),
-    ]
-
-
-def write_ros2(path: Path, storage: rosbag2.StoragePlugin, delay: int = 2_000_000, version: int = 9) -> None:
-    """Write a bag of ROS 2."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with rosbag2.Writer(path, version=version, storage_plugin=storage) as writer:
-        for topic, kind, messages in topics(store, delay):
-            connection = writer.add_connection(topic, kind, typestore=store)
-            for k, message in enumerate(messages):
-                writer.write(connection, BEGIN + k * PERIOD, store.serialize_cdr(message, kind))
-
-
-def write_ros1(path: Path, delay: int = 2_000_000) -> None:
-    """Write a bag of ROS 1."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with rosbag1.Writer(path) as writer:
-        for topic, kind, messages in topics(store, delay):
-            connection = writer.add_connection(topic, kind, typestore=store)
-            for k, message in enumerate(messages):
-                writer.write(connection, BEGIN + k * PERIOD, store.serialize_ros1(message, kind))
+from tests.log_samples import BEGIN, COUNT, PERIOD, POSITION, write_mcap_json, write_ros1, write_ros2
 
 
 def bag(kind: str, folder: Path) -> Path:
@@ -130,22 +77,6 @@ def test_headers_of_another_clock_are_not_used(tmp_path: Path) -> None:
     ]
 
 
-def write_json(path: Path, rows: int = COUNT, finish: bool = True, **chunks: Any) -> None:
-    """Write an MCAP file of JSON."""
-    with open(path, "wb") as stream:
-        writer = McapWriter(stream, **chunks)
-        writer.start()
-        schema = writer.register_schema("Motor", "jsonschema", b"{}")
-        channel = writer.register_channel("/motor", "json", schema)
-        other = writer.register_channel("/other", "cbor", 0)
-        writer.add_message(other, BEGIN, b"\x01", BEGIN)
-        for k in range(rows):
-            content = {"angle_deg": k, "on": True, "name": "m", "big": 10**400, "v": [1, {"x": 2.5}]}
-            writer.add_message(channel, BEGIN + k, json.dumps(content).encode(), BEGIN + k)
-        if finish:
-            writer.finish()
-
-
 def read_all(log: Log) -> dict[str, Any]:
     """Return the values of all columns by header."""
     return dict(zip([column.header for column in log.columns], log.read(log.columns)[0], strict=True))
@@ -153,7 +84,7 @@ def read_all(log: Log) -> dict[str, Any]:
 
 @pytest.mark.parametrize("chunks", [{}, {"use_chunking": False}])
 def test_json_in_an_mcap_file(tmp_path: Path, chunks: dict[str, Any]) -> None:
-    write_json(tmp_path / "a.mcap", **chunks)
+    write_mcap_json(tmp_path / "a.mcap", **chunks)
     (log,) = open_logs(tmp_path / "a.mcap")
     values = read_all(log)
     assert list(values) == ["/motor/angle_deg", "/motor/on", "/motor/big", "/motor/v[0]", "/motor/v[1]/x"]
@@ -177,7 +108,7 @@ def test_protobuf_in_an_mcap_file(tmp_path: Path) -> None:
 
 
 def test_an_mcap_file_that_ends_early_is_read_up_to_there(tmp_path: Path) -> None:
-    write_json(tmp_path / "a.mcap", use_chunking=False)
+    write_mcap_json(tmp_path / "a.mcap", use_chunking=False)
     content = (tmp_path / "a.mcap").read_bytes()
     cut = content.index(b'{"angle_deg": 30')
     (tmp_path / "a.mcap").write_bytes(content[:cut])
@@ -200,7 +131,7 @@ def test_damaged_files_are_refused(kind: str, problem: str, tmp_path: Path) -> N
 
 
 def test_a_damaged_message_is_named(tmp_path: Path) -> None:
-    write_json(tmp_path / "a.mcap", use_chunking=False)
+    write_mcap_json(tmp_path / "a.mcap", use_chunking=False)
     content = (tmp_path / "a.mcap").read_bytes().replace(b'{"angle_deg": 20', b'["angle_deg": 20')
     (tmp_path / "a.mcap").write_bytes(content)
     (log,) = open_logs(tmp_path / "a.mcap")

@@ -12,30 +12,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
 from hframe_gym.recordings.logs.log_files import open_logs
-
-PERIOD_US = 20_000
-COUNT = 40
-
-
-def record(number: int, time_us: int, payload: bytes) -> bytes:
-    """Return a record with the fewest bytes for each of its numbers."""
-    fields = []
-    for value, most in ((number, 4), (len(payload), 4), (time_us, 8)):
-        fields.append(value.to_bytes(next(n for n in range(1, most + 1) if value < 1 << 8 * n), "little"))
-    lengths = len(fields[0]) - 1 | len(fields[1]) - 1 << 2 | len(fields[2]) - 1 << 4
-    return bytes([lengths]) + b"".join(fields) + payload
-
-
-def start(number: int, name: str, kind: str) -> bytes:
-    """Return the control record that starts an entry."""
-    texts = b"".join(struct.pack("<I", len(text)) + text.encode() for text in (name, kind, ""))
-    return record(0, 0, b"\0" + struct.pack("<I", number) + texts)
-
-
-def log_bytes(*records: bytes) -> bytes:
-    """Return a file of some records."""
-    extra = b"made for a test"
-    return b"WPILOG\0\1" + struct.pack("<I", len(extra)) + extra + b"".join(records)
+from tests.log_samples import COUNT, wpilog, wpilog_of_a_drive, wpilog_record, wpilog_start
 
 
 @pytest.fixture
@@ -43,19 +20,8 @@ def axis() -> Machine:
     return BUILTIN_MACHINES["axis"]()
 
 
-def drive_log(count: int = COUNT) -> bytes:
-    """Return a log of a drive: a voltage every period, a position 3 ms later, an array and texts besides."""
-    rows = [start(1, "/drive/voltage", "double"), start(300, "/drive/position", "float"), start(2, "/mode", "string")]
-    rows += [start(3, "/all", "double[]"), start(4, "/raw", "raw"), record(2, 5, b"auto"), record(4, 5, b"x")]
-    for k in range(count):
-        rows.append(record(1, k * PERIOD_US, struct.pack("<d", 6.0 * (k >= 10))))
-        rows.append(record(300, k * PERIOD_US + 3000, struct.pack("<f", 0.01 * max(k - 10, 0))))
-        rows.append(record(3, k * PERIOD_US, struct.pack(f"<{1 + k % 2}d", *[0.5 * k] * (1 + k % 2))))
-    return log_bytes(*rows)
-
-
 def test_entries_become_a_recording(tmp_path: Path, axis: Machine) -> None:
-    (tmp_path / "match.wpilog").write_bytes(drive_log())
+    (tmp_path / "match.wpilog").write_bytes(wpilog_of_a_drive())
     lines: list[str] = []
     columns = dict(zip((*axis.input_channels, *axis.output_channels), ["/drive/voltage", *["none"] * 9], strict=False))
     columns[axis.output_channels[0]] = "/drive/position"
@@ -73,7 +39,7 @@ def test_entries_become_a_recording(tmp_path: Path, axis: Machine) -> None:
 
 
 def test_arrays_have_a_column_for_each_item(tmp_path: Path) -> None:
-    (tmp_path / "match.wpilog").write_bytes(drive_log())
+    (tmp_path / "match.wpilog").write_bytes(wpilog_of_a_drive())
     (log,) = open_logs(tmp_path / "match.wpilog")
     assert [column.header for column in log.columns] == ["/drive/voltage", "/drive/position", "/all[0]", "/all[1]"]
     (first, second), _ = log.read(log.columns[2:])
@@ -85,18 +51,18 @@ def test_arrays_have_a_column_for_each_item(tmp_path: Path) -> None:
 def test_structures_are_read_by_their_description(tmp_path: Path) -> None:
     inner, outer = "double angle_rad;", "enum {a=1} int8 state; Rotation2d turn; float size[2]"
     records = [
-        start(1, "/.schema/struct:Rotation2d", "structschema"),
-        start(2, "/.schema/struct:Pose", "structschema"),
-        start(3, "/pose", "struct:Pose"),
-        start(4, "/bits", "struct:Bits"),
-        start(5, "/.schema/struct:Bits", "structschema"),
-        record(1, 0, inner.encode()),
-        record(2, 0, outer.encode()),
-        record(5, 0, b"int8 a:4; int8 b:4"),
-        record(4, 0, b"\x11"),
-        *(record(3, k, struct.pack("<bdff", 1, 0.1 * k, 2.0, 3.0 + k)) for k in range(5)),
+        wpilog_start(1, "/.schema/struct:Rotation2d", "structschema"),
+        wpilog_start(2, "/.schema/struct:Pose", "structschema"),
+        wpilog_start(3, "/pose", "struct:Pose"),
+        wpilog_start(4, "/bits", "struct:Bits"),
+        wpilog_start(5, "/.schema/struct:Bits", "structschema"),
+        wpilog_record(1, 0, inner.encode()),
+        wpilog_record(2, 0, outer.encode()),
+        wpilog_record(5, 0, b"int8 a:4; int8 b:4"),
+        wpilog_record(4, 0, b"\x11"),
+        *(wpilog_record(3, k, struct.pack("<bdff", 1, 0.1 * k, 2.0, 3.0 + k)) for k in range(5)),
     ]
-    (tmp_path / "pose.wpilog").write_bytes(log_bytes(*records))
+    (tmp_path / "pose.wpilog").write_bytes(wpilog(*records))
     (log,) = open_logs(tmp_path / "pose.wpilog")
     headers = [column.header for column in log.columns]
     assert headers == ["/pose/state", "/pose/turn/angle_rad", "/pose/size[0]", "/pose/size[1]"]
@@ -108,8 +74,8 @@ def test_structures_are_read_by_their_description(tmp_path: Path) -> None:
 
 
 def test_rows_are_sorted_and_repeated_times_left_out(tmp_path: Path) -> None:
-    records = [record(1, time, struct.pack("<q", value)) for time, value in [(30, 3), (10, 1), (20, 2), (20, 4)]]
-    (tmp_path / "log.wpilog").write_bytes(log_bytes(start(1, "n", "int64"), *records))
+    records = [wpilog_record(1, time, struct.pack("<q", value)) for time, value in [(30, 3), (10, 1), (20, 2), (20, 4)]]
+    (tmp_path / "log.wpilog").write_bytes(wpilog(wpilog_start(1, "n", "int64"), *records))
     (log,) = open_logs(tmp_path / "log.wpilog")
     (times, values), remarks = log.read([log.times[0], log.columns[0]])
     np.testing.assert_allclose(times, [1e-5, 2e-5, 3e-5])
@@ -121,7 +87,7 @@ def test_rows_are_sorted_and_repeated_times_left_out(tmp_path: Path) -> None:
 
 
 def test_an_incomplete_record_is_left_out(tmp_path: Path) -> None:
-    (tmp_path / "log.wpilog").write_bytes(drive_log()[:-5])
+    (tmp_path / "log.wpilog").write_bytes(wpilog_of_a_drive()[:-5])
     (log,) = open_logs(tmp_path / "log.wpilog")
     assert "its last record is incomplete and left out" in log.remarks
     assert [len(values) for values in log.read(log.columns)[0]] == [COUNT, COUNT, COUNT - 1, COUNT - 1]
@@ -132,11 +98,11 @@ def test_an_incomplete_record_is_left_out(tmp_path: Path) -> None:
     [
         (b"WPILOG\0\1", "ends within its header"),
         (b"WPILOG\0\2\0\0\0\0", "version 2"),
-        (log_bytes(), "has no entries of numbers; entries: none"),
-        (log_bytes(start(1, "text", "string"), record(1, 5, b"hello")), r"entries: text \(string\)"),
-        (log_bytes(record(7, 5, b"hello")), "byte 27: has a record of the entry 7, which is not started"),
-        (log_bytes(record(0, 5, b"\0\1")), "has a damaged control record"),
-        (log_bytes(start(1, "x", "double"), record(1, 5, b"1234")), "x, record 1: has 4 bytes, not 8"),
+        (wpilog(), "has no entries of numbers; entries: none"),
+        (wpilog(wpilog_start(1, "text", "string"), wpilog_record(1, 5, b"hello")), r"entries: text \(string\)"),
+        (wpilog(wpilog_record(7, 5, b"hello")), "byte 27: has a record of the entry 7, which is not started"),
+        (wpilog(wpilog_record(0, 5, b"\0\1")), "has a damaged control record"),
+        (wpilog(wpilog_start(1, "x", "double"), wpilog_record(1, 5, b"1234")), "x, record 1: has 4 bytes, not 8"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path: Path, content: bytes, problem: str) -> None:
