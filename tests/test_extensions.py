@@ -1,4 +1,4 @@
-"""A toy effect, controller, task, reward and sensor kind, each defined in this file alone, work in every interface."""
+"""A toy effect, controller, task, reward, sensor kind and log format, defined in this file alone, work everywhere."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, register_effect, unregister_effect
 from hframe_gym.envs import REWARDS, TASKS, Task
 from hframe_gym.machine import BUILTIN_MACHINES, SENSOR_KINDS, Effect, EffectParameter, Machine, SensorKind
-from hframe_gym.recordings import Recording, load_machine, save_machine
+from hframe_gym.recordings import Recording, load_machine, load_recordings, save_machine
+from hframe_gym.recordings.logs import LOG_FORMATS, Log, LogFormat, log_columns
 
 
 def cubic_spring(q, k):  # type: ignore[no-untyped-def]
@@ -97,7 +98,25 @@ class ToyCounter(SensorKind):
         return np.floor(reading / resolution) * resolution + noise * normal
 
 
+class ToyLogs(LogFormat):
+    """Files of 32-bit numbers: voltage, position, voltage, position, ... at 1 kHz."""
+
+    suffixes = (".toy",)
+
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the first bytes."""
+        return start.startswith(b"TOY!")
+
+    def open(self, path: Path) -> list[Log]:
+        """Return one log of three columns, shape (rows,) each."""
+        values = np.frombuffer(path.read_bytes()[4:], np.float32).reshape(-1, 2).astype(float)
+        table = np.column_stack([np.arange(len(values)) * 1e-3, values])
+        columns = log_columns(["t [s]", "U [V]", "pos [mm]"], [""] * 3, ["number"] * 3)
+        return [Log(path, columns, ("it is a toy",), lambda indices, progress: ([table[:, k] for k in indices], []))]
+
+
 PARTS: list[tuple[Any, str, Any]] = [
+    (LOG_FORMATS, "toy-logs", ToyLogs),
     (CONTROLLERS, "toy-controller", ToyController),
     (TASKS, "toy-task", ToyTask),
     (REWARDS, "toy-reward", ToyReward),
@@ -138,6 +157,19 @@ def test_a_machine_file_keeps_the_effect_and_the_sensor_kind(machine_path: Path,
     assert loaded.sensor("x_m").kind == "toy-counter"
     time_s, inputs = np.arange(300) * 1e-3, np.full((300, 2), (-6.0, -3.0))
     assert np.ptp(simulate(loaded, time_s, inputs).outputs[-1] - simulate(hframe, time_s, inputs).outputs[-1]) > 1e-3
+
+
+def test_hframe_import_reads_the_file_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    axis = BUILTIN_MACHINES["axis"]()
+    values = np.column_stack([np.full(50, 3.0), np.arange(50) * 0.5]).astype(np.float32)
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.toy").write_bytes(b"TOY!" + values.tobytes())
+    maps = [f"{axis.input_channels[0]}=U", f"{axis.output_channels[0]}=pos"]
+    maps += [f"{channel}=none" for channel in axis.output_channels[1:]]
+    words = ["import", str(tmp_path / "logs"), "--machine", "axis", "--out", str(tmp_path / "runs")]
+    run_command([*words, *(word for pair in maps for word in ("--map", pair))], monkeypatch)
+    (run,) = load_recordings(tmp_path / "runs", axis)
+    np.testing.assert_allclose(run.outputs[:, 0], 0.5e-3 * np.arange(50))
 
 
 RULES = [

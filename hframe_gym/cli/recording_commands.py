@@ -73,7 +73,10 @@ def examples(
 
 @app.command("import")
 def import_logs(
-    logs: Annotated[Path, typer.Argument(help="A log, or a folder of logs: text, MATLAB .mat, Parquet or SysId JSON.")],
+    logs: Annotated[
+        Path,
+        typer.Argument(help="A log or a folder of logs: text, MATLAB, Parquet, LeRobot, WPILib, ROS, MCAP, Klipper."),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the recordings; existing runs are never replaced.")],
     machine: MachineOption = "hframe",
     map: Annotated[

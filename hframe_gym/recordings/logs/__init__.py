@@ -1,6 +1,10 @@
-"""Import the logs of controllers and data loggers, and convert them to recordings of a machine."""
+"""Import the logs of controllers and data loggers, and convert them to recordings of a machine.
 
-from .log import Log, LogColumn
+A file format is one class in `formats`, which registers itself in `LOG_FORMATS`.
+"""
+
+from .formats import LOG_FORMATS, LogFormat
+from .log import Log, LogColumn, log_columns
 from .log_files import find_logs, log_name, open_logs
 from .log_import import (
     ImportSettings,
@@ -14,17 +18,20 @@ from .log_mapping import ChannelSource, MappingOptions, ProposedColumns, map_col
 from .measurement_units import TIME, accepted_units
 
 __all__ = [
+    "LOG_FORMATS",
     "TIME",
     "ChannelSource",
     "ImportSettings",
     "Interval",
     "Log",
     "LogColumn",
+    "LogFormat",
     "MappingOptions",
     "ProposedColumns",
     "accepted_units",
     "find_logs",
     "import_logs",
+    "log_columns",
     "log_name",
     "map_columns",
     "open_logs",

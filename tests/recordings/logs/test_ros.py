@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +146,18 @@ def test_a_bag_without_its_file_is_refused(tmp_path: Path) -> None:
         file.unlink()
     with pytest.raises(InputError, match=r"bag: cannot be read as a bag of ROS: .*missing"):
         open_logs(tmp_path / "bag")
+
+
+def test_an_old_bag_without_definitions_has_the_usual_types(tmp_path: Path) -> None:
+    path = bag("sqlite file", tmp_path)
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM message_definitions")
+        database.execute("UPDATE topics SET type = 'own_msgs/msg/Status' WHERE name = '/status'")
+    database.close()
+    (log,) = open_logs(path)
+    values = read_all(log)
+    np.testing.assert_allclose(values["/joint_states/slide/position"], POSITION)
+    assert "topics that are left out: /status (own_msgs/msg/Status: its definition is not in the file)" in log.remarks
 
 
 def test_a_database_without_messages_is_refused(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from typing_extensions import override
+
 from ....errors import InputError
 from ..log import Log
 from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
@@ -22,12 +24,14 @@ class KlipperAccelerometerLogs(LogFormat):
     suffixes = ()
     precedence = KNOWN_TEXT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the header."""
         return start.startswith((b"#", b"freq,")) and _header(path) != ""
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table, whose columns of the shape (rows,) get their units."""
+        """Open the table, whose columns get their units."""
         if _header(path) != _HEADER:
             advice = "measure again with OUTPUT=raw_data and import raw_data_*.csv"
             raise InputError(f"{path}: is a spectrum of Klipper's TEST_RESONANCES, without times; {advice}")

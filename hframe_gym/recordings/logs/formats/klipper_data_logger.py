@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ....errors import InputError
 from ....file_limits import refuse_expansion, refuse_many_values
@@ -47,10 +48,12 @@ class KlipperDataLogs(LogFormat):
     suffixes = (".json.gz",)
     precedence = KNOWN_CONTENT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize compressed JSON by its name."""
         return path.name.lower().endswith(".json.gz")
 
+    @override
     def is_log(self, path: Path) -> bool:
         """Leave out other compressed JSON."""
         with open(path, "rb") as file:
@@ -59,8 +62,9 @@ class KlipperDataLogs(LogFormat):
             except zlib.error:
                 return False
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Read all messages of the subscriptions to motions and sensors, columns of the shape (rows,)."""
+        """Read all messages of the subscriptions to motions and sensors."""
         if not self.is_log(path):
             advice = "of compressed JSON only those are read; export a table as CSV"
             raise InputError(f"{path}: is no log of Klipper's data_logger; {advice}")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ....errors import InputError
 from ....file_limits import read_json
@@ -29,6 +30,7 @@ class LeRobotLogs(LogFormat):
     suffixes = ()
     precedence = KNOWN_CONTENT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the columns of episodes."""
         if not start.startswith(b"PAR1"):
@@ -42,12 +44,14 @@ class LeRobotLogs(LogFormat):
         except Exception:  # of many types for damaged files, which the reader of all Parquet files reports
             return False
 
+    @override
     def logs_in(self, folder: Path) -> list[Path]:
         """Return the files of all episodes of a data set."""
         return sorted(folder.glob("data/*/*.parquet")) if (folder / _INFO).is_file() else []
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Find the rows of each episode; columns have the shape (rows,)."""
+        """Find the rows of each episode."""
         table = ParquetTable(path, _item_names(path))
         headers = [column.header for column in table.columns]
         (episodes,) = table.read([headers.index(_EPISODE)])

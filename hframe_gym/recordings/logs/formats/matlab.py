@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ....errors import InputError
 from ....file_limits import expansion_limit, refuse_expansion
@@ -36,12 +37,14 @@ class MatlabLogs(LogFormat):
 
     suffixes = (".mat", ".h5", ".hdf5")
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the headers, or the name of files of version 4, which have none."""
         return start.startswith((b"MATLAB", _HDF5)) or (path.suffix.lower() == ".mat" and path.is_file())
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Read all arrays, as columns of the shape (rows,)."""
+        """Read all arrays."""
         return [_open_mat(path)]
 
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from ....errors import InputError
 from ....file_limits import refuse_expansion
 from ..log import Log
@@ -25,12 +27,14 @@ class McapLogs(LogFormat):
     suffixes = (".mcap",)
     precedence = KNOWN_CONTENT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the first bytes."""
         return start.startswith(b"\x89MCAP0\r\n")
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Find the topics with numbers, columns of the shape (rows,)."""
+        """Find the topics with numbers."""
         advice = "export its signals as CSV, with PlotJuggler or Foxglove"
         require_extra(path, "MCAP files", "ros", ["mcap", "mcap_protobuf", "rosbags"], advice)
         file = _McapFile(path)
@@ -57,9 +61,11 @@ class _McapFile(MessageSource):
             if not self._topics:
                 raise _damaged(path, "it has no messages")
 
+    @override
     def topics(self) -> dict[str, str]:
         return self._topics
 
+    @override
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         where = f"{self._path}, {topic}"
         for number, (schema, channel, message) in enumerate(self._records(topic), start=1):

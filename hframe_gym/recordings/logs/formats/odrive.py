@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from typing_extensions import override
+
 from ..log import Log
 from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .text import open_text_table
@@ -33,6 +35,7 @@ class ODriveLogs(LogFormat):
     suffixes = ()
     precedence = KNOWN_TEXT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize names of properties in the first lines of a text."""
         if not path.is_file() or b"\0" in start:
@@ -40,8 +43,9 @@ class ODriveLogs(LogFormat):
         with open(path, "rb") as file:
             return _OWN.search(file.read(_START)) is not None
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table, whose columns of the shape (rows,) get their units where the header has none."""
+        """Open the table, whose columns get their units where the header has none."""
         log = open_text_table(path, unit_of=_unit)
         assumed = [column.header for column in log.columns if _unit(column.header)]
         if not assumed:

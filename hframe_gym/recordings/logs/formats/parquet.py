@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ....errors import InputError
 from ....file_limits import refuse_expansion
@@ -26,12 +27,14 @@ class ParquetLogs(LogFormat):
 
     suffixes = (".parquet",)
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the beginning of Parquet files."""
         return start.startswith(b"PAR1")
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Read the schema; columns have the shape (rows,)."""
+        """Read the schema."""
         table = ParquetTable(path)
 
         def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:

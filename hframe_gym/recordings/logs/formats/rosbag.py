@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from ....errors import InputError
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, require_extra
@@ -22,16 +24,19 @@ class RosBagLogs(LogFormat):
     suffixes = (".bag", ".db3")
     precedence = KNOWN_CONTENT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize a bag of ROS 1 and a database by their beginnings, and a folder by its description."""
         return start.startswith((b"#ROSBAG", b"SQLite format 3\0")) or (path / _METADATA).is_file()
 
+    @override
     def logs_in(self, folder: Path) -> list[Path]:
         """Return the folder itself if it is a bag of ROS 2."""
         return [folder] if (folder / _METADATA).is_file() else []
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Find the topics with numbers, columns of the shape (rows,)."""
+        """Find the topics with numbers."""
         advice = "export its signals as CSV, for example with PlotJuggler"
         require_extra(path, "bags of ROS", "ros", ["rosbags"], advice)
         version = 1 if path.is_file() and path.suffix.lower() != ".db3" else 2
@@ -51,9 +56,11 @@ class _Bag(MessageSource):
             for connection in reader.connections:
                 self._topics[connection.topic] = connection.msgtype
 
+    @override
     def topics(self) -> dict[str, str]:
         return self._topics
 
+    @override
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         kind = self._topics[topic]
         if kind in self._faulty:

@@ -6,6 +6,8 @@ import dataclasses
 import re
 from pathlib import Path
 
+from typing_extensions import override
+
 from ..log import Log, LogColumn
 from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .text import open_text_table
@@ -29,6 +31,7 @@ class SimpleFocLogs(LogFormat):
     suffixes = ()
     precedence = KNOWN_TEXT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize messages such as "MOT: Init", or rows between two equal letters."""
         if not path.is_file() or b"\0" in start:
@@ -37,8 +40,9 @@ class SimpleFocLogs(LogFormat):
             text = file.read(_START).decode("ascii", errors="replace").replace("\r", "")
         return _MESSAGE.search(text) is not None or len(_ENCLOSED.findall(text)) > 1
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Open the table, whose columns of the shape (rows,) get their names if it has 4 or 7 of them."""
+        """Open the table, whose columns get their names if it has 4 or 7 of them."""
         log = open_text_table(path, ("it is the output of SimpleFOC's monitor",))
         unnamed = [column for column in log.columns if column.kind == "number" and column.header.startswith("#")]
         variables = _VARIABLES.get(len(unnamed))

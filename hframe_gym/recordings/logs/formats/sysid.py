@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ....errors import InputError
 from ....file_limits import read_document, read_json, refuse_many_values
@@ -69,10 +70,12 @@ class SysIdLogs(LogFormat):
     suffixes = (".json",)
     precedence = KNOWN_CONTENT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize JSON of any kind."""
         return is_json(path, start)
 
+    @override
     def is_log(self, path: Path) -> bool:
         """Leave out other JSON files, such as machines."""
         try:
@@ -80,8 +83,9 @@ class SysIdLogs(LogFormat):
         except InputError:
             return False
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Read all tests; columns have the shape (rows,)."""
+        """Read all tests."""
         return [_test_log(path, test) for test in _read_tests(path)]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ...text_format import detect_format
 from ...text_reader import Progress, read_columns
@@ -24,16 +25,19 @@ class TextLogs(LogFormat):
     suffixes = (*_ENDINGS, *(f"{ending}.gz" for ending in _ENDINGS))
     precedence = ANY_TEXT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Take every file that no other format recognizes."""
         return path.is_file()
 
+    @override
     def is_log(self, path: Path) -> bool:
         """Leave out texts that describe the logs."""
         return path.name.lower() not in _DOCUMENTS
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Detect the table's format and the names of its columns, of the shape (rows,)."""
+        """Detect the table's format and the names of its columns."""
         return [open_text_table(path)]
 
 

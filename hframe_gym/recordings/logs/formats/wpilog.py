@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ....errors import InputError
 from ....file_limits import refuse_many_values
@@ -68,12 +69,14 @@ class WpiLogs(LogFormat):
     suffixes = (".wpilog",)
     precedence = KNOWN_CONTENT
 
+    @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the first six bytes."""
         return start.startswith(b"WPILOG")
 
+    @override
     def open(self, path: Path) -> list[Log]:
-        """Find the records of all entries, columns of the shape (rows,); texts and raw data are left out."""
+        """Find the records of all entries; texts and raw data are left out."""
         content = path.read_bytes()
         entries, is_complete = _entries(path, content)
         remarks = ["it is a data log of WPILib"]
