@@ -29,7 +29,6 @@ from ..recordings import Recording
 from ..registry import load_plugins
 from .budget import Budget, default_budget
 from .evidence.held_out import (
-    NO_GAIN,
     contradicting_held_out_runs,
     error_reduction,
     held_out_gain,
@@ -46,7 +45,16 @@ from .fit.residual import Dependence, errors_by_channel, white_sensors
 from .fit.run_differences import describe_run_differences
 from .fit.start_estimation import refine_dataset
 from .judge.criteria import SelectionCriteria
-from .judge.verdict import Evidence, contradiction_of_names, contradiction_of_no_effect, remaining
+from .judge.held_out import HeldOutEffect, refuted_effects
+from .judge.run import exchanges_held_out
+from .judge.verdict import (
+    JUDGING_BANDWIDTH,
+    Evidence,
+    contradiction_of_names,
+    contradiction_of_no_effect,
+    remaining,
+    verdict_after_removal,
+)
 from .predict.prediction import POLISH_STEP
 from .propose.dependences import are_causes, rank_dependences
 from .propose.trial_fits import without_effect
@@ -73,9 +81,6 @@ _UNEXCITED = (
     "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
     "other runs with --hold-out for an independent test."
 )
-_WORSENS = "reduces the error of the held-out runs, but they are simulated worse with {} than without effects"
-_CAUSED_ERROR = -1.0  # gain on a held-out run below which effects cause its error: half of the squared error or more
-_JUDGING_BANDWIDTH = 15.0  # rad/s, of the observer with which held-out runs judge effects; decision 0033
 _MAX_NEAREST = 3  # Effects that a hint lists as the nearest of the library.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
@@ -232,7 +237,7 @@ def _effects_of_differing_runs(
         A sentence for the user, or nothing.
     """
     fitted = [run.name for run in checked.outcome.data.runs]
-    if len(checked.differing) < len(checked.held_out.runs) or len(fitted) <= len(checked.differing):
+    if not exchanges_held_out(len(checked.differing), len(checked.held_out.runs), len(fitted)):
         return ()
     names, others = ", ".join(checked.differing), fitted[: len(checked.differing)]
     log(f"all held-out runs contradict the fitted ones ({names}); searching with {', '.join(others)} held out instead")
@@ -245,22 +250,9 @@ def _effects_of_differing_runs(
 
 
 def _contradicting_held_out_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:
-    """Return the names of the held-out runs that contradict the machine which explains the fitted runs.
-
-    A run whose error is caused by an effect, or by all effects together with the parameters that were fitted beside
-    them, does not count: it refutes the effects, see `_without_unconfirmed`.
-    """
-    after = outcome.after
-    refined = refine_dataset(held_out_runs, after.machine, outcome.data)
-
-    def caused_by_effects(name: str) -> bool:
-        run = refined.with_runs([name])
-        gains = [held_out_gain(s, after.machine, run, after.bandwidth) for s in outcome.selected]
-        together = error_reduction(outcome.before.machine, after.machine, run, after.bandwidth)
-        return min(together, *gains) < _CAUSED_ERROR
-
-    names = contradicting_held_out_runs(after, refined)
-    return tuple(name for name in names if not (outcome.selected and caused_by_effects(name)))
+    """Return the names of the held-out runs that contradict the machine which explains the fitted runs."""
+    refined = refine_dataset(held_out_runs, outcome.after.machine, outcome.data)
+    return contradicting_held_out_runs(outcome.after, outcome.before.machine, outcome.selected, refined)
 
 
 def _unexcited(result: IdentificationResult, bandwidth: float) -> tuple[str, ...]:
@@ -298,15 +290,16 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
     selected, considered, data = outcome.selected, outcome.considered, outcome.data
     while selected and validation.runs:
         runs = refine_dataset(validation, after.machine, data)
-        gains = {s.effect.label: held_out_gain(s, after.machine, runs, after.bandwidth) for s in selected}
-        excited = [s for s in selected if is_excited(s, after.machine, runs, after.bandwidth)]
-        refuted = [s for s in excited if gains[s.effect.label] <= 0.0]
-        reason = NO_GAIN
-        if not refuted and worsens_simulation(before.machine, after.machine, runs):
-            refuted = excited
-            reason = _WORSENS.format("it" if len(selected) == 1 else "all effects together")
+        shown = {
+            s.effect.label: HeldOutEffect(
+                held_out_gain(s, after.machine, runs, after.bandwidth),
+                is_excited(s, after.machine, runs, after.bandwidth),
+            )
+            for s in selected
+        }
+        refuted, reason = refuted_effects(shown, partial(worsens_simulation, before.machine, after.machine, runs))
         refined = refine_dataset(data, after.machine)
-        ordered = sorted(refuted, key=lambda s: gains[s.effect.label])
+        ordered = (next(s for s in selected if s.effect.label == label) for label in refuted)
         fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)
         # The weakest that can be removed: no other effect requires it or acts on a coordinate that it added.
         weakest, reduced = next(((s, fitted) for s, fitted in fits if fitted is not None), (None, None))
@@ -317,7 +310,7 @@ def _without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) 
         selected = tuple(s for s in selected if s is not weakest)
         after, considered = reduced if selected else before, (*considered, entry)
         selected = tuple(s.with_values(after.machine) for s in selected)
-        verdict = verdict if selected else "no_effect" if outcome.before_explains else "unexplained"
+        verdict = verdict_after_removal(verdict, bool(selected), outcome.before_explains)
     return outcome._replace(verdict=verdict, after=after, selected=selected, considered=considered)
 
 
@@ -414,7 +407,7 @@ def _remaining_prediction(evaluated: _Evaluated, names: Sequence[str], criteria:
     quiet = [dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape)) for r in validation.runs]
     validation = dataclasses.replace(validation, runs=tuple(quiet))
     after, before = (
-        prediction_cost(model.machine, validation, _JUDGING_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
+        prediction_cost(model.machine, validation, JUDGING_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
         for model in (evaluated.after, evaluated.before)
     )
     return remaining(after, before, 1.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,8 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification import hold_out
 from hframe_gym.identification.evidence import held_out
 from hframe_gym.identification.evidence.held_out import spectral_differences
-from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
-from tests.identification.scripted_fits import AXIS, DATA, DRAG, FRAME, PUSH, fit_with, runs, selected
+from tests.identification.scripted_fits import AXIS, DATA, DRAG, FRAME, PUSH, runs, selected
 
 pytestmark = pytest.mark.unit
 
@@ -170,22 +168,6 @@ def test_the_held_out_gain_compares_forces_or_costs(monkeypatch: pytest.MonkeyPa
     assert held_out.error_reduction(with_drag, with_both, DATA, 60.0) == pytest.approx(0.25)
 
 
-@pytest.mark.parametrize(
-    ("observed", "simulated", "gain"), [(1.01, 0.1, 0.9), (1.01, 0.6, -0.01), (0.99, 0.1, 0.01), (1.01, 1.2, -0.01)]
-)
-def test_a_clear_gain_in_simulation_counts_where_an_observer_shows_none(
-    monkeypatch: pytest.MonkeyPatch, observed: float, simulated: float, gain: float
-) -> None:
-    """An observer hides the slow error that a small constant force explains."""
-
-    def cost(machine: Machine, data: object, bandwidth: float, **options: object) -> float:
-        return (simulated if bandwidth == 0.0 else observed) if machine.effects else 1.0
-
-    monkeypatch.setattr(held_out, "prediction_cost", cost)
-    machine = dataclasses.replace(AXIS, effects=(PUSH,))
-    assert held_out.held_out_gain(selected(PUSH), machine, DATA, 3.0) == pytest.approx(gain)
-
-
 def test_the_gain_of_an_effect_on_a_sensor_compares_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inverse dynamics uses one sensor of each coordinate, and says nothing about the others."""
     delay = EFFECTS["sensor_delay"].at("x_m", d=0.002)
@@ -215,15 +197,3 @@ def test_an_effect_that_hardly_changes_a_prediction_is_not_excited(
     )
     monkeypatch.setattr(held_out, "map_runs", lambda function, data: map(function, data.runs))
     assert held_out.is_excited(selected(PUSH), dataclasses.replace(AXIS, effects=(PUSH,)), runs("c"), 60.0) == excited
-
-
-@pytest.mark.parametrize(("chi2", "limit"), [(0.5, 10.0), (3.0, 30.0)])
-def test_held_out_runs_that_contradict_are_named(monkeypatch: pytest.MonkeyPatch, chi2: float, limit: float) -> None:
-    """More than ten times the error of the fit, which counts as at least that of the noise."""
-    costs = {"a": 0.99 * limit, "b": 1.01 * limit, "c": 5.0 * limit}
-    single_runs = [SimpleNamespace(runs=[SimpleNamespace(name=name)], count=50) for name in costs]
-    data: Any = SimpleNamespace(single_runs=lambda: single_runs)
-    monkeypatch.setattr(
-        held_out, "prediction_cost", lambda machine, run, bandwidth, longest_step: costs[run.runs[0].name] * run.count
-    )
-    assert held_out.contradicting_held_out_runs(fit_with(chi2=chi2), data) == ("b", "c")

@@ -84,7 +84,7 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     pushed, other = (axis.with_effects(force.at("x", size=size)) for size in (0.3, hidden))
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(other, 1)], axis)
     _, outcome = outcome_with_force(axis, data, 0.3, False)
-    assert contradicting_held_out_runs(outcome.after, validation) == ("run_1",)
+    assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), validation) == ("run_1",)
     assert _contradicting_held_out_runs(outcome, validation) == contradicting
 
 
@@ -114,33 +114,10 @@ def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: M
     assert removed.considered[0].reason == reason
 
 
-def test_the_reason_says_whether_one_effect_or_all_together_worsen_the_simulation(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Two effects, each of which reduces the error alone: the first to be removed is one of several."""
-    force, drag = EFFECTS["constant_force"].at("x", size=0.3), EFFECTS["quadratic_drag"].at("x", c=4.0)
-    both = axis.with_effects(force, drag)
-    data, validation = prepare([recorded(both, 0)], axis), prepare([recorded(both, 1)], axis)
-    before = fit(axis, default_free_parameters(axis), data, SIMULATION)
-    after = dataclasses.replace(before, machine=both)
-    selected = tuple(SelectedEffect(e, 1.0, axis) for e in both.effects)
-
-    def without(fitted: Fit, label: str, *_: object) -> Fit:
-        effects = tuple(e for e in fitted.machine.effects if e.label != label)
-        return dataclasses.replace(fitted, machine=fitted.machine.replace(effects=effects))
-
-    monkeypatch.setattr(pipeline, "worsens_simulation", lambda *_: True)
-    monkeypatch.setattr(pipeline, "without_effect", without)
-    outcome = SearchOutcome(before, False, True, "effect_found", after, selected, (), data)
-    first, last = _without_unconfirmed(outcome, validation, lambda line: None).considered
-    assert "simulated worse with all effects together than without" in first.reason
-    assert "simulated worse with it than without" in last.reason
-
-
 def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine) -> None:
     """The effect reduces the error of the machine that was fitted with it; the machine refitted without it has none."""
     outcome, validation = outcome_with_spurious_friction(axis)
-    assert contradicting_held_out_runs(outcome.after, validation) == ("run_1",)
+    assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), validation) == ("run_1",)
     assert _contradicting_held_out_runs(outcome, validation) == ()
 
 

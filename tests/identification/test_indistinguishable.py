@@ -8,8 +8,9 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectionCriteria, fit, prepare
-from hframe_gym.identification.evidence.significance import _at_limit
+from hframe_gym.identification.evidence.significance import parameter_values
 from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.judge.effect import parameter_at_limit
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.propose.candidates import candidates, coverage, effect_parameters
 from hframe_gym.identification.propose.trial_fits import indistinguishable
@@ -90,7 +91,7 @@ def test_a_shape_at_the_limit_of_what_the_runs_cover_is_doubted(part: float, dou
     effect = EFFECTS["stribeck_friction"].at("x", dF=1.0, vs=part * scales.of("x")["speed"])
     machine: Machine = AXIS.with_effects(effect)
     complete = fit(machine, effect_parameters(effect, machine, scales), data, 60.0, iterations=0)
-    reason = _at_limit(effect, complete)
+    reason = parameter_at_limit(parameter_values(effect.label, complete))
     assert ("at the limit of what the runs cover" in reason) == doubted
 
 

@@ -108,15 +108,6 @@ def test_a_delay_that_fails_a_test_is_only_considered(script: Script, changes: d
     assert reason in outcome.considered[0].reason
 
 
-@pytest.mark.parametrize(
-    "changes", [{"variance": 333.0}, {"confirmed": 0.31}, {"excited": False, "held_out_gain": 0.0}]
-)
-def test_a_delay_that_just_passes_is_added(script: Script, changes: dict[str, float]) -> None:
-    for name, value in changes.items():
-        setattr(script, name, value)
-    assert len(script.run().selected) == 2
-
-
 def test_it_is_not_tried_where_nothing_is_hidden(script: Script) -> None:
     """Not without effects or without a remaining error, with a narrow observer, slow sampling or noisy sensors."""
     outcome = script.outcome()

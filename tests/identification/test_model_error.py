@@ -24,14 +24,13 @@ from hframe_gym.identification.fit.model_error import (
     leave_one_out_gain,
     likelihood_deficit,
     likelihood_loss,
-    minimum_gain,
     narrower_observer,
 )
 from hframe_gym.identification.predict.free_parameters import FreeParameter
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording
-from tests.identification.scripted_fits import CRITERIA, DATA, HFRAME, PUSH, fit_with, runs
+from tests.identification.scripted_fits import DATA, HFRAME, PUSH, fit_with, runs
 
 pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
@@ -119,31 +118,6 @@ def test_an_effect_of_one_run_is_not_confirmed_by_the_others(
 
 
 # -- decisions with scripted fits --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("chi2", "bandwidth", "count", "expected"),
-    [
-        (1.02, 60.0, 10**6, CRITERIA.min_gain_one_step),
-        (1.02, 30.0, 10**6, CRITERIA.min_gain_simulation),
-        (1.02, 0.0, 10**6, CRITERIA.min_gain_simulation),
-        (1.02, 0.0, 10**4, CRITERIA.min_total_gain / 10**4),
-        (3.0, 0.0, 10**6, 2.0 * CRITERIA.min_gain_fraction),
-    ],
-)
-def test_the_smallest_gain_follows_from_prediction_length_and_error(
-    chi2: float, bandwidth: float, count: int, expected: float
-) -> None:
-    fitted = dataclasses.replace(fit_with(chi2=1.0, bandwidth=bandwidth), count=count, cost=chi2 * count)
-    assert minimum_gain(fitted, CRITERIA) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ("chi2", "initial", "explained"), [(1.49, 1.0, True), (1.51, 1.0, False), (1.9, 2e4, True), (2.1, 2e4, False)]
-)
-def test_what_explains_the_data(chi2: float, initial: float, explained: bool) -> None:
-    """Chi-squared below 1.5, or a ten-thousandth of a large initial value."""
-    assert model_error.explains(fit_with(chi2=chi2), initial, CRITERIA) == explained
 
 
 def test_a_narrow_observer_needs_short_steps() -> None:
@@ -257,24 +231,6 @@ def test_what_is_left_out_to_confirm_an_effect(
     monkeypatch.setattr(model_error, "left_out_costs", lambda fitted, data, pieces: divided.append(pieces) or [1.0])
     leave_one_out_gain(fit_with(chi2=2.0), fit_with(effect, chi2=1.0), runs("abcd"[:count]))
     assert divided == [pieces, pieces]
-
-
-@pytest.mark.parametrize(
-    ("costs", "name"),
-    [
-        ([(100.0, 1.0)] * 2, None),  # fewer than three runs
-        ([(40.0, 30.0), (10.0, 60.0), (10.0, 60.0), (10.0, 60.0)], None),
-        ([(10.0, 130.0), (10.0, 130.0), (110.0, 30.0), (10.0, 130.0)], "c"),
-        ([(10.0, 130.0), (10.0, 130.0), (99.0, 30.0), (10.0, 130.0)], None),
-        ([(10.0, 130.0), (130.0, 30.0), (110.0, 30.0), (10.0, 130.0)], "b"),
-    ],
-)
-def test_a_run_with_ten_times_the_error_of_the_others_contradicts(
-    monkeypatch: pytest.MonkeyPatch, costs: list[tuple[float, float]], name: str | None
-) -> None:
-    monkeypatch.setattr(model_error, "cross_validation", lambda fitted, data, pieces: costs)
-    data = runs("abcd"[: len(costs)])
-    assert model_error.contradicting_run(fit_with(chi2=1.0), data) == name
 
 
 def test_runs_of_different_length_are_compared_per_sample(monkeypatch: pytest.MonkeyPatch) -> None:

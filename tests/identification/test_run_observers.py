@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from hframe_gym.identification.fit import run_observers
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_costs
 from hframe_gym.identification.fit.model_error import fit_with_model_error
 from hframe_gym.identification.fit.run_observers import fit_run_by_run
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.preparation.dataset import RunObserver
-from tests.identification.scripted_fits import fit_with, runs
 from tests.identification.test_model_error import fitted_axis, recordings
 
 pytestmark = pytest.mark.unit
@@ -68,29 +64,3 @@ def test_a_run_with_an_observer_is_predicted_with_it(axis: Machine) -> None:
     costs = prediction_costs(axis, observed, 0.0)
     assert costs[1] == pytest.approx(prediction_costs(axis, data, 30.0)[1] / 4.0)
     np.testing.assert_array_equal(np.delete(costs, 1), np.delete(prediction_costs(axis, data, 0.0), 1))
-
-
-@pytest.mark.parametrize(("simulated", "accepted"), [(1.9, True), (2.1, False), (np.nan, False)])
-def test_a_machine_that_simulates_much_worse_is_not_used(
-    monkeypatch: pytest.MonkeyPatch, simulated: float, accepted: bool
-) -> None:
-    """Its mean square errors must not be doubled in the geometric mean over the runs."""
-    fitted = fit_with(chi2=1.0, bandwidth=30.0)
-    other = dataclasses.replace(fitted, machine=dataclasses.replace(fitted.machine, name="other"))
-    observers = {"a": RunObserver(3.0), "b": RunObserver(30.0)}
-    data = runs("ab")
-    data.with_observers = lambda observers: data
-    costs = {"axis": np.array([1.0, 1.0]), "other": np.array([simulated**2, 1.0])}
-    replaced = {
-        "_likeliest_observers": lambda fitted, data: observers,
-        "_loss": lambda fitted, data, observers: 10.0 if fitted is other else 20.0,
-        "polish": lambda fitted, data: other,
-        "prediction_costs": lambda machine, *arguments, **options: costs[machine.name],
-        "prediction_cost": lambda *arguments, **options: 7.0,
-    }
-    for name, function in replaced.items():
-        monkeypatch.setattr(run_observers, name, function)
-    result = fit_run_by_run(fitted, data)
-    assert (result.machine.name == "other") == accepted
-    assert (result.observers == observers) == accepted
-    assert (result.cost == 7.0) == accepted

@@ -19,7 +19,6 @@ from hframe_gym.machine import AppliedEffect, Machine
 from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import (
     AXIS,
-    CRITERIA,
     DATA,
     DRAG,
     FRAME,
@@ -27,7 +26,6 @@ from tests.identification.scripted_fits import (
     PUSH,
     SPRING,
     STRIBECK,
-    Scripted,
     fit_with,
 )
 
@@ -102,94 +100,6 @@ def test_the_size_of_an_effect_is_its_force() -> None:
     assert force_sizes.drive_force(AXIS, data) == pytest.approx(expected)
 
 
-def doubt(scripted: Scripted, without: float = 1.4, with_effect: float = 1.2, *effects: AppliedEffect) -> str:
-    """Return the doubt about the last effect of a trial."""
-    present = effects or (PUSH,)
-    fits = fit_with(*present[:-1], chi2=without), fit_with(*present, chi2=with_effect)
-    return significance.doubt_about_candidate(*fits, DATA, CRITERIA)
-
-
-def test_an_effect_without_doubt(scripted: Scripted) -> None:
-    assert doubt(scripted) == ""
-
-
-@pytest.mark.parametrize(
-    ("fraction", "reason"), [(0.31, ""), (0.29, "29 % of the gain"), (-2000.0, "their error grows with it")]
-)
-def test_other_runs_must_confirm_an_effect(scripted: Scripted, fraction: float, reason: str) -> None:
-    scripted.confirmed = fraction
-    text = doubt(scripted)
-    assert text == (f"is not confirmed by runs that it was not fitted to ({reason})" if reason else "")
-    # While much is unexplained, a fit without one run says little.
-    assert doubt(scripted, 1.6, 1.2) == ""
-
-
-@pytest.mark.parametrize(("variance", "sure"), [(65.0, True), (68.0, False)])
-def test_chance_may_explain_a_small_gain(scripted: Scripted, variance: float, sure: bool) -> None:
-    scripted.variance = variance  # the gain is 2000, the smallest one 30 times the variance
-    assert ("chance" not in doubt(scripted)) == sure
-
-
-@pytest.mark.parametrize(("force", "sure"), [(1.01, True), (0.99, False)])
-def test_the_force_of_an_effect_must_exceed_the_unexplained_one(scripted: Scripted, force: float, sure: bool) -> None:
-    scripted.force, scripted.residue = {PUSH.label: 0.2 * force}, {1.2: 0.2}
-    text = doubt(scripted)
-    assert text == ("" if sure else "has a force of 0.2 N, where 0.2 N remain unexplained")
-
-
-@pytest.mark.parametrize(("force", "sure"), [(2.1e-4, True), (1.9e-4, False)])
-def test_an_effect_that_is_negligible_beside_the_drives_is_doubted(
-    scripted: Scripted, force: float, sure: bool
-) -> None:
-    """The limit is 2e-5 of the drives' force, 10 N, although even less is unexplained."""
-    scripted.force, scripted.residue = {PUSH.label: force}, {1.2: 0.0}
-    assert doubt(scripted) == ("" if sure else "has a force of 0.00019 N, 2e-05 of that of the drives")
-
-
-def test_a_structural_effect_has_no_force_to_compare_with_the_drives(scripted: Scripted) -> None:
-    scripted.residue = {1.4: 1e-5, 1.2: 0.0}
-    assert doubt(scripted, 1.4, 1.2, FRAME) == ""
-
-
-@pytest.mark.parametrize(("before", "sure"), [(0.15, True), (0.13, False), (0.05, False)])
-def test_a_structural_effect_must_halve_the_unexplained_power(scripted: Scripted, before: float, sure: bool) -> None:
-    """Its size is what it takes from the unexplained force: the root of the difference of the squares."""
-    scripted.residue = {1.4: before, 1.2: 0.1}
-    assert ("remain unexplained" not in doubt(scripted, 1.4, 1.2, FRAME)) == sure
-
-
-@pytest.mark.parametrize(("difference", "sure"), [(0.21, True), (0.19, False)])
-def test_a_small_addition_to_the_same_variable_is_an_error_of_form(
-    scripted: Scripted, difference: float, sure: bool
-) -> None:
-    scripted.difference = difference
-    text = doubt(scripted, 1.4, 1.2, STRIBECK, DRAG)
-    assert ("the form of that effect may be in error" not in text) == sure
-    assert sure or "adds 19 % to the force of stribeck_friction@x" in text
-    assert doubt(scripted, 1.4, 1.2, SPRING, DRAG) == ""  # position and speed
-
-
-def test_an_addition_of_the_same_family_is_a_better_form(scripted: Scripted) -> None:
-    """Stribeck friction with an exponent between 1 and 2 is the sum of both; cogging has overtones."""
-    scripted.difference = 0.05
-    tustin = EFFECTS["tustin_friction"].at("x", dF=0.2, vs=0.02)
-    assert doubt(scripted, 1.4, 1.2, STRIBECK, tustin) == ""
-
-
-@pytest.mark.parametrize(("without", "with_effect", "sure"), [(60.0, 1.1, True), (60.0, 3.0, False), (4.9, 1.0, False)])
-def test_an_effect_that_removes_a_clear_error_is_no_correction_of_a_form(
-    scripted: Scripted, without: float, with_effect: float, sure: bool
-) -> None:
-    scripted.difference = 0.05
-    text = doubt(scripted, without, with_effect, STRIBECK, DRAG)
-    assert ("the form of that effect may be in error" not in text) == sure
-
-
-def test_a_faulty_machine_is_doubted(scripted: Scripted) -> None:
-    scripted.fault = "makes the machine unstable"
-    assert doubt(scripted) == scripted.fault
-
-
 @pytest.mark.parametrize("bandwidth", [0.0, 30.0])
 def test_the_residue_is_the_correction_beyond_that_of_noise(monkeypatch: pytest.MonkeyPatch, bandwidth: float) -> None:
     """The observer corrects the velocity by bandwidth^2 times the innovation; without one, by that of 3 rad/s."""
@@ -252,19 +162,3 @@ def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> No
         for n in (1, 1000)
     )
     assert one / many == pytest.approx(3.35, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("share", "doubted"), [(-0.5, True), (-0.4, False), (0.5, False), (1.45, False), (1.49, True), (1.5, True)]
-)
-def test_an_effect_with_a_parameter_at_the_limit_of_its_range_is_doubted(
-    share: float, *, doubted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The recordings ask for a value that the effect cannot have. 0 and starting values are meaningful."""
-    monkeypatch.setattr(significance, "_doubt", lambda *arguments, **options: "")
-    frame = EFFECTS["frame_resonance"].at("x", f0=9.0, zeta=0.0, r=0.03, s=share)
-    doubt = significance.doubt_beside_others(fit_with(chi2=6.0), fit_with(frame, chi2=2.0), frame, DATA, CRITERIA)
-    assert doubt.startswith("fits only with s at the limit of its range") == doubted
-    assert bool(doubt) == doubted
-    dead = EFFECTS["dead_band"].at("motor", Vd=0.2, drop=1.0)
-    assert not significance.doubt_beside_others(fit_with(chi2=6.0), fit_with(dead, chi2=2.0), dead, DATA, CRITERIA)

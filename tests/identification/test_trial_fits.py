@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,47 +43,6 @@ def test_a_spring_stronger_than_the_drive_is_found(axis: Machine) -> None:
     result = identify(recordings(rig, 4), axis)
     assert [s.effect.label for s in result.effects] == ["cable_spring@x"]
     assert result.effects[0].effect.parameters["k"] == pytest.approx(3000.0, rel=0.01)
-
-
-@pytest.mark.parametrize(("at_limit", "chi2", "promising"), [(True, 1.0, True), (False, 9.0, False)])
-def test_candidates_are_also_tried_from_the_declared_parameters(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch, at_limit: bool, chi2: float, promising: bool
-) -> None:
-    """If a parameter is at its limit, or if nothing is promising although much error is left."""
-    starts = _starts_of_trials(axis, monkeypatch, at_limit=at_limit, chi2=chi2, promising=promising)
-    assert len(starts) == 2
-    assert np.any(starts[0].theta)
-    np.testing.assert_array_equal(starts[1].theta, 0.0)
-    assert starts[1].machine.parameters == pytest.approx(axis.parameters)
-
-
-@pytest.mark.parametrize(("chi2", "promising"), [(9.0, True), (1.2, False)])
-def test_other_candidates_are_tried_from_the_present_fit(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch, chi2: float, promising: bool
-) -> None:
-    starts = _starts_of_trials(axis, monkeypatch, at_limit=False, chi2=chi2, promising=promising)
-    assert len(starts) == 1
-    assert np.any(starts[0].theta)
-
-
-def _starts_of_trials(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch, *, at_limit: bool, chi2: float, promising: bool
-) -> list[Fit]:
-    """Return the fits from which `trial_fits` starts."""
-    starts: list[Fit] = []
-
-    def trials(start: Fit, current: Fit, *rest: object) -> list[Fit]:
-        starts.append(start)
-        return [current] if promising else []
-
-    monkeypatch.setattr(trial_fits, "_trial_fits_from", trials)
-    data = prepare(recordings(axis, 2), axis)
-    fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
-    theta = np.array([f.theta_limits[1] if at_limit and f.name == "x.mass" else 0.1 for f in fitted.free])
-    trial_fits.trial_fits(
-        dataclasses.replace(fitted, theta=theta, cost=chi2 * fitted.count), data, 0.1, SelectionCriteria()
-    )
-    return starts
 
 
 def test_a_force_that_exceeds_friction_is_found(axis: Machine) -> None:
@@ -130,36 +88,6 @@ def test_two_shapes_of_an_effect_are_fitted(axis: Machine) -> None:
     labels = [scored.candidate.label for scored in promising]
     assert max(labels.count(label) for label in labels) == 2
     assert [s.gain for s in promising] == sorted((s.gain for s in promising), reverse=True)
-
-
-@pytest.mark.parametrize(("remaining", "fitted"), [(0.05, {"left", "right"}), (0.5, {"left", "right", "y"})])
-def test_the_same_effect_at_other_sites_is_always_a_possible_rival(
-    monkeypatch: pytest.MonkeyPatch, remaining: float, fitted: set[str]
-) -> None:
-    """Where a candidate explains the data, others are fitted only if they promise nearly as much."""
-    effects = {"left": "belt_slack", "right": "belt_slack", "y": "quadratic_drag"}
-    applied = {site: SimpleNamespace(label=f"{name}@{site}", site=site) for site, name in effects.items()}
-    ranked = [
-        SimpleNamespace(
-            gain=gain,
-            amounts=(),
-            candidate=SimpleNamespace(
-                label=applied[site].label,
-                effect=SimpleNamespace(name=effects[site]),
-                applied=lambda amounts, site=site: applied[site],
-            ),
-        )
-        for site, gain in (("left", 100.0), ("right", 40.0), ("y", 60.0))
-    ]
-    trial = {e.label: SimpleNamespace(machine=SimpleNamespace(effects=(e,)), cost=1.0) for e in applied.values()}
-    monkeypatch.setattr(trial_fits, "_ranked_candidates", lambda *arguments: (None, ranked))
-    monkeypatch.setattr(trial_fits, "_promising", lambda *arguments: ranked)
-    monkeypatch.setattr(trial_fits, "share_kernel", lambda *arguments: None)
-    monkeypatch.setattr(trial_fits, "unexplained_fraction", lambda *arguments: remaining)
-    monkeypatch.setattr(trial_fits, "fit_with_candidate", lambda start, scored, *rest: trial[scored.candidate.label])
-    start = SimpleNamespace(cost=1.0, machine=None)
-    trials = trial_fits._trial_fits_from(start, start, None, 0.1, SelectionCriteria())
-    assert {t.machine.effects[-1].site for t in trials} == fitted
 
 
 def test_the_larger_of_two_periodic_torques_takes_the_place_of_the_one_that_it_requires(axis: Machine) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +16,18 @@ from ...recordings import Recording
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.force_sizes import force_error
-from ..fit.model_error import CONTRADICTION
+from ..judge import held_out as judge
+from ..judge.error import FitError
+from ..judge.run import HeldOutRun, contradicts
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs
 from ..predict.start_uncertainty import prediction_residuals
 
 Array = NDArray[np.float64]
 
-# Reason for which an effect is not used; a clause that follows "it ".
-NO_GAIN = "does not reduce the error of the held-out runs"
 _GROUP_SIZE = 4  # One of four runs is held out.
 # Relative difference of spectra below which runs count as alike. Repetitions with other random numbers differ by 0.05
 # to 0.2; steps, slow sines, multisines and chirps of the same amplitude differ from each other by 0.2 to 0.6.
 _ALIKE = 0.2
-_CLEAR_GAIN = 0.5  # of a squared simulation error; model error that adds up in a run rarely imitates an effect as well
-_MIN_EXCITATION = 0.05  # change of the predictions relative to their errors, root mean square
 
 
 def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tuple[str, ...]:
@@ -168,10 +167,10 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     """
     without = _machine_without(selected, machine)
     gain = error_reduction(without, machine, validation, bandwidth)
-    if gain > 0.0 or bandwidth == SIMULATION:
-        return gain
-    simulated = error_reduction(without, machine, validation, SIMULATION)
-    return simulated if simulated > _CLEAR_GAIN else gain
+    simulated = None
+    if bandwidth != SIMULATION:
+        simulated = partial(error_reduction, without, machine, validation, SIMULATION)
+    return judge.gain_of_effect(gain, simulated)
 
 
 def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
@@ -230,7 +229,7 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
     for run in validation.single_runs():
         costs = [prediction_cost(m, run, SIMULATION, longest_step=POLISH_STEP) for m in (without, machine)]
         changes.append(np.log(costs[1]) - np.log(costs[0]) if np.isfinite(costs).any() else 0.0)
-    return bool(np.sum(changes) > 0.0)
+    return judge.worsens_simulation(changes)
 
 
 def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> bool:
@@ -258,26 +257,34 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
         return float(np.sum((errors[1] - errors[0]) ** 2)), float(np.sum(errors[0] ** 2))
 
     change, error = np.sum(list(map_runs(of_run, validation)), axis=0)
-    return not change < _MIN_EXCITATION**2 * error  # not finite if the machine diverges without the effect
+    return judge.is_excited(float(change), float(error))
 
 
-def contradicting_held_out_runs(fitted: Fit, validation: Dataset) -> tuple[str, ...]:
+def contradicting_held_out_runs(
+    after: Fit, before: Machine, selected: Sequence[SelectedEffect], validation: Dataset
+) -> tuple[str, ...]:
     """Find the held-out runs that a fitted machine explains far worse than the runs that it was fitted to.
 
     Either something was wrong with such a run (a loose connector, a slipped belt, another amplifier setting), or it
-    excites an effect that the fitted runs do not excite.
+    excites an effect that the fitted runs do not excite. A run whose error the effects cause refutes these instead.
 
     Args:
-        fitted: Fit of the machine.
+        after: Fit of the machine with the selected effects.
+        before: Refitted machine without effects.
+        selected: The selected effects.
         validation: Held-out runs.
 
     Returns:
-        Names of the runs whose chi-squared per sample (mean squared residual in units of the noise), at the observer
-        bandwidth of the fit, exceeds ten times the larger of 1 and that of the fitted runs.
+        Names of the runs that contradict (`judge.run.contradicts`), at the observer bandwidth of the fit.
     """
-    limit = CONTRADICTION * max(1.0, fitted.chi2)
-    return tuple(
-        run.runs[0].name
-        for run in validation.single_runs()
-        if prediction_cost(fitted.machine, run, fitted.bandwidth, longest_step=POLISH_STEP) > limit * run.count
-    )
+
+    def shown_by(run: Dataset) -> HeldOutRun:
+        cost = prediction_cost(after.machine, run, after.bandwidth, longest_step=POLISH_STEP)
+
+        def gains() -> tuple[float, ...]:
+            together = error_reduction(before, after.machine, run, after.bandwidth)
+            return (together, *(held_out_gain(s, after.machine, run, after.bandwidth) for s in selected))
+
+        return HeldOutRun(FitError(cost, run.count), after.chi2, gains if selected else None)
+
+    return tuple(run.runs[0].name for run in validation.single_runs() if contradicts(shown_by(run)))

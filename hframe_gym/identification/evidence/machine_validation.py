@@ -7,6 +7,7 @@ tension, and a machine file that simulates its recordings may diverge under the 
 from __future__ import annotations
 
 import dataclasses
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...dynamics import simulate_batch
 from ...machine import Belt, Machine, rest_state
+from ..judge.effect import MachineBehavior, fault_of_machine
 
 Array = NDArray[np.float64]
 
@@ -21,7 +23,6 @@ _HISTORIES, _SECONDS, _PERIOD = 4, 2.0, 1e-3  # s
 _MEAN_HOLD = 0.02  # s, mean time between two jumps of a voltage; longer ones drive a carriage out of its workspace
 _REACH = 1.5  # extensions are checked up to this multiple of those that the rated voltage causes
 _EXTENSION_POINTS = 401
-_LARGEST_SPEED_RATIO = 5.0  # top speed with / without the effects; absent friction does not even double the speed
 _FLAT = 1e-9  # fraction of the largest tension that counts as rounding error
 
 
@@ -48,22 +49,21 @@ def monotonic_belts(machine: Machine) -> bool:
     return all(_monotonic(machine, b, _REACH * s) for b, s in zip(machine.belts, extensions, strict=True))
 
 
-def stable_under_rated_voltage(machine: Machine) -> bool:
-    """Check that 2 s of random rated voltage move a machine within bounds.
+def top_speeds(machine: Machine) -> tuple[float, float]:
+    """Return the top speeds of a machine with and without its effects under 2 s of random rated voltage.
 
     Every voltage switches between the positive and the negative rated one at random times (random telegraph signal).
-    The top speed must not exceed five times the top speed of the machine without its effects. Only the time before the
-    machine without effects leaves its workspace is evaluated.
+    Only the time before the machine without effects leaves its workspace is evaluated.
 
     Args:
         machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
-        False if the simulated motion diverges or exceeds this speed.
+        Largest rate of the belt travel with the effects and without them, m/s; infinite if the motion diverges.
     """
     _, speeds = _random_motions(machine)
     if not machine.effects:
-        return bool(np.isfinite(speeds).all())
+        return _top(speeds), _top(speeds)
     positions, reference = _random_motions(_without_effects(machine))
     # Also without its effects a machine may leave its workspace, where belts become infinitely stiff.
     inside = np.ones(positions.shape[:2], np.bool_)
@@ -72,8 +72,12 @@ def stable_under_rated_voltage(machine: Machine) -> bool:
             low, high = coordinate.range
             inside &= (positions[..., i] >= low) & (positions[..., i] <= high)
     inside = np.logical_and.accumulate(inside, axis=1)
-    speeds, reference = speeds[inside], reference[inside]
-    return bool(np.isfinite(speeds).all() and speeds.max() <= _LARGEST_SPEED_RATIO * reference.max())
+    return _top(speeds[inside]), float(reference[inside].max())
+
+
+def _top(speeds: Array) -> float:
+    """Return the largest of some speeds, m/s; infinite if one is not finite."""
+    return float(speeds.max()) if np.isfinite(speeds).all() else math.inf
 
 
 def validation_fault(machine: Machine) -> str:
@@ -83,14 +87,10 @@ def validation_fault(machine: Machine) -> str:
         machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
-        Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if the
-        machine passes `monotonic_belts` and `stable_under_rated_voltage`.
+        Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if there is
+        no fault (`judge.effect.fault_of_machine`).
     """
-    if not monotonic_belts(machine):
-        return "lets the tension of a belt fall with its extension within the reach of the rated voltage"
-    if not stable_under_rated_voltage(machine):
-        return "makes the machine diverge under random rated voltage"
-    return ""
+    return fault_of_machine(MachineBehavior(monotonic_belts(machine), lambda: top_speeds(machine)))
 
 
 def _monotonic(machine: Machine, belt: Belt, reach: float) -> bool:

@@ -16,19 +16,14 @@ from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
 from ..fit.model_error import continue_fit, likelihood_loss, polish
 from ..judge.criteria import SelectionCriteria
+from ..judge.rival import RivalEvidence, chance_margin, equal_margin, is_likelier, preference, remains_rival
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from ..propose.candidates import is_required
 from ..propose.trial_fits import fit_in_place_of
 from .significance import long_run_variance
 
 
-def _margin(current: Fit, best_cost: float, data: Dataset, criteria: SelectionCriteria) -> float:
-    """Return the difference of cost from the best trial up to which another trial is equally good."""
-    gain = current.cost - best_cost
-    return max(criteria.rival_gain_margin * data.count, (1.0 - criteria.rival_gain_fraction) * gain)
-
-
-def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria) -> list[Fit]:
+def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> list[Fit]:
     """Sort trial fits of different effects by preference: of equally good ones, that with fewest parameters first.
 
     Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost by
@@ -38,7 +33,6 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
     Args:
         trials: Fits with one candidate effect (deviation from the model) each.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
-        data: Prepared recordings (times, voltages, measurements, SI).
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
@@ -48,8 +42,8 @@ def simplest_first(trials: list[Fit], current: Fit, data: Dataset, criteria: Sel
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
         return ranked
-    limit = ranked[0].cost + _margin(current, ranked[0].cost, data, criteria)
-    return sorted(ranked, key=lambda trial: (trial.cost > limit, len(trial.free) if trial.cost <= limit else 0))
+    limit = ranked[0].cost + equal_margin(current.error, ranked[0].cost, criteria)
+    return sorted(ranked, key=lambda trial: preference(trial.cost, len(trial.free), limit))
 
 
 def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
@@ -66,9 +60,7 @@ def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 
 
-def close_rivals(
-    trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria
-) -> tuple[AppliedEffect, ...]:
+def close_rivals(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> tuple[AppliedEffect, ...]:
     """Return the rivals of a selected effect: effects of other trial fits that explain the data about equally well.
 
     Their cost (sum of squared residuals in units of the noise) exceeds that of the selected effect by less than 0.002
@@ -77,14 +69,13 @@ def close_rivals(
     Args:
         trials: Fits with one candidate effect (deviation from the model) each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
-        data: Prepared recordings (times, voltages, measurements, SI).
         criteria: Decision thresholds; the values above are its defaults.
 
     Returns:
         Rivals with their fitted parameters, each effect once per component, in the order of the trials.
     """
     best = trials[0]
-    margin = _margin(current, best.cost, data, criteria)
+    margin = equal_margin(current.error, best.cost, criteria)
     close: dict[str, AppliedEffect] = {}  # an effect may have been tried from several starting values
     for trial in trials[1:]:
         effect = trial.machine.effects[-1]
@@ -180,22 +171,22 @@ def compare_rivals(
     if not possible or is_required(current.machine, label):
         return ComparedRivals(None, tuple(rivals))
 
-    def chance_margin(fitted: Fit, fitted_label: str) -> float:
+    def margin_of(fitted: Fit, fitted_label: str) -> float:
         """Return the difference of losses that chance may cause if the fit, with the effect so labeled, is right."""
-        return criteria.min_chance_gain * long_run_variance(fitted, fitted_label, data) / data.count
+        return chance_margin(long_run_variance(fitted, fitted_label, data), data.count, criteria)
 
     present_fit = _polished(current, data)
-    loss, margin = likelihood_loss(present_fit, data), chance_margin(present_fit, label)
+    loss, margin = likelihood_loss(present_fit, data), margin_of(present_fit, label)
     better, least, tried = None, loss, {}
     for rival in possible:
         known = rival not in in_combination
         start = fit_in_place_of(current, label, rival, data) if known else _sized(current, label, rival, data)
         trial = _polished(start, data)
-        trial_loss, own_margin = likelihood_loss(trial, data), chance_margin(trial, rival.label)
-        if trial_loss < least - own_margin:
-            better, least = trial, trial_loss
-        # A pair that moves the stage alike differs only while friction holds the stage, where a fit is least reliable.
-        if trial_loss <= loss + (margin if known else max(margin, own_margin)):
+        rival_loss, own_margin = likelihood_loss(trial, data), margin_of(trial, rival.label)
+        evidence = RivalEvidence(loss, margin, rival_loss, own_margin, known)
+        if is_likelier(evidence, least):
+            better, least = trial, rival_loss
+        if remains_rival(evidence):
             tried[rival.label] = trial.machine.effects[-1]
     untried = {rival.label: rival for rival in rivals if rival not in possible}
     remaining = tried | untried

@@ -1,12 +1,13 @@
-"""Significance of an effect: the tests that it must pass against noise and model error.
+"""Significance of an effect: the evidence for and against it that `judge.effect` asks for.
 
-An effect that reduces the error may still not exist. Other runs must confirm it (leave-one-run-out), chance must not
-explain the reduction, the machine must stay stable, and its force must exceed the one that remains unexplained.
+An effect that reduces the error may still not exist. Measured here are its gain in runs to which it was not fitted
+(leave-one-run-out), the gain that chance may explain, its force and the one that remains unexplained.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,13 @@ from ...preparation.dataset import Dataset
 from ..fit.covariance import BLOCK_S
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
-from ..fit.model_error import fit_with_model_error, leave_one_out_gain, minimum_gain, narrower_observer
+from ..fit.model_error import fit_with_model_error, leave_one_out_gain, narrower_observer
+from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import CHANCE, Addition, Chance, EffectEvidence, Forces, ParameterValue
 from ..predict.free_parameters import prior_precision
 from ..predict.linearization import ResidualModel
-from ..predict.prediction import SIMULATION, block_size, map_runs, noise_floor
+from ..predict.prediction import SIMULATION, block_size, map_runs
 from ..propose.candidates import covered_by_runs
 from .machine_validation import validation_fault
 
@@ -39,12 +42,7 @@ _VARIABLES = {
     "s": "extension",
     "rate": "extension",
 }
-# An error in an effect's form is not removed by another form to less than a fiftieth. Of an error of less than about
-# twice the noise, too little is visible to tell.
-_CORRECTION_REMAINDER, _CLEAR_ERROR = 0.02, 5.0  # fraction of the error beyond the noise; chi-squared per sample
 _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
-_AT_LIMIT = 0.01  # relative distance from the limit of a parameter's range
-_CHANCE = 1e-4  # probability of a false effect among a hundred candidates: 1 %
 
 
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
@@ -116,7 +114,7 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
         largest = max(largest, float(np.linalg.eigvals(inverse @ scores @ scores.T).real.max()))
     count = sum(-(-run.residual.size // long) for run in runs)
     parameters = len(directions)
-    quantiles = fdtri(parameters, count, 1.0 - _CHANCE), chdtri(parameters, _CHANCE) / parameters
+    quantiles = fdtri(parameters, count, 1.0 - CHANCE), chdtri(parameters, CHANCE) / parameters
     return max(1.0, largest * float(quantiles[0] / quantiles[1]))
 
 
@@ -128,19 +126,6 @@ def _block_sums(rows: Array, size: int) -> Array:
 def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
     """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
 
-    An effect is a deviation from the nominal model. Three tests are always made:
-
-    - The machine with the effect does not diverge under random rated voltages, and the tension of a belt does not fall
-      when the belt is extended.
-    - The force of the effect is larger than the force that remains unexplained.
-    - The effect is not a small correction to another effect that depends on the same variable.
-
-    Two more are made only if chi-squared per sample (mean squared residual / noise variance) without the effect is
-    below `criteria.explained_chi2`, 1.5 by default, because missing effects falsify them:
-
-    - Runs to which the effect was not fitted confirm it.
-    - Chance does not explain the reduction of the error.
-
     Args:
         current: Fit of the machine without the effect.
         trial: Fit of the machine with the effect as the last entry of `machine.effects`. Both fits have the same
@@ -149,22 +134,16 @@ def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: Sel
         criteria: Decision thresholds.
 
     Returns:
-        Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to".
+        Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to", by
+        `judge.effect.doubt_about_candidate`.
     """
-    # While other effects are missing, a fit without one run says little about the machine, and what they leave is
-    # correlated in time; `doubt_beside_others` repeats these tests.
-    nearly_explained = current.chi2 < criteria.explained_chi2
-    return _doubt(current, trial, trial.machine.effects[-1], data, criteria, nearly_explained=nearly_explained)
+    return judge.doubt_about_candidate(effect_evidence(current, trial, trial.machine.effects[-1], data), criteria)
 
 
 def doubt_beside_others(
     reduced: Fit, complete: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
 ) -> str:
     """Return a reason why an effect of a machine may not exist, given all other effects, or "" if it passes all tests.
-
-    The effect must reduce the error by enough, and pass all five tests that `doubt_about_candidate` lists. No parameter
-    of it may end at a limit of its range, unless that limit is a meaningful value (0 or a starting value): the
-    recordings then ask for a value that the effect cannot have, and another effect imitates it.
 
     Args:
         reduced: Fit of the machine with all other effects.
@@ -175,124 +154,76 @@ def doubt_beside_others(
         criteria: Decision thresholds.
 
     Returns:
-        Clause that follows "it ", such as "has no effect on the error".
+        Clause that follows "it ", such as "has no effect on the error", by `judge.effect.doubt_beside_others`.
     """
-    if reduced.cost - complete.cost < minimum_gain(complete, criteria) * data.count:
-        return "has no effect on the error"
-    at_limit = _at_limit(next(e for e in complete.machine.effects if e.label == effect.label), complete)
-    return at_limit or _doubt(reduced, complete, effect, data, criteria, nearly_explained=True)
+    return judge.doubt_beside_others(effect_evidence(reduced, complete, effect, data), criteria)
 
 
-def _at_limit(effect: AppliedEffect, complete: Fit) -> str:
-    """Return that a parameter of an effect ends at a limit of its range, which is no meaningful value, else ""."""
-    free = {f.name: f for f in complete.free}
-    for p in effect.definition.parameters:
-        value = effect.parameters[p.name]
-        fitted = free.get(f"{effect.label}.{p.name}")
-        if fitted is not None and covered_by_runs(p):
-            low, high = (1.0 + _AT_LIMIT) * fitted.lower, (1.0 - _AT_LIMIT) * fitted.upper
-            if value >= high or (p.role == "rate" and value <= low):
-                return (
-                    f"fits only with {p.name} at the limit of what the runs cover ({value:.3g} {p.unit}): they cannot "
-                    "tell it from a simpler cause"
-                )
-        for limit in {p.lower, p.upper} - {0.0, *p.grid}:
-            if math.isclose(value, limit, rel_tol=_AT_LIMIT):
-                return f"fits only with {p.name} at the limit of its range ({limit:g}): another effect may imitate it"
-    return ""
+def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> EffectEvidence:
+    """Collect what the fitted runs say about an effect; numbers that take seconds are computed when they are needed.
 
+    Args:
+        without: Fit of the machine without the effect.
+        with_effect: Fit of the machine with it, at the same observer bandwidth.
+        effect: The effect.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+    """
 
-def _doubt(
-    without: Fit,
-    with_effect: Fit,
-    effect: AppliedEffect,
-    data: Dataset,
-    criteria: SelectionCriteria,
-    *,
-    nearly_explained: bool,
-) -> str:
-    """Return the first reason against an effect; two of the tests need a machine that nearly explains the data."""
-    return (
-        (_unconfirmed(without, with_effect, data, criteria) if nearly_explained else "")
-        or validation_fault(with_effect.machine)
-        or (_by_chance(without, with_effect, effect, data, criteria) if nearly_explained else "")
-        or _too_small(without, with_effect, effect, data, criteria)
-        or _form_error(without, with_effect, effect, data, criteria)
+    def narrower() -> Chance:
+        return _chance(narrower_observer(without, data), narrower_observer(with_effect, data), effect, data)
+
+    return EffectEvidence(
+        without=without.error,
+        with_effect=with_effect.error,
+        structural=effect.definition.structure is not None,
+        confirmed=lambda: leave_one_out_gain(without, with_effect, data),
+        fault=lambda: validation_fault(with_effect.machine),
+        chance=lambda: _chance(without, with_effect, effect, data),
+        chance_narrower=None if with_effect.bandwidth == SIMULATION else narrower,
+        forces=lambda: _forces(without, with_effect, effect, data),
+        forces_accurate=lambda: _forces(without, fit_with_model_error(with_effect, data), effect, data),
+        drives=lambda: drive_force(with_effect.machine, data),
+        additions=lambda: _additions(without, with_effect, effect, data),
+        parameters=parameter_values(effect.label, with_effect),
     )
 
 
-def _unconfirmed(without: Fit, with_effect: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
-    """Return that an effect describes single runs rather than the machine, "" if other runs confirm it."""
-    gain, confirmed = without.cost - with_effect.cost, leave_one_out_gain(without, with_effect, data)
-    if confirmed >= criteria.min_confirmed_fraction * gain:
-        return ""
-    there = f"{100 * confirmed / gain:.0f} % of the gain" if confirmed >= 0.0 else "their error grows with it"
-    return f"is not confirmed by runs that it was not fitted to ({there})"
+def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
+    """Return the parameters of an effect with the limits at which their values say little.
 
-
-def _by_chance(
-    without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
-) -> str:
-    """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot.
-
-    In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them what an
-    effect explains, whereas model error imitates an effect the less, the longer it adds up.
+    Args:
+        label: Label (name@site) of the effect.
+        fitted: Fit of the machine with it.
     """
-
-    def exceeds_chance(reduced: Fit, complete: Fit) -> bool:
-        variance = long_run_variance(complete, effect.label, data)
-        return reduced.cost - complete.cost >= criteria.min_chance_gain * variance
-
-    if exceeds_chance(without, with_effect):
-        return ""
-    if with_effect.bandwidth != SIMULATION and exceeds_chance(
-        narrower_observer(without, data), narrower_observer(with_effect, data)
-    ):
-        return ""
-    return "reduces the error by no more than chance may, since the remaining error is correlated in time"
+    effect = next(e for e in fitted.machine.effects if e.label == label)
+    free = {f.name: f for f in fitted.free}
+    values = []
+    for p in effect.definition.parameters:
+        limited = free.get(f"{label}.{p.name}") if covered_by_runs(p) else None
+        covered = (limited.lower, limited.upper) if limited is not None else None
+        limits = tuple({p.lower, p.upper} - {0.0, *p.grid})
+        values.append(ParameterValue(p.name, p.unit, effect.parameters[p.name], limits, covered, p.role == "rate"))
+    return tuple(values)
 
 
-def _too_small(
-    without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
-) -> str:
-    """Return that an effect is smaller than what remains unexplained, or negligible beside the drives, else ""."""
-    size, residue = _forces(without, with_effect, effect, data)
-    drives = drive_force(with_effect.machine, data)
-    if size < criteria.min_drive_force_ratio * drives and not effect.definition.structure:
-        return f"has a force of {size:.2g} N, {size / drives:.1g} of that of the drives"
-    if criteria.min_promised_force_ratio * residue <= size < criteria.min_force_ratio * residue:
-        # In doubt, what remains is measured by the observer that is then needed.
-        size, residue = _forces(without, fit_with_model_error(with_effect, data), effect, data)
-    if size >= criteria.min_force_ratio * residue:
-        return ""
-    verb = "explains" if effect.definition.structure else "has"
-    return f"{verb} a force of {size:.2g} N, where {residue:.2g} N remain unexplained"
+def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Chance:
+    """Return the gain of an effect and the variance that the residual has in its direction."""
+    return Chance(without.cost - with_effect.cost, long_run_variance(with_effect, effect.label, data))
 
 
-def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> tuple[float, float]:
+def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Forces:
     """Return the force of an effect and the force that remains unexplained beside it, N."""
     size, residue = effect_force(with_effect.machine, effect, data), residue_force(with_effect, data)
     if effect.definition.structure:  # no force at the machine's coordinates: what it takes from the unexplained one
         size = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
-    return size, residue
+    return Forces(size, residue)
 
 
-def _form_error(
-    without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
-) -> str:
-    """Return that an effect may be an error in the form of one of another family, "" if nothing speaks for that."""
+def _additions(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Iterator[Addition]:
+    """Return what an effect adds to each effect of another family that depends on the same variable."""
     machine = with_effect.machine
-    # What an inexact form leaves has no simple formula itself. An effect that removes nearly all of an error of several
-    # times the noise is therefore no correction of another effect's form.
-    floor = noise_floor(without.bandwidth, criteria)
-    removes_all = with_effect.chi2 - floor < _CORRECTION_REMAINDER * (without.chi2 - floor)
-    if removes_all and without.chi2 > _CLEAR_ERROR:
-        return ""
-    for other in (e for e in machine.effects if e.definition.family != effect.definition.family):
-        if depend_on_same_variable(effect, other, machine):
+    for other in machine.effects:
+        if other.definition.family != effect.definition.family and depend_on_same_variable(effect, other, machine):
             # The force beyond what the parameters of the machine and of the other effect can represent.
             fraction = force_difference(without.machine, machine, data) / max(effect_force(machine, other, data), 1e-12)
-            if fraction < criteria.max_form_error:
-                percent = f"adds {100 * fraction:.0f} % to the force of {other.label}"
-                return f"{percent}, which depends on the same variable: the form of that effect may be in error"
-    return ""
+            yield Addition(other.label, fraction)

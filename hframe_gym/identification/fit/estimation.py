@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, RunObserver
 from ..budget import spend
+from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
 from ..predict.normal_equations import NormalEquations
-from ..predict.prediction import SEARCH_STEP, map_runs
+from ..predict.prediction import SEARCH_BANDWIDTH, SEARCH_STEP, map_runs
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
 
 Array = NDArray[np.float64]
@@ -69,6 +70,11 @@ class Fit:
     def chi2(self) -> float:
         """Chi-squared per sample (mean squared residual / noise variance), 1 if only the sensors' noise remains."""
         return self.cost / self.count
+
+    @property
+    def error(self) -> FitError:
+        """What the fit leaves of the error, for decisions."""
+        return FitError(self.cost, self.count, self.bandwidth, self.bandwidth >= SEARCH_BANDWIDTH)
 
     @property
     def mode(self) -> str:

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine
 from ...preparation.dataset import Dataset
-from ..judge.criteria import SelectionCriteria
+from ..judge import run as judge
+from ..judge.run import MIN_RUNS_COMPARED
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, sensor_bandwidths
 from .estimation import Fit, cross_validation, fit, prediction_cost
 
@@ -33,8 +34,6 @@ _CONVERGED_COST = 0.02  # Decrease of cost / chi2 at which a polished fit ends; 
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
-_MIN_RUNS_COMPARED = 3  # two must agree with each other for another one to contradict them
-CONTRADICTION = 10.0  # chi-squared of a run / that of the other runs; effects that single runs excite reach 30
 _SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer integration steps accumulate
 
 
@@ -258,33 +257,17 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
         data: Runs that were fitted.
 
     Returns:
-        Name of the run with the largest ratio of its chi-squared per sample to the other runs', both for
-        parameters that are fitted to the other runs. None if this ratio is at most 10, or for fewer than three runs.
+        Name of the run; None if there is none (`judge.run.contradicting_run`).
     """
-    if len(data.runs) < _MIN_RUNS_COMPARED:
+    if len(data.runs) < MIN_RUNS_COMPARED:
         return None
     costs = cross_validation(fitted, data, 1)
-    counts = [run.count for run in data.runs]
-    ratios = [
-        (cost / count) / (others / (sum(counts) - count)) for (cost, others), count in zip(costs, counts, strict=True)
-    ]
-    worst = int(np.argmax(ratios))
-    return data.runs[worst].name if ratios[worst] > CONTRADICTION else None
-
-
-def explains(fitted: Fit, initial_chi2: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a fit explains the data: it leaves only noise, or a negligible part of the initial residual.
-
-    Args:
-        fitted: Fit at the observer bandwidth that `fit_with_model_error` chose.
-        initial_chi2: Chi-squared per sample, dimensionless, of the first fit, without effects.
-        criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
-
-    Returns:
-        True if chi-squared per sample of the fit is below `explained_chi2` (1.5 by default), or below
-        `explained_fraction` times `initial_chi2`.
-    """
-    return fitted.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * initial_chi2)
+    total = sum(run.count for run in data.runs)
+    ratios = {
+        run.name: (cost / run.count) / (others / (total - run.count))
+        for (cost, others), run in zip(costs, data.runs, strict=True)
+    }
+    return judge.contradicting_run(ratios)
 
 
 def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
@@ -300,23 +283,3 @@ def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
     """
     step = search_step(bandwidth)
     return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)
-
-
-def minimum_gain(current: Fit, criteria: SelectionCriteria) -> float:
-    """Return the smallest reduction of chi-squared per sample for which an effect is selected.
-
-    It is the largest of three limits, by default: 0.01 for one-step prediction (observer of 60 rad/s, strong feedback
-    of the measurements), 0.003 for narrower observers and simulation; 200 / number of samples; and 10 % of the error
-    beyond the noise (chi-squared per sample minus 1).
-
-    Args:
-        current: Fit without the effect, at the observer bandwidth that selects the first limit.
-        criteria: Decision thresholds, from which the limits are taken.
-
-    Returns:
-        Required reduction of chi-squared per sample, dimensionless.
-    """
-    wide = current.bandwidth >= SEARCH_BANDWIDTH
-    min_gain = criteria.min_gain_one_step if wide else criteria.min_gain_simulation
-    excess = current.chi2 - 1.0
-    return max(min_gain, criteria.min_total_gain / current.count, criteria.min_gain_fraction * excess)

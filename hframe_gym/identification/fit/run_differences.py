@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
+from ..judge import run as judge
 from ..judge.criteria import SelectionCriteria
 from ..predict.free_parameters import FreeParameter, prior_precision, values_at
 from ..predict.linearization import Linearization, ResidualModel
@@ -30,15 +31,12 @@ from .model_error import continue_fit, innovation_variance
 
 Array = NDArray[np.float64]
 
-_MIN_RUNS = 3  # two runs may differ in almost any parameter
 _AMOUNT_PRIOR = 0.5  # standard deviation of the amounts
 _LARGEST_AMOUNT = 1.5
 _CANDIDATES = 3  # quantities that are fitted: those that promise most by the linearized residual
 _ITERATIONS = 25
 _TOLERANCE = 1e-3  # relative decrease of the cost below which a fit ends
 _DAMPINGS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
-_EQUAL = 0.1  # range of the amounts / their mean below which all runs need the same other value
-_SAME = 0.05  # fraction of the range of the amounts below which two are the same
 _LEAST_FACTOR = 0.05  # of a mass that is reduced
 _STEP = 1e-6  # of finite differences between optimizer variables, which need no simulation
 
@@ -111,24 +109,17 @@ class RunDifferences(NamedTuple):
     @property
     def differs(self) -> bool:
         """Whether the runs differ; otherwise the amounts are equal, and all runs need the same other value."""
-        amounts = np.array(list(self.amounts.values()))
-        return bool(np.ptp(amounts) > _EQUAL * abs(self.shared + float(np.mean(amounts))))
+        return judge.amounts_differ(list(self.amounts.values()), self.shared)
 
     @property
     def drifts(self) -> bool:
         """Whether the amounts only rise or only fall in the order of the runs' times, as in a slow change over time."""
-        amounts = np.array(list(self.amounts.values()))
-        steps, tolerance = np.diff(amounts), _SAME * np.ptp(amounts)
-        return bool(np.all(steps > -tolerance) or np.all(steps < tolerance))
+        return judge.amounts_drift(list(self.amounts.values()))
 
     @property
     def different_run(self) -> str | None:
         """Name of the only run whose amount differs from the others'; None if several do."""
-        amounts = np.array(list(self.amounts.values()))
-        for i, name in enumerate(self.amounts):
-            if np.ptp(np.delete(amounts, i)) <= _SAME * np.ptp(amounts):
-                return name
-        return None
+        return judge.different_run(self.amounts)
 
     def __str__(self) -> str:
         """Return a sentence for the user."""
@@ -198,11 +189,11 @@ def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCrit
 
 def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
     """Return the quantities that explain all runs with values of their own, whether these differ or not."""
-    if len(data.runs) < _MIN_RUNS:
+    if len(data.runs) < judge.MIN_RUNS_COMPARED:
         return []
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
-    explained = criteria.explained_chi2 * innovation_variance(common, data)[0]
-    if common.chi2 < explained:
+    variance = innovation_variance(common, data)[0]
+    if judge.one_value_explains(common.chi2, variance, criteria):
         return []
     # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
     model = _ModelByRun(fitted, data)
@@ -213,7 +204,7 @@ def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> li
     found: list[RunDifferences] = []
     for quantity in promising[:_CANDIDATES]:
         cost, amounts = model.fit(quantity)
-        if cost / data.count < explained:
+        if judge.one_value_explains(cost / data.count, variance, criteria):
             relative = (amounts - amounts.min()).tolist()
             in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
             by_run = {run.name: amount for run, amount in in_time}

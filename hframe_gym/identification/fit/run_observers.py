@@ -12,13 +12,13 @@ machine in these units (`innovation_variance`). s = max(1, c / (n v)) is the fac
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...preparation.dataset import Dataset, RunObserver
+from ..judge.run import accepts_run_observers
 from ..predict.free_parameters import bounded_step, prior_precision
 from ..predict.linearization import ResidualModel
 from ..predict.normal_equations import NormalEquations
@@ -32,7 +32,6 @@ Observers = dict[str, RunObserver]
 _ROUNDS = 3  # of choosing observers and fitting; the second rarely changes anything
 _WEIGHTINGS = 4  # of the runs by their variances, and parameters in turn, in a linearized model
 _CONVERGED = 1.0  # decrease of -2 log(likelihood) that is negligible; it is 1 at one standard deviation
-_MAX_SIMULATED_RATIO = 2.0  # of mean square errors in simulation, of fits with one observer for each run and for all
 
 
 def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
@@ -63,7 +62,7 @@ def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
     simulated, before = (
         prediction_costs(f.machine, data, SIMULATION, longest_step=POLISH_STEP) for f in (best, fitted)
     )
-    if not np.mean(np.log(simulated / before)) < math.log(_MAX_SIMULATED_RATIO):  # also if the simulation diverges
+    if not accepts_run_observers(float(np.mean(np.log(simulated / before)))):
         return fitted
     cost = prediction_cost(best.machine, data, fitted.bandwidth, longest_step=POLISH_STEP)
     return dataclasses.replace(best, cost=cost, observers=chosen)

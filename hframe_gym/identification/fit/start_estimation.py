@@ -7,6 +7,7 @@ once a machine is known well enough.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,11 +19,12 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.initial_state import refine_encoder_zeros
 from ...preparation.rest_measurement import InitialState
 from ..judge.criteria import SelectionCriteria
+from ..judge.error import FitError, is_enough, only_noise_is_left, required_gain
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict, residuals
 from ..predict.start_uncertainty import effect_state_spreads, start_displacements
 from .estimation import Fit, prediction_cost
 from .lost_voltages import estimate_lost_voltages
-from .model_error import continue_fit, fit_with_model_error, minimum_gain
+from .model_error import continue_fit, fit_with_model_error
 
 Array = NDArray[np.float64]
 # Iterations of a descent, fractions of a step that it tries, and its differences in standard deviations.
@@ -155,20 +157,20 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
     Args:
         current: Fit of a machine (k parameters theta, dimensionless, shape (k,)).
         data: Runs that were fitted (times, voltages, measurements, SI).
-        criteria: Decision thresholds: `noise_level`, and the limits of `model_error.minimum_gain`.
+        criteria: Decision thresholds: `noise_level`, and the limits of `judge.error.required_gain`.
 
     Returns:
         fit: New fit, theta of shape (k,), to runs that start from their most probable states; `current` if these
             explain little.
         data: Data set with these initial states; `data` if they explain little.
     """
-    if not criteria.noise_level < current.chi2 < np.inf:
+    if only_noise_is_left(current.error, criteria) or not math.isfinite(current.cost):
         return current, data
     if not any(map(len, start_displacements(current.machine, [run.initial for run in data.runs]))):
         return current, data  # nothing is uncertain
     refined = refine_starts(data, current.machine)
     cost = prediction_cost(current.machine, refined, current.bandwidth, longest_step=current.longest_step)
-    if (current.cost - cost) / data.count < minimum_gain(current, criteria):
+    if not is_enough(current.error, FitError(cost, data.count), required_gain(current.error, criteria)):
         return current, data
     return fit_with_model_error(continue_fit(current, refined, current.bandwidth), refined), refined
 

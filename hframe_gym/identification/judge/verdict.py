@@ -1,4 +1,4 @@
-"""Judge a search by the held-out runs: whether its verdict, and the names of its effects, hold against their error.
+"""Reach the verdict: by the fitted runs first, then by the held-out ones, against whose error names must hold.
 
 A search decides by the fitted runs, in units of the noise that it estimated. Both may deceive it: a noise that is too
 large explains every error, and the best of a few hundred effects removes a part of almost any error. The errors of the
@@ -8,10 +8,12 @@ held-out runs, in units of the sensors' noise at rest, depend on neither.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 from .criteria import SelectionCriteria
+from .error import FitError, required_gain
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
@@ -127,3 +129,118 @@ def contradiction_of_names(evidence: Evidence, explained: bool, criteria: Select
         f"{100 * min(measured, 1.0):.2g} % of the squared error remain with the effects ({evidence.in_words}); effects "
         f"are named if at most {100 * limit:.2g} % remain"
     )
+
+
+# Bandwidth of the observer with which the held-out runs judge effects, rad/s: slow enough to show what a missing force
+# does over some tenths of a second, fast enough that its errors do not add up over the run (synthetic rigs).
+JUDGING_BANDWIDTH = 15.0
+
+
+@dataclass(frozen=True)
+class PartialEvidence:
+    """Errors of the machine with effects and of the refitted machine, in units of the noise.
+
+    Attributes:
+        wide: Chi-squared per sample with the widest observer, which hides slow errors: with effects, without.
+        simulated: Chi-squared per sample of the simulation: with effects, without.
+    """
+
+    wide: tuple[float, float]
+    simulated: tuple[float, float]
+
+
+def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> bool:
+    """Return whether effects remove most of the error that goes beyond the noise, although they leave some.
+
+    Args:
+        evidence: Errors with and without effects.
+        criteria: Decision thresholds `max_partial_excess` and `one_step_floor`.
+    """
+    wide, wide_before = (max(chi2 - criteria.one_step_floor, 0.0) for chi2 in evidence.wide)
+    error, error_before = (math.sqrt(max(chi2 - 1.0, 0.0)) for chi2 in evidence.simulated)
+    limit = criteria.max_partial_excess
+    return wide < limit * wide_before or error < limit * error_before
+
+
+def verdict_of_effects(any_effect: bool, drift: str, explained: Callable[[], bool]) -> tuple[Verdict, str] | None:
+    """Return the verdict on effects of the library if a table cannot change it, and why its effects are not used.
+
+    Args:
+        any_effect: Whether effects passed all tests.
+        drift: Name of a parameter that differs from run to run, which these effects imitate; "" if there is none.
+        explained: Function that returns whether the machine with the effects explains the data.
+
+    Returns:
+        Verdict, and a clause that follows "it " if effects are removed; None where a table may explain the error.
+    """
+    if drift:
+        return "unexplained", f"explains the runs less well than another value of {drift} in each run"
+    if explained():
+        return ("effect_found" if any_effect else "no_effect"), ""
+    return None
+
+
+def verdict_of_rest(
+    any_effect: bool,
+    runs_differ: Callable[[], bool],
+    evidence: Callable[[], PartialEvidence],
+    criteria: SelectionCriteria,
+) -> tuple[Verdict, str]:
+    """Return the verdict where an error remains that neither effects nor a table describe, and why effects are removed.
+
+    Args:
+        any_effect: Whether effects passed all tests.
+        runs_differ: Function that returns whether another value of a parameter in each run explains the runs, as no
+            effect can.
+        evidence: Function that returns the errors with and without effects.
+        criteria: Decision thresholds `max_partial_excess` and `one_step_floor`.
+    """
+    if any_effect and not runs_differ() and explains_most(evidence(), criteria):
+        return "effect_found", ""
+    return "unexplained", "leaves most of the error, also together with the other effects"
+
+
+@dataclass(frozen=True)
+class DriftEvidence:
+    """Effects compared with a parameter that has another value in each run.
+
+    Attributes:
+        depends_on_time: Whether one of the effects is a function of time.
+        explained: Function that returns whether the machine with effects explains the data in simulation.
+        wide: Function that returns its error with the widest observer.
+        by_run: Function that returns chi-squared per sample with that observer and another value in each run, without
+            effects; None if no parameter explains the runs so.
+    """
+
+    depends_on_time: bool
+    explained: Callable[[], bool]
+    wide: Callable[[], FitError]
+    by_run: Callable[[], float | None]
+
+
+def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
+    """Return whether effects over time only imitate a parameter that differs from run to run.
+
+    They do if they leave an error in simulation, which an observer hides, and another value in each run is better.
+
+    Args:
+        evidence: Errors with the effects and with another value in each run.
+        criteria: Decision thresholds of `required_gain`.
+    """
+    if not evidence.depends_on_time or evidence.explained():
+        return False
+    wide, by_run = evidence.wide(), evidence.by_run()
+    return by_run is not None and by_run < wide.chi2 - required_gain(wide, criteria)
+
+
+def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains: bool) -> Verdict:
+    """Return the verdict after the held-out runs have removed effects.
+
+    Args:
+        verdict: Verdict of the search.
+        any_effect: Whether effects are left.
+        refitted_explains: Whether the refitted machine explains the fitted runs.
+    """
+    if any_effect:
+        return verdict
+    return "no_effect" if refitted_explains else "unexplained"

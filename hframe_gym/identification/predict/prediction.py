@@ -25,7 +25,6 @@ from ...dynamics.simulation import Motion, threads
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.rest_measurement import max_fitted_zero_means, max_zero_means, sensor_zero_error
-from ..judge.criteria import SelectionCriteria
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -182,20 +181,6 @@ def measurements_from(start: Array, machine: Machine, run: PreparedRecording) ->
     measured_start = run.initial.position
     displacement = machine.sensor_matrix[:, : len(measured_start)] @ (start[: len(measured_start)] - measured_start)
     return run.outputs + np.where([sensor.incremental for sensor in machine.sensors], displacement, 0.0)
-
-
-def noise_floor(bandwidth: float, criteria: SelectionCriteria) -> float:
-    """Return chi-squared per sample (mean squared error / noise variance) of predictions by a correct model.
-
-    Args:
-        bandwidth: Bandwidth of the observer that corrects the predictions, rad/s; 0 for a simulation.
-        criteria: Decision thresholds.
-
-    Returns:
-        Chi-squared per sample, dimensionless: 1, or `one_step_floor` (1.1 by default) with the widest observer
-        (60 rad/s), which feeds back the sensors' noise.
-    """
-    return criteria.one_step_floor if bandwidth >= SEARCH_BANDWIDTH else 1.0
 
 
 def mechanical_rows_per_block(data: Dataset) -> int:

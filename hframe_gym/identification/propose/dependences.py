@@ -36,12 +36,11 @@ from ..fit.residual import (
     variables_of_motion,
     white_sensors,
 )
+from ..judge import cause as judge
 from ..predict.free_parameters import typical_force
 
 Array = NDArray[np.float64]
-_MINIMUM_DEPENDENCE = 0.05  # Fraction of the variance.
 _MOST_ROWS = 10_000  # that are compared; of longer recordings fewer per second
-_NOISE_ERROR = 0.5  # Relative error of the variance that noise is expected to cause; less beyond noise is uncertain.
 _ROUNDING_FORCE = 1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
 _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
 _DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
@@ -50,8 +49,7 @@ _KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a directi
 # Of the mean square of a curve's pieces: pieces that the other runs do not excite get no force, and the more noise
 # there is, the flatter is the best curve.
 _RIDGES = (1e-4, 0.03, 0.3)
-# A special variable comes before a plain one if it explains clearly more: the age of a contact follows from its speed.
-_PLAIN, _SPECIAL = ("position", "velocity", "current"), 0.95
+_PLAIN = ("position", "velocity", "current")  # variables that come before others which explain about as much
 _RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no force
 _RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
 _HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
@@ -190,7 +188,7 @@ class _Evidence:
         self._noise = self._without_absorbed(noise / scale)
         by_noise = float(np.sum(self._noise**2))
         self.total = float(np.sum(self._values**2))
-        self.beyond_noise = max(self.total - by_noise, _NOISE_ERROR * by_noise)
+        self.beyond_noise = judge.beyond_noise(self.total, by_noise)
 
     def _compared(self, channel: int, columns: Columns) -> Columns:
         """Return columns (rows, k) as a channel shows them, at the compared rows."""
@@ -299,15 +297,11 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     def rank(evidence: _Evidence, causes: Iterator[_Cause]) -> None:
         for cause in causes:
-            explained, certain, fraction = evidence.explained(cause)
-            if certain > 0.0 and min(explained / evidence.beyond_noise, fraction) > _MINIMUM_DEPENDENCE:
-                preference = 1.0 if cause.variable.startswith(_PLAIN) else _SPECIAL
-                ranked.append(
-                    (
-                        preference * certain / evidence.total,
-                        Dependence(cause.variable, cause.coordinate, fraction, cause.component),
-                    )
-                )
+            plain = cause.variable.startswith(_PLAIN)
+            found = judge.CauseEvidence(*evidence.explained(cause), evidence.beyond_noise, plain)
+            if judge.is_cause(found):
+                dependence = Dependence(cause.variable, cause.coordinate, found.fraction, cause.component)
+                ranked.append((judge.rank_of_cause(found, evidence.total), dependence))
 
     force = np.concatenate([motion.force for motion in motions])
     if np.abs(force).max() > _ROUNDING_FORCE * typical_force(machine):
@@ -587,10 +581,7 @@ def are_causes(effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], m
         True if the strongest cause is that of an effect, and each effect has a cause among them: it acts on the same
         component, and its formula depends on the same kind of variable.
     """
-    if not effects or not ranked:
-        return False
-    leads = any(_is_cause(effect, ranked[0], machine) for effect in effects)
-    return leads and all(any(_is_cause(effect, cause, machine) for cause in ranked) for effect in effects)
+    return judge.names_causes([[_is_cause(effect, cause, machine) for cause in ranked] for effect in effects])
 
 
 def _is_cause(effect: AppliedEffect, cause: Dependence, machine: Machine) -> bool:

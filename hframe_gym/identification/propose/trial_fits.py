@@ -21,9 +21,11 @@ from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.force_sizes import TypicalScales, effect_force, residue_force, typical_scales
 from ..fit.model_error import continue_fit, polish, search_step
 from ..fit.residual import missing_force
+from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
+from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, noise_floor
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH
 from .candidates import Candidate, candidates, effect_parameters, is_required
 from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
@@ -53,8 +55,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         (chi-squared). One per effect and component, two where effects are also fitted from the declared parameters.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
-    nothing_promising = not trials and current.chi2 > criteria.explained_chi2
-    if nothing_promising or any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True)):
+    at_limit = any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True))
+    if judge.may_be_local_minimum(current.error, criteria, any_trial=bool(trials), parameter_at_limit=at_limit):
         trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
     return trials
 
@@ -86,10 +88,10 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
         # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
         fitted = [t.machine.effects[-1].label for t in trials]
         elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
-        if elsewhere or scored.gain > criteria.rival_promise * best_promise:
+        if elsewhere or judge.may_be_rival(scored.gain, best_promise, criteria):
             spend(f"trial fit {i + 1} of {len(promising)}: {scored.candidate.label}")
             trials = _with_better_shape(trials, fit_with_candidate(start, scored, scales, data))
-            if not explaining and unexplained_fraction(current, trials, criteria) < criteria.rival_remainder:
+            if not explaining and judge.explains_alone(current.error, best_error(trials), criteria):
                 best_promise, explaining = scored.gain, scored.candidate.effect.name
     return trials
 
@@ -125,8 +127,7 @@ def structural_trial_fits(
     """
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
-    # Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
-    least = max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
+    least = judge.least_structural_promise(useful, enough, criteria)
     fits: list[Fit] = []
     spend("screening the effects that replace a part of the model")
     promising = screen_structures(current, data, scales, least)
@@ -136,23 +137,9 @@ def structural_trial_fits(
     return fits
 
 
-def unexplained_fraction(current: Fit, trials: list[Fit], criteria: SelectionCriteria) -> float:
-    """Return which fraction of the present fit's error beyond the noise the best trial fit leaves.
-
-    The error beyond the noise is chi-squared per sample (mean squared error / noise variance) minus its value for a
-    correct model: 1, or `criteria.one_step_floor` (1.1) at the observer bandwidth of 60 rad/s.
-
-    Args:
-        current: Fit without candidates.
-        trials: Fits with one candidate effect each, at the same observer bandwidth.
-        criteria: Decision thresholds.
-
-    Returns:
-        Fraction, dimensionless, at most 1; 1 without trials, negative if a trial leaves less than a correct model.
-    """
-    floor = noise_floor(current.bandwidth, criteria)
-    smallest = min((t.chi2 for t in trials), default=current.chi2)
-    return min(1.0, (smallest - floor) / max(current.chi2 - floor, 1e-9))
+def best_error(trials: list[Fit]) -> FitError | None:
+    """Return the smallest error of some trials, None without trials."""
+    return min(trials, key=lambda trial: trial.cost).error if trials else None
 
 
 def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
@@ -216,7 +203,7 @@ def replacement_fit(
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
-    if best is None or best.gain < criteria.linear_gain_ratio * (reduced.cost - current.cost):
+    if best is None or not judge.may_replace(best.gain, reduced.cost - current.cost, criteria):
         return None
     share_kernel(reduced.machine, [best.candidate.applied(best.amounts)])
     return converge(fit_with_candidate(reduced, best, scales, data), data, thorough=False)
@@ -256,9 +243,7 @@ def _promising(
     Candidates with clearly less force than what remains unexplained are left out before anything is fitted.
     """
     best: dict[str, list[ScoredCandidate]] = {}
-    least = criteria.linear_gain_ratio * enough * data.count
-    if ranked:
-        least = max(least, criteria.min_promise * ranked[0].gain)
+    least = judge.least_promise(enough, data.count, ranked[0].gain if ranked else 0.0, criteria)
     residue = residue_force(current, data)
     for scored in ranked:
         shapes = best.get(scored.candidate.label, [])
@@ -268,7 +253,7 @@ def _promising(
             continue
         remaining = residue * np.sqrt(max(1.0 - scored.gain / current.cost, 0.0))
         size = effect_force(current.machine, scored.candidate.applied(scored.amounts), data)
-        if size >= criteria.min_promised_force_ratio * remaining:
+        if judge.promises_enough_force(size, float(remaining), criteria):
             best[scored.candidate.label] = [*shapes, scored]
     return sorted(itertools.chain(*best.values()), key=lambda scored: -scored.gain)
 

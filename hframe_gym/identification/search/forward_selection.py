@@ -20,17 +20,21 @@ from ..evidence.rivals import close_rivals, compare_rivals, rivals_in_combinatio
 from ..evidence.significance import doubt_about_candidate, doubt_beside_others, long_run_variance
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
 from ..fit.estimation import Fit, describe_gain
-from ..fit.model_error import continue_fit, fit_with_model_error, likelihood_deficit, minimum_gain, narrower_observer
+from ..fit.model_error import continue_fit, fit_with_model_error, likelihood_deficit, narrower_observer
 from ..fit.start_estimation import with_probable_starts
+from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
-from ..predict.prediction import SIMULATION, noise_floor
+from ..judge.error import is_enough, nearly_explains, only_noise_is_left, required_gain
+from ..judge.rival import largest_resembling_loss
+from ..judge.trial import StructureEvidence
+from ..predict.prediction import SIMULATION
 from ..propose.trial_fits import (
+    best_error,
     converge,
     indistinguishable,
     replacement_fit,
     structural_trial_fits,
     trial_fits,
-    unexplained_fraction,
     without_effect,
 )
 
@@ -90,7 +94,7 @@ class EffectSearch:
         """
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
-        while len(selected) < criteria.max_effects and current.chi2 > criteria.noise_level:
+        while judge.search_goes_on(current.error, len(selected), criteria):
             self.reached = current, selected
             found = self._next_effect(current)
             extended = self._next_pair(current, selected) if found is None else self._extended(selected, *found)
@@ -98,8 +102,8 @@ class EffectSearch:
                 break
             best, selected = extended
             current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
-            if current.bandwidth != SIMULATION and current.chi2 < criteria.explained_chi2:
-                likely, others = self.settle_rivals(current, selected)  # perhaps nothing is wrong but one of them
+            if judge.is_worth_comparing_rivals(current.error, criteria):
+                likely, others = self.settle_rivals(current, selected)
                 if likely is not current:
                     current, selected = fit_with_model_error(likely, self.data), others
             current, self.data = with_probable_starts(current, self.data, criteria)
@@ -110,7 +114,7 @@ class EffectSearch:
 
     def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
         """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
-        gain, rivals = without.cost - trials[0].cost, close_rivals(trials, without, self.data, self._criteria)
+        gain, rivals = without.cost - trials[0].cost, close_rivals(trials, without, self._criteria)
         new = SelectedEffect(trials[0].machine.effects[-1], gain / self.data.count, without.machine, rivals)
         return trials[0], (*selected, new)
 
@@ -122,7 +126,7 @@ class EffectSearch:
         such pair, or if the error is so small that it may be that of a residue without a name.
         """
         data, criteria, doubted = self.data, self._criteria, self._doubted
-        if doubted is None or current.chi2 < criteria.explained_chi2 or len(selected) + 2 > criteria.max_effects:
+        if doubted is None or not judge.is_worth_pairs(current.error, len(selected), criteria):
             return None
         trial, extended = self._extended(selected, *doubted[1])
         label = extended[-1].effect.label
@@ -146,19 +150,19 @@ class EffectSearch:
         ones are tried with which the model nearly explains the data; the effect must then explain what is left.
         """
         self._doubted, criteria = None, self._criteria
-        found = self._passing(current, minimum_gain(current, criteria), structures=True)
+        found = self._passing(current, required_gain(current.error, criteria), structures=True)
         if found is not None or current.bandwidth == SIMULATION:
             return found
         narrower = narrower_observer(current, self.data)
-        enough = minimum_gain(current, criteria) + likelihood_deficit(narrower, current, self.data)
+        enough = required_gain(current.error, criteria) + likelihood_deficit(narrower, current, self.data)
         found = self._passing(narrower, enough)
         if found is not None:
             return found
         simulated = continue_fit(current, self.data, SIMULATION)
-        while narrower.bandwidth != SIMULATION and narrower.chi2 < criteria.explained_chi2 <= simulated.chi2:
-            found = self._passing(narrower, minimum_gain(narrower, criteria))
+        while judge.is_worth_narrower_observer(narrower.error, simulated.error, criteria):
+            found = self._passing(narrower, required_gain(narrower.error, criteria))
             trials = [continue_fit(found[1][0], self.data, SIMULATION)] if found else []
-            if unexplained_fraction(simulated, trials, criteria) < criteria.rival_remainder:
+            if judge.explains_alone(simulated.error, best_error(trials), criteria):
                 return found
             narrower = narrower_observer(narrower, self.data)
         return None
@@ -170,7 +174,7 @@ class EffectSearch:
         structures = structures and self._worth_structures(current, trials)
         if structures:
             trials += structural_trial_fits(current, trials, data, enough, criteria)
-        trials = simplest_first(trials, current, data, criteria)
+        trials = simplest_first(trials, current, criteria)
         best = self._best(current, trials, enough)
         if best is None:
             if structures:
@@ -179,20 +183,11 @@ class EffectSearch:
         return current, selected_first(best, trials)
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
-        """Return whether to try effects that replace a part of the model as well: the trials leave much of the error.
-
-        After a trial in vain, they are tried again only once the error has become clearly smaller. They are also tried
-        if the best trial adds a force with memory, because dry friction with a memory, which replaces it, is similar.
-        """
-        criteria, floor = self._criteria, noise_floor(current.bandwidth, self._criteria)
-        left = unexplained_fraction(current, trials, criteria)
-        bandwidth, failed_excess = self._structures_failed
-        if current.bandwidth == bandwidth and current.chi2 - 1.0 > criteria.structural_retry * failed_excess:
-            return False
+        """Return whether to try effects that replace a part of the model as well (`judge.is_worth_structures`)."""
         best = min(trials, key=lambda trial: trial.cost).machine.effects[-1].definition if trials else None
-        if best and best.force and best.next_state:
-            return True
-        return left > criteria.structural_remainder and current.chi2 - floor > criteria.min_structural_excess
+        remembers = best is not None and best.force is not None and best.next_state is not None
+        evidence = StructureEvidence(current.error, best_error(trials), remembers, *self._structures_failed)
+        return judge.is_worth_structures(evidence, self._criteria)
 
     def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Replace earlier effects by others that explain the data better beside the later ones (recursively).
@@ -200,15 +195,15 @@ class EffectSearch:
         The first effects are selected while others are still missing, and may represent a mixture of causes.
         """
         data, criteria = self.data, self._criteria
-        if current.chi2 <= criteria.noise_level:
+        if only_noise_is_left(current.error, criteria):
             return current, selected
         for old in selected[:-1]:  # the last one has just won against all others
             reduced = without_effect(current, old.effect.label, data, self._plain, thorough=False)
             better = reduced and replacement_fit(current, reduced, old.effect.label, data, criteria)
             if reduced is None or better is None:
                 continue
-            gain = (current.cost - better.cost) / data.count
-            if gain < minimum_gain(current, criteria) or doubt_about_candidate(reduced, better, data, criteria):
+            enough = is_enough(current.error, better.error, required_gain(current.error, criteria))
+            if not enough or doubt_about_candidate(reduced, better, data, criteria):
                 continue
             effect = better.machine.effects[-1]
             self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
@@ -221,12 +216,12 @@ class EffectSearch:
     def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
         """Return the converged fit of the first trial that passes all tests, None if there is none."""
         for trial in trials:
-            if (current.cost - trial.cost) / self.data.count < self._criteria.min_trial_gain * enough:
+            if not judge.is_worth_convergence(current.error, trial.error, enough, self._criteria):
                 return None
-            fitted = converge(trial, self.data, thorough=current.chi2 > self._criteria.explained_chi2)
+            fitted = converge(trial, self.data, thorough=not nearly_explains(current.error, self._criteria))
             effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self.data.count
             self._log(f"  {effect.label} {describe_gain(current, fitted)}")
-            if gain < enough:
+            if not is_enough(current.error, fitted.error, enough):
                 self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
                 continue
             doubt = doubt_about_candidate(current, fitted, self.data, self._criteria)
@@ -256,7 +251,7 @@ class EffectSearch:
         extended = []
         for s in selected:
             known = {s.effect.label, *(e.label for e in (*current.machine.effects, *s.rival_effects))}
-            loss = 2.0 * self._criteria.min_chance_gain * long_run_variance(current, s.effect.label, self.data)
+            loss = largest_resembling_loss(long_run_variance(current, s.effect.label, self.data), self._criteria)
             found = indistinguishable(current, s.effect, loss, self.data) if math.isfinite(loss) else []
             further = tuple(effect for effect in found if effect.label not in known)
             if further:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from ...machine import Effect
 from ...preparation.dataset import Dataset
-from ..evidence.held_out import NO_GAIN, held_out_gain, is_excited
+from ..evidence.held_out import held_out_gain, is_excited
 from ..evidence.machine_validation import validation_fault
 from ..evidence.rivals import close_rivals, simplest_first
 from ..evidence.significance import long_run_variance
@@ -24,6 +24,8 @@ from ..fit.model_error import continue_fit, leave_one_out_gain, likelihood_loss,
 from ..fit.residual import missing_force
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import TimingEvidence, doubt_about_timing, removed_fraction
+from ..judge.held_out import is_denied
 from ..predict.prediction import LONGEST_OBSERVER_PERIOD, SEARCH_BANDWIDTH
 from ..propose.candidates import candidates
 from ..propose.screening import screen
@@ -71,22 +73,29 @@ def with_input_timing(
     if not likelihood_loss(current, data) < likelihood_loss(after, data):
         return outcome
     log("searching for a delay or lag of the drives")
-    case = (current, data, criteria)
-    trials = simplest_first(list(_trials(current, data)), *case)
+    trials = simplest_first(list(_trials(current, data)), current, criteria)
     if not trials:
         return outcome
     best = converge(trials[0], data, thorough=False)
     effect = best.machine.effects[-1]
     extended = polish(continue_fit(best, data, after.bandwidth), data)
     gain = (after.cost - extended.cost) / data.count
-    added = SelectedEffect(extended.machine.effects[-1], gain, after.machine, close_rivals([best, *trials[1:]], *case))
-    doubt = _doubt((after, extended), (current, best), data, criteria)
-    doubt = doubt or _denied(added, extended, refine_dataset(validation, extended.machine, data))
+    rivals = close_rivals([best, *trials[1:]], current, criteria)
+    added = SelectedEffect(extended.machine.effects[-1], gain, after.machine, rivals)
+    evidence = TimingEvidence(
+        search=(after.cost, extended.cost),
+        wide=(current.cost, best.cost),
+        variance=lambda: long_run_variance(best, effect.label, data),
+        confirmed=lambda: leave_one_out_gain(current, best, data),
+        fault=lambda: validation_fault(best.machine),
+        held_out_denies=lambda: _denied(added, extended, refine_dataset(validation, extended.machine, data)),
+    )
+    doubt = doubt_about_timing(evidence, criteria)
     if doubt:
         log(f"  {effect.label} is not selected: it {doubt}")
         entry = ConsideredEffect(added.effect, extended.machine, after.machine, doubt)
         return outcome._replace(considered=(*outcome.considered, entry))
-    percent = 100 * _removed_fraction(current, best)
+    percent = 100 * removed_fraction(current.cost, best.cost)
     log(f"  {effect.label} removes {percent:.2g} % of the error (observer of {wide:.0f} rad/s)")
     chosen = tuple(s.with_values(extended.machine) for s in (*selected, added))
     return outcome._replace(after=extended, selected=chosen)
@@ -108,32 +117,10 @@ def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:
             yield fit_with_candidate(current, scored, scales, data)
 
 
-def _removed_fraction(without: Fit, with_effect: Fit) -> float:
-    """Return the fraction of the cost that an effect removes."""
-    return 1.0 - with_effect.cost / without.cost
-
-
-def _doubt(search: tuple[Fit, Fit], wide: tuple[Fit, Fit], data: Dataset, criteria: SelectionCriteria) -> str:
-    """Return a reason against an effect, a clause that follows "it ", or "" if it passes all tests.
-
-    Args:
-        search: Fits without and with the effect, at the observer bandwidth of the search.
-        wide: The same at the bandwidth that judges.
-        data: Runs that were fitted.
-        criteria: Decision thresholds.
-    """
-    gain = wide[0].cost - wide[1].cost
-    if _removed_fraction(*wide) <= max(_removed_fraction(*search), 0.0):
-        return "explains a slow error, not a fast one"
-    if gain < criteria.min_chance_gain * long_run_variance(wide[1], wide[1].machine.effects[-1].label, data):
-        return "reduces the error by no more than chance may, since the remaining error is correlated in time"
-    if leave_one_out_gain(*wide, data) < criteria.min_confirmed_fraction * gain:
-        return "is not confirmed by runs that it was not fitted to"
-    return validation_fault(wide[1].machine)
-
-
-def _denied(added: SelectedEffect, extended: Fit, validation: Dataset) -> str:
-    """Return that the held-out runs excite an effect and deny it, "" if they do not."""
+def _denied(added: SelectedEffect, extended: Fit, validation: Dataset) -> bool:
+    """Return whether the held-out runs excite an effect and deny it."""
+    if not validation.runs:
+        return False
     of_effect = (added, extended.machine, validation, extended.bandwidth)
-    denied = validation.runs and is_excited(*of_effect) and held_out_gain(*of_effect) <= 0.0
-    return NO_GAIN if denied else ""
+    excited = is_excited(*of_effect)
+    return is_denied(excited, held_out_gain(*of_effect) if excited else 0.0)

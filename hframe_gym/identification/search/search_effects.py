@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -14,12 +13,9 @@ from ..budget import Budget, BudgetEndedError, note_error, spend
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.model_error import (
-    CONTRADICTION,
     continue_fit,
     contradicting_run,
-    explains,
     fit_with_model_error,
-    minimum_gain,
     polish,
     refined_in_simulation,
 )
@@ -27,14 +23,15 @@ from ..fit.run_differences import RunDifferences, find_run_differences
 from ..fit.run_observers import fit_run_by_run
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
-from ..judge.verdict import Verdict
+from ..judge.error import explains, required_gain
+from ..judge.run import differs_in_a_parameter, uses_all_runs
+from ..judge.table import TableEvidence, accepts_table
+from ..judge.verdict import DriftEvidence, PartialEvidence, Verdict, imitates_drift, verdict_of_effects, verdict_of_rest
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from ..propose.trial_fits import converge
 from .forward_selection import EffectSearch
 from .tables import add_tables, fit_with_moved_knots
-
-_AS_GOOD = 1.2  # ratio of chi-squared per sample of two explanations that are equally good
 
 
 class SearchOutcome(NamedTuple):
@@ -146,13 +143,13 @@ def _search_with_suspect(
         return in_all_runs()
     log(f"searching for effects without {suspect}")
     extended = _fitted_to_all(others.selection, data)
-    if extended[1] and explains(extended[0], others.base.chi2, criteria):
+    if extended[1] and _explains_all(extended[0], others, criteria):
         return all_runs.run(extended)
     outcome = others.run()
     if not outcome.explained:
         log(f"no effects explain the others without {suspect}; searching in all runs")
         complete = in_all_runs()
-        if complete.explained or _wide_chi2(complete) < CONTRADICTION * _wide_chi2(outcome):
+        if uses_all_runs(_wide_chi2(outcome), complete.explained, lambda: _wide_chi2(complete)):
             return complete
         return without_suspect(outcome)
     if _differs_in_a_parameter(suspect, outcome, data, criteria):
@@ -161,7 +158,7 @@ def _search_with_suspect(
     one_more = dataclasses.replace(criteria, max_effects=len(outcome.selected) + 1)
     search = EffectSearch(data, all_runs.before.machine, one_more, log)
     extended = search.run(*_fitted_to_all((outcome.after, outcome.selected), data))
-    if explains(extended[0], others.base.chi2, criteria):
+    if _explains_all(extended[0], others, criteria):
         log(f"{suspect} is used")
         return all_runs.run(extended)
     return without_suspect(outcome)
@@ -174,12 +171,17 @@ def _fitted_to_all(selection: Selection, data: Dataset) -> Selection:
     return polish(fit_with_model_error(wide, data), data), effects
 
 
+def _explains_all(fitted: Fit, others: _Search, criteria: SelectionCriteria) -> bool:
+    """Return whether a machine with effects explains all runs, measured by the error of the others without effects."""
+    return explains(fitted.error, others.base.chi2, criteria, without_effects=False)
+
+
 def _differs_in_a_parameter(suspect: str, outcome: SearchOutcome, data: Dataset, criteria: SelectionCriteria) -> bool:
     """Return whether a run is explained as well as the others by another value of one parameter in this run alone."""
     difference = find_run_differences(outcome.after, data, criteria)
-    if difference is None or difference.different_run != suspect:
+    if difference is None:
         return False
-    return difference.chi2 < _AS_GOOD * _wide_chi2(outcome)
+    return differs_in_a_parameter(suspect, difference.different_run, difference.chi2, _wide_chi2(outcome))
 
 
 def _wide_chi2(outcome: SearchOutcome) -> float:
@@ -256,22 +258,30 @@ class _Search:
         self, after: Fit, effects: tuple[SelectedEffect, ...], considered: tuple[ConsideredEffect, ...]
     ) -> SearchOutcome | None:
         """Return the outcome if a table cannot change it: effects explain the data, or only imitate a drift."""
-        if drift := self._imitated_drift(after):
-            reason = f"explains the runs less well than another value of {drift} in each run"
-            return self._outcome("unexplained", self.before, (), considered + self._removed(after, effects, reason))
-        if self._explains(after):
-            verdict: Verdict = "effect_found" if effects else "no_effect"
-            return self._outcome(verdict, after if effects else self.before, effects, considered)
-        return None
+        decision = verdict_of_effects(bool(effects), self._imitated_drift(after), lambda: self._explains(after))
+        return decision and self._decide(decision, after, effects, considered)
 
     def _partial(
         self, after: Fit, effects: tuple[SelectedEffect, ...], considered: tuple[ConsideredEffect, ...]
     ) -> SearchOutcome:
         """Return the outcome where an error remains that neither effects nor a table describe."""
-        if effects and not self.runs_differ and self._reduces_error(after):
-            return self._outcome("effect_found", after, effects, considered)
-        considered += self._removed(after, effects, "leaves most of the error, also together with the other effects")
-        return self._outcome("unexplained", self.before, (), considered)
+        decision = verdict_of_rest(
+            bool(effects), lambda: self.runs_differ, lambda: self._partial_evidence(after), self._criteria
+        )
+        return self._decide(decision, after, effects, considered)
+
+    def _decide(
+        self,
+        decision: tuple[Verdict, str],
+        after: Fit,
+        effects: tuple[SelectedEffect, ...],
+        considered: tuple[ConsideredEffect, ...],
+    ) -> SearchOutcome:
+        """Return the outcome of a decision: a verdict, and why effects are removed."""
+        verdict, reason = decision
+        if reason:
+            considered, effects = considered + self._removed(after, effects, reason), ()
+        return self._outcome(verdict, after if effects else self.before, effects, considered)
 
     def _removed(self, after: Fit, effects: tuple[SelectedEffect, ...], reason: str) -> tuple[ConsideredEffect, ...]:
         """Log that effects are removed, and return them as considered; the reason is a clause that follows "it "."""
@@ -280,16 +290,16 @@ class _Search:
         return tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
 
     def _imitated_drift(self, after: Fit) -> str:
-        """Return the name of the parameter that differs from run to run, if effects over time only imitate this; or "".
-
-        They do if they leave an error in simulation, which an observer hides, and another value in each run is better.
-        """
+        """Return the name of the parameter that differs from run to run, if effects only imitate it; otherwise ""."""
         hooks = [getattr(e.definition, name) for e in after.machine.effects for name in HOOKS]
-        if not any(hook and "t" in argument_names(hook) for hook in hooks) or self._explains(self._refined(after)):
-            return ""
-        wide = dataclasses.replace(after, bandwidth=SEARCH_BANDWIDTH, cost=self._wide_cost(after))
-        better = self._difference and self._difference.chi2 < wide.chi2 - minimum_gain(wide, self._criteria)
-        return self._difference.quantity.name if self._difference and better else ""
+        evidence = DriftEvidence(
+            depends_on_time=any(hook and "t" in argument_names(hook) for hook in hooks),
+            explained=lambda: self._explains(self._refined(after)),
+            wide=lambda: dataclasses.replace(after, bandwidth=SEARCH_BANDWIDTH, cost=self._wide_cost(after)).error,
+            by_run=lambda: self._difference.chi2 if self._difference else None,
+        )
+        imitated = imitates_drift(evidence, self._criteria)
+        return self._difference.quantity.name if imitated and self._difference else ""
 
     @cached_property
     def _difference(self) -> RunDifferences | None:
@@ -359,7 +369,7 @@ class _Search:
             found_at, search = current, self._new_search(search.with_data(refined))
             search.reached = current, effects
             current = fit_with_model_error(polish(current, refined), refined)
-            lower = current.chi2 < found_at.chi2 - minimum_gain(found_at, criteria)
+            lower = current.chi2 < found_at.chi2 - required_gain(found_at.error, criteria)
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)
         if effects or self._explains(current):  # starts that a wrong machine estimates compensate what it lacks
@@ -395,11 +405,9 @@ class _Search:
                 # No search beside a table: many small effects resemble the error of its straight pieces.
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
-                limit = criteria.max_table_cost_fraction * min(self.base.cost, wide.cost)
-                if start is self.base and len(effects) > 1:  # several effects may only imitate one unknown curve
-                    ratio = criteria.max_table_cost_of_several_effects
-                    limit = min(criteria.max_table_cost_fraction * self.base.cost, ratio * wide.cost)
-                if kept and (self._explains(candidate) or self._wide_cost(candidate) < limit):
+                replaced = len(effects) if start is self.base else 0
+                errors = self._wide_cost(candidate), self.base.cost, wide.cost
+                if kept and accepts_table(TableEvidence(self._explains(candidate), *errors, replaced), criteria):
                     return candidate, kept
         return None
 
@@ -407,28 +415,19 @@ class _Search:
         """Return the cost of a machine at the largest observer bandwidth, common to all machines."""
         return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
 
-    def _reduces_error(self, after: Fit) -> bool:
-        """Return whether effects remove most of the error that goes beyond the noise, although they leave some.
+    def _partial_evidence(self, after: Fit) -> PartialEvidence:
+        """Return the errors of a machine with effects and of the refitted machine, per sample."""
+        count = self._data.count
 
-        Compared are chi-squared with the widest observer, which hides slow errors, and the error of the simulation.
-        """
-        limit, data = self._criteria.max_partial_excess, self._data
-        wide, wide_before = (
-            max(self._wide_cost(fitted) / data.count - self._criteria.one_step_floor, 0.0)
-            for fitted in (after, self.base)
+        def simulated(fitted: Fit) -> float:
+            return prediction_cost(self._refined(fitted).machine, self._data, SIMULATION) / count
+
+        return PartialEvidence(
+            wide=(self._wide_cost(after) / count, self._wide_cost(self.base) / count),
+            simulated=(simulated(after), simulated(self.before)),
         )
-        error, error_before = (
-            math.sqrt(max(prediction_cost(fitted.machine, data, SIMULATION) / data.count - 1.0, 0.0))
-            for fitted in (self._refined(after), self._refined(self.before))
-        )
-        return wide < limit * wide_before or error < limit * error_before
 
     def _explains(self, after: Fit) -> bool:
-        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual.
-
-        A machine without effects that needs a wide observer explains nothing, although the observer leaves no error.
-        """
-        corrected = after.bandwidth > self._criteria.max_residue_bandwidth
-        if corrected and after.machine.effects == self.before.machine.effects:
-            return False
-        return explains(after, self.base.chi2, self._criteria)
+        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
+        bare = after.machine.effects == self.before.machine.effects
+        return explains(after.error, self.base.chi2, self._criteria, without_effects=bare)

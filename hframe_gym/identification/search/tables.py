@@ -22,9 +22,11 @@ from ..budget import spend
 from ..evidence.tried_effects import Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, describe_gain
 from ..fit.force_sizes import TypicalScales, typical_scales
-from ..fit.model_error import continue_fit, left_out_costs, minimum_gain
+from ..fit.model_error import continue_fit, left_out_costs
 from ..fit.residual import HIGHEST_FREQUENCY, missing_force
+from ..judge import table as judge
 from ..judge.criteria import SelectionCriteria
+from ..judge.error import is_enough
 from ..predict.free_parameters import prior_precision
 from ..predict.prediction import SEARCH_BANDWIDTH, map_runs, predict
 from ..propose.candidates import Candidate
@@ -215,19 +217,18 @@ def add_tables(
         proposals = table_candidates(current.machine, data, scales, criteria)
         spend(f"screening {len(proposals)} tables of force and friction")
         ranked = screen(current, proposals, data)
-        excess = current.chi2 - criteria.one_step_floor
-        min_gain = max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
+        min_gain = judge.required_table_gain(current.error, criteria)
         proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)
         trials = (fit_with_candidate(current, s, scales, data) for s in proposed)
-        limit = criteria.max_table_cross_validation
-        trial = next((t for t in trials if _left_out_ratio(t, current, data, criteria) < limit), None)
+        confirmed = (t for t in trials if judge.confirms_table(_left_out_ratio(t, current, data, criteria), criteria))
+        trial = next(confirmed, None)
         if trial is None:
             break
         converged = fit_with_moved_knots(trial, data, criteria)
         effect = converged.machine.effects[-1]
         gain = (current.cost - converged.cost) / data.count
         log(f"  {effect.label} {describe_gain(current, converged)}")
-        if gain < min_gain:
+        if not is_enough(current.error, converged.error, min_gain):
             break
         selected = (*selected, SelectedEffect(effect, gain, current.machine))
         current = converged
@@ -255,10 +256,9 @@ def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria
     for label in [e.label for e in fitted.machine.effects if e.definition.family == TABLE_FAMILY]:
         for _ in range(_KNOT_MOVES):
             moved = continue_fit(_knots_moved(fitted, label), data, fitted.bandwidth)
-            # The error at the ends, where few runs come, may change by cross-validation alone.
-            if fitted.cost - moved.cost < minimum_gain(fitted, criteria) * data.count:
+            if not judge.moves_knots(fitted.error, moved.error, criteria):
                 break
-            if not _left_out_ratio(moved, fitted, data, criteria) < 1.0:
+            if not judge.confirms_knots(_left_out_ratio(moved, fitted, data, criteria)):
                 break
             fitted = moved
     return fitted

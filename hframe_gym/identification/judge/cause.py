@@ -1,0 +1,73 @@
+"""Judge causes: variables on which a missing force depends, found without the form of any effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+# Fraction of the missing force beyond noise from which a variable is a cause; chance explains less (synthetic rigs).
+MINIMUM_DEPENDENCE = 0.05
+# Relative error of the variance that noise is expected to cause; less beyond noise is uncertain.
+NOISE_ERROR = 0.5
+# A special variable comes before a plain one if it explains clearly more: the age of a contact follows from its speed.
+SPECIAL_PREFERENCE = 0.95
+
+
+def beyond_noise(total: float, by_noise: float) -> float:
+    """Return the part of a sum of squares that is certainly not noise, dimensionless.
+
+    Args:
+        total: Sum of squares, dimensionless.
+        by_noise: What noise is expected to contribute, dimensionless.
+    """
+    return max(total - by_noise, NOISE_ERROR * by_noise)
+
+
+@dataclass(frozen=True)
+class CauseEvidence:
+    """What a variable explains of a missing force.
+
+    Attributes:
+        explained: Sum of squares that it explains in pieces to which its curve was not fitted.
+        certain: The same minus its standard error.
+        fraction: Fraction beyond noise that it explains of all pieces.
+        beyond_noise: Sum of squares beyond noise.
+        plain: Whether the variable is a position, a velocity or a current.
+    """
+
+    explained: float
+    certain: float
+    fraction: float
+    beyond_noise: float
+    plain: bool
+
+
+def is_cause(evidence: CauseEvidence) -> bool:
+    """Return whether a variable explains a part of the missing force that chance does not."""
+    explained = min(evidence.explained / evidence.beyond_noise, evidence.fraction)
+    return evidence.certain > 0.0 and explained > MINIMUM_DEPENDENCE
+
+
+def rank_of_cause(evidence: CauseEvidence, total: float) -> float:
+    """Return by what causes are sorted: the fraction that they explain for certain, plain variables preferred.
+
+    Args:
+        evidence: What the variable explains.
+        total: Sum of squares, noise included, dimensionless.
+    """
+    return (1.0 if evidence.plain else SPECIAL_PREFERENCE) * evidence.certain / total
+
+
+def names_causes(matches: Sequence[Sequence[bool]]) -> bool:
+    """Return whether effects are the causes of a missing force.
+
+    Args:
+        matches: For each effect, whether it acts on the component and depends on the variable of each cause, the
+            strongest cause first.
+
+    Returns:
+        True if the strongest cause is that of an effect, and each effect has a cause.
+    """
+    if not matches or not matches[0]:
+        return False
+    return any(of_effect[0] for of_effect in matches) and all(any(of_effect) for of_effect in matches)

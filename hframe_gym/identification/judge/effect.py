@@ -1,0 +1,332 @@
+"""Judge an effect: whether it exists, given that it reduces the error of the fitted runs.
+
+The best of some hundred candidates reduces any error somewhat. An effect is therefore doubted unless other runs confirm
+it, the machine with it stays physical, chance does not explain the reduction, its force exceeds the one that remains
+unexplained, and it is no correction to the formula of another effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from .criteria import SelectionCriteria
+from .error import FitError, Measured, is_enough, nearly_explains, noise_floor, required_gain
+
+# Probability with which one false effect exceeds the long-run variance's factor; among a hundred candidates 1 %.
+CHANCE = 1e-4
+# Relative distance from the limit of a parameter's range within which a value is at the limit; fits end there within
+# rounding errors, or within the tolerance of a logarithmic parameter.
+AT_LIMIT = 0.01
+# An error in an effect's form is not removed by another form to less than a fiftieth of the error beyond the noise
+# (Stribeck friction of a wrong exponent beside drag, synthetic rigs).
+CORRECTION_REMAINDER = 0.02
+# Chi-squared per sample from which enough error is visible to tell a correction of a form from an effect.
+CLEAR_ERROR = 5.0
+# Top speed under rated voltage with / without the effects. Even absent friction does not double it.
+LARGEST_SPEED_RATIO = 5.0
+
+BY_CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
+NO_GAIN = "does not reduce the error of the held-out runs"
+
+
+@dataclass(frozen=True)
+class Chance:
+    """A reduction of the cost, and how much the correlation of the residual in time raises what chance reaches.
+
+    Attributes:
+        gain: Reduction of the cost by the effect.
+        variance: Long-run variance of the residual in the effect's direction / variance of white noise.
+    """
+
+    gain: float
+    variance: float
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Root mean square forces, N.
+
+    Attributes:
+        effect: Force of the effect; of one that adds coordinates, what it takes from the unexplained force.
+        residue: Force that remains unexplained beside it.
+    """
+
+    effect: float
+    residue: float
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What an effect adds to the force of another effect that depends on the same variable.
+
+    Attributes:
+        label: Label of the other effect.
+        fraction: Added force / force of the other effect, dimensionless.
+    """
+
+    label: str
+    fraction: float
+
+
+@dataclass(frozen=True)
+class ParameterValue:
+    """A fitted parameter of an effect with the limits of its range, in the parameter's unit.
+
+    Attributes:
+        name: Name of the parameter.
+        unit: Its unit.
+        value: Fitted value.
+        limits: Limits that are no meaningful values themselves, such as 0 or a starting value.
+        covered: Range that the motion of the runs covers, for a width or a rate that it limits; otherwise None.
+        covered_below: Whether also the lower end of this range is a limit of what the runs show.
+    """
+
+    name: str
+    unit: str
+    value: float
+    limits: tuple[float, ...] = ()
+    covered: tuple[float, float] | None = None
+    covered_below: bool = False
+
+
+@dataclass(frozen=True)
+class MachineBehavior:
+    """How a machine with effects behaves outside the recordings.
+
+    Attributes:
+        tension_rises: Whether the tension of no belt falls with its extension, as far as the rated voltage reaches.
+        top_speeds: Function that returns the top speed under random rated voltage with the effects, infinite if the
+            machine diverges, and without them, m/s.
+    """
+
+    tension_rises: bool
+    top_speeds: Callable[[], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class EffectEvidence:
+    """What the fitted runs say about one effect.
+
+    Attributes:
+        without: Error without the effect.
+        with_effect: Error with it.
+        structural: Whether it adds coordinates; it then has no force at those of the machine.
+        confirmed: Reduction of the cost in runs to which the effect was not fitted.
+        fault: Why the machine with the effect is not physical, as `fault_of_machine` says.
+        chance: Reduction and long-run variance at the observer of both fits.
+        chance_narrower: The same at the next narrower observer; None for a simulation.
+        forces: Forces of the effect and of the residue, at the observer of the fits.
+        forces_accurate: The same at the most likely observer.
+        drives: Force of the drives, N.
+        additions: What the effect adds to each effect of another family that depends on the same variable.
+        parameters: Its fitted parameters.
+    """
+
+    without: FitError
+    with_effect: FitError
+    structural: bool
+    confirmed: Measured
+    fault: Callable[[], str]
+    chance: Callable[[], Chance]
+    chance_narrower: Callable[[], Chance] | None
+    forces: Callable[[], Forces]
+    forces_accurate: Callable[[], Forces]
+    drives: Measured
+    additions: Callable[[], Iterable[Addition]]
+    parameters: Sequence[ParameterValue] = ()
+
+    @property
+    def gain(self) -> float:
+        """Reduction of the cost by the effect, dimensionless."""
+        return self.without.cost - self.with_effect.cost
+
+
+def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return why an effect that the search just added may not exist; "" if nothing speaks against it.
+
+    Two of the five tests need a machine that nearly explains the data without the effect: while other effects are
+    missing, a fit without one run says little about the machine, and what they leave is correlated in time.
+    `doubt_beside_others` repeats these tests.
+
+    Args:
+        evidence: What the fitted runs say.
+        criteria: Decision thresholds.
+    """
+    return _doubt(evidence, criteria, statistical=nearly_explains(evidence.without, criteria))
+
+
+def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return why an effect may not exist beside all other effects; "" if nothing speaks against it.
+
+    It must reduce the error by enough, and pass all five tests. No parameter may end at a limit that is no meaningful
+    value: the recordings then ask for a value that the effect cannot have, and another effect imitates it.
+
+    Args:
+        evidence: What the fitted runs say.
+        criteria: Decision thresholds.
+    """
+    if not is_enough(evidence.without, evidence.with_effect, required_gain(evidence.with_effect, criteria)):
+        return "has no effect on the error"
+    return parameter_at_limit(evidence.parameters) or _doubt(evidence, criteria, statistical=True)
+
+
+def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical: bool) -> str:
+    """Return the first reason against an effect; the order is that of the costs of the evidence."""
+    return (
+        (statistical and unconfirmed(evidence.gain, evidence.confirmed(), criteria))
+        or evidence.fault()
+        or (statistical and _by_chance(evidence, criteria))
+        or _too_small(evidence, criteria)
+        or _form_error(evidence, criteria)
+    )
+
+
+def _is_confirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> bool:
+    """Return whether runs to which an effect was not fitted confirm a reduction of the cost."""
+    return confirmed >= criteria.min_confirmed_fraction * gain
+
+
+def unconfirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> str:
+    """Return that an effect describes single runs rather than the machine, "" if other runs confirm it.
+
+    Args:
+        gain: Reduction of the cost in the runs to which the effect was fitted, dimensionless.
+        confirmed: The same in runs to which it was not fitted, dimensionless.
+        criteria: Decision threshold `min_confirmed_fraction`.
+    """
+    if _is_confirmed(gain, confirmed, criteria):
+        return ""
+    there = f"{100 * confirmed / gain:.0f} % of the gain" if confirmed >= 0.0 else "their error grows with it"
+    return f"is not confirmed by runs that it was not fitted to ({there})"
+
+
+def fault_of_machine(behavior: MachineBehavior) -> str:
+    """Return why a machine is not physical outside its recordings, so that it must not be used, or "".
+
+    Args:
+        behavior: How it behaves there.
+    """
+    if not behavior.tension_rises:
+        return "lets the tension of a belt fall with its extension within the reach of the rated voltage"
+    with_effects, without = behavior.top_speeds()
+    if not (math.isfinite(with_effects) and with_effects <= LARGEST_SPEED_RATIO * without):
+        return "makes the machine diverge under random rated voltage"
+    return ""
+
+
+def exceeds_chance(chance: Chance, criteria: SelectionCriteria) -> bool:
+    """Return whether a reduction of the cost is larger than the best of many false candidates reaches by chance."""
+    return chance.gain >= criteria.min_chance_gain * chance.variance
+
+
+def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot.
+
+    In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them what an
+    effect explains, whereas model error imitates an effect the less, the longer it adds up.
+    """
+    if exceeds_chance(evidence.chance(), criteria):
+        return ""
+    if evidence.chance_narrower is not None and exceeds_chance(evidence.chance_narrower(), criteria):
+        return ""
+    return BY_CHANCE
+
+
+def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return that an effect is smaller than what remains unexplained, or negligible beside the drives, else ""."""
+    forces, drives = evidence.forces(), evidence.drives()
+    if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.structural:
+        return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"
+    if criteria.min_promised_force_ratio * forces.residue <= forces.effect < criteria.min_force_ratio * forces.residue:
+        forces = evidence.forces_accurate()  # in doubt
+    if forces.effect >= criteria.min_force_ratio * forces.residue:
+        return ""
+    verb = "explains" if evidence.structural else "has"
+    return f"{verb} a force of {forces.effect:.2g} N, where {forces.residue:.2g} N remain unexplained"
+
+
+def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return that an effect may be an error in the form of one of another family, "" if nothing speaks for that."""
+    # What an inexact form leaves has no simple formula itself. An effect that removes nearly all of an error of several
+    # times the noise is therefore no correction of another effect's form.
+    floor = noise_floor(evidence.without, criteria)
+    before, after = evidence.without.chi2, evidence.with_effect.chi2
+    if before > CLEAR_ERROR and after - floor < CORRECTION_REMAINDER * (before - floor):
+        return ""
+    for addition in evidence.additions():
+        if addition.fraction < criteria.max_form_error:
+            percent = f"adds {100 * addition.fraction:.0f} % to the force of {addition.label}"
+            return f"{percent}, which depends on the same variable: the form of that effect may be in error"
+    return ""
+
+
+def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
+    """Return that a parameter of an effect ends at a limit of its range, which is no meaningful value, else "".
+
+    Args:
+        parameters: Fitted parameters of the effect.
+    """
+    for p in parameters:
+        if p.covered is not None:
+            low, high = (1.0 + AT_LIMIT) * p.covered[0], (1.0 - AT_LIMIT) * p.covered[1]
+            if p.value >= high or (p.covered_below and p.value <= low):
+                return (
+                    f"fits only with {p.name} at the limit of what the runs cover ({p.value:.3g} {p.unit}): they "
+                    "cannot tell it from a simpler cause"
+                )
+        for limit in p.limits:
+            if math.isclose(p.value, limit, rel_tol=AT_LIMIT):
+                return f"fits only with {p.name} at the limit of its range ({limit:g}): another effect may imitate it"
+    return ""
+
+
+@dataclass(frozen=True)
+class TimingEvidence:
+    """What the runs say about a delay or lag of the drives, judged by an observer that is wider than the search's.
+
+    Attributes:
+        search: Costs without and with the effect, with the observer of the search.
+        wide: The same with the wider observer.
+        variance: Long-run variance of the residual in the effect's direction, with the wider observer.
+        confirmed: Reduction of the cost in runs to which the effect was not fitted, with the wider observer.
+        fault: Why the machine with the effect is not physical.
+        held_out_denies: Function that returns whether the held-out runs excite the effect and deny it.
+    """
+
+    search: tuple[float, float]
+    wide: tuple[float, float]
+    variance: Measured
+    confirmed: Measured
+    fault: Callable[[], str]
+    held_out_denies: Callable[[], bool]
+
+
+def removed_fraction(without: float, with_effect: float) -> float:
+    """Return the fraction of a cost that an effect removes.
+
+    Args:
+        without: Cost without the effect, dimensionless.
+        with_effect: Cost with it, dimensionless.
+    """
+    return 1.0 - with_effect / without
+
+
+def doubt_about_timing(evidence: TimingEvidence, criteria: SelectionCriteria) -> str:
+    """Return why a delay or lag of the drives may not exist; "" if nothing speaks against it.
+
+    What it explains is fast. It must therefore remove a larger fraction of the error with the wider observer.
+
+    Args:
+        evidence: What the fitted and the held-out runs say.
+        criteria: Decision thresholds `min_chance_gain` and `min_confirmed_fraction`.
+    """
+    gain = evidence.wide[0] - evidence.wide[1]
+    if removed_fraction(*evidence.wide) <= max(removed_fraction(*evidence.search), 0.0):
+        return "explains a slow error, not a fast one"
+    if not exceeds_chance(Chance(gain, evidence.variance()), criteria):
+        return BY_CHANCE
+    if not _is_confirmed(gain, evidence.confirmed(), criteria):
+        return "is not confirmed by runs that it was not fitted to"
+    return evidence.fault() or (NO_GAIN if evidence.held_out_denies() else "")

@@ -1,0 +1,160 @@
+"""Judge runs: which one contradicts the others, which quantity differs between them, which observer each needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .criteria import SelectionCriteria
+from .error import FitError, Measured
+
+# Two runs may differ in almost any parameter, and two must agree with each other for another one to contradict them.
+MIN_RUNS_COMPARED = 3
+# Chi-squared per sample of a run / that of the other runs, above which it contradicts them. Effects that only single
+# runs excite reach 30; the search therefore tries to explain such a run before it is left out.
+CONTRADICTION = 10.0
+# Ratio of chi-squared per sample of two explanations that are equally good.
+AS_GOOD = 1.2
+# Gain on a held-out run below which the effects cause its error: half of the squared error or more.
+CAUSED_ERROR = -1.0
+# Range of a quantity over the runs / its mean, below which all runs need the same other value.
+EQUAL = 0.1
+# Fraction of this range below which two runs have the same value.
+SAME = 0.05
+# Ratio of mean square errors in simulation (geometric mean over the runs), with an observer for each run / with one for
+# all, from which the parameters are not accepted.
+MAX_SIMULATED_RATIO = 2.0
+
+
+def contradicting_run(ratios: Mapping[str, float]) -> str | None:
+    """Return the name of the run that contradicts the others most, None if none does.
+
+    Args:
+        ratios: By name of a run, its chi-squared per sample / that of the other runs, both for parameters that are
+            fitted to the other runs.
+    """
+    if len(ratios) < MIN_RUNS_COMPARED:
+        return None
+    worst = list(ratios)[int(np.argmax(list(ratios.values())))]
+    return worst if ratios[worst] > CONTRADICTION else None
+
+
+@dataclass(frozen=True)
+class HeldOutRun:
+    """What a run that was not fitted shows of the machine.
+
+    Attributes:
+        error: Error of the machine with the selected effects on this run.
+        fitted_chi2: Chi-squared per sample of the fitted runs, dimensionless.
+        gains: Function that returns by which fraction the effects reduce the squared error of this run: all of them,
+            with the parameters fitted beside them, then each. None without effects.
+    """
+
+    error: FitError
+    fitted_chi2: float
+    gains: Callable[[], Sequence[float]] | None
+
+
+def contradicts(run: HeldOutRun) -> bool:
+    """Return whether a held-out run contradicts the machine that explains the fitted runs.
+
+    A run whose error is caused by an effect, or by all effects together, refutes these and does not count.
+
+    Args:
+        run: What the run shows.
+    """
+    if not run.error.cost > CONTRADICTION * max(1.0, run.fitted_chi2) * run.error.count:
+        return False
+    return not (run.gains is not None and min(run.gains()) < CAUSED_ERROR)
+
+
+def uses_all_runs(chi2_without: float, complete_explained: bool, complete_chi2: Measured) -> bool:
+    """Return whether effects that were found in all runs count, where those found without a suspect explain too little.
+
+    Args:
+        chi2_without: Chi-squared per sample, dimensionless, that the search without the suspect leaves, with the widest
+            observer.
+        complete_explained: Whether the effects found in all runs explain all runs.
+        complete_chi2: Chi-squared per sample that they leave, with the widest observer.
+    """
+    return complete_explained or complete_chi2() < CONTRADICTION * chi2_without
+
+
+def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float, chi2_others: float) -> bool:
+    """Return whether another value of one parameter explains a suspect as well as the others are explained.
+
+    Args:
+        suspect: Name of the run that differs most.
+        different_run: Name of the only run that has another value; None if several do.
+        chi2: Chi-squared per sample of all runs with that value, dimensionless.
+        chi2_others: That of the other runs, dimensionless.
+    """
+    return different_run == suspect and chi2 < AS_GOOD * chi2_others
+
+
+def one_value_explains(chi2: float, variance: float, criteria: SelectionCriteria) -> bool:
+    """Return whether a machine explains all runs, with values of their own or without.
+
+    Args:
+        chi2: Chi-squared per sample with the widest observer, dimensionless.
+        variance: Variance of a correct machine's innovations with it / noise variance, dimensionless.
+        criteria: Decision threshold `explained_chi2`.
+    """
+    return chi2 < criteria.explained_chi2 * variance
+
+
+def amounts_differ(amounts: Sequence[float], shared: float) -> bool:
+    """Return whether runs differ in a quantity; otherwise all need the same other value.
+
+    Args:
+        amounts: Amount of each run minus the smallest, dimensionless.
+        shared: The smallest amount, dimensionless.
+    """
+    return bool(np.ptp(amounts) > EQUAL * abs(shared + float(np.mean(amounts))))
+
+
+def amounts_drift(amounts: Sequence[float]) -> bool:
+    """Return whether a quantity only rises or only falls in the order of the runs' times.
+
+    Args:
+        amounts: Amount of each run, dimensionless, in this order.
+    """
+    steps, tolerance = np.diff(amounts), SAME * np.ptp(amounts)
+    return bool(np.all(steps > -tolerance) or np.all(steps < tolerance))
+
+
+def different_run(amounts: Mapping[str, float]) -> str | None:
+    """Return the name of the only run whose amount of a quantity differs from the others'; None if several do.
+
+    Args:
+        amounts: Amount by name of the run, dimensionless.
+    """
+    values = np.array(list(amounts.values()))
+    for i, name in enumerate(amounts):
+        if np.ptp(np.delete(values, i)) <= SAME * np.ptp(values):
+            return name
+    return None
+
+
+def accepts_run_observers(log_ratio: float) -> bool:
+    """Return whether parameters fitted with an observer for each run are accepted: they do not simulate much worse.
+
+    Args:
+        log_ratio: Logarithm of the ratio of mean square errors in simulation, with them / with one observer for all
+            runs, mean over the runs; not finite if the simulation diverges.
+    """
+    return log_ratio < math.log(MAX_SIMULATED_RATIO)
+
+
+def exchanges_held_out(differing: int, held_out: int, fitted: int) -> bool:
+    """Return whether to search with other runs held out: every held-out run contradicts the fitted ones.
+
+    Args:
+        differing: Number of held-out runs that contradict.
+        held_out: Number of held-out runs.
+        fitted: Number of fitted runs.
+    """
+    return differing >= held_out and fitted > differing

@@ -1,0 +1,183 @@
+"""Judge trials: which candidates of the search are worth a fit, and when the search goes on.
+
+These rules save time. Where they decide wrongly, a true effect is not tried; no false one is named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .criteria import SelectionCriteria
+from .error import FitError, nearly_explains, noise_floor, only_noise_is_left, unexplained_fraction
+
+
+def least_promise(enough: float, count: float, best: float, criteria: SelectionCriteria) -> float:
+    """Return the linearized reduction of the cost, dimensionless, above which a candidate is fitted.
+
+    Args:
+        enough: Reduction of chi-squared per sample that the search requires, dimensionless.
+        count: Number of measured values, dimensionless.
+        best: Largest linearized reduction of the cost by a candidate, dimensionless; 0 without candidates.
+        criteria: Decision thresholds `linear_gain_ratio` and `min_promise`.
+    """
+    return max(criteria.linear_gain_ratio * enough * count, criteria.min_promise * best)
+
+
+def promises_enough_force(size: float, residue: float, criteria: SelectionCriteria) -> bool:
+    """Return whether a candidate may have more force than what remains unexplained beside it.
+
+    Args:
+        size: Linearized force of the candidate, N.
+        residue: Force that remains unexplained, N.
+        criteria: Decision threshold `min_promised_force_ratio`.
+    """
+    return size >= criteria.min_promised_force_ratio * residue
+
+
+def explains_alone(error: FitError, best: FitError | None, criteria: SelectionCriteria) -> bool:
+    """Return whether the best trial explains the data, so that only its possible rivals are fitted as well."""
+    return unexplained_fraction(error, best, criteria) < criteria.rival_remainder
+
+
+def may_be_rival(promise: float, explaining: float, criteria: SelectionCriteria) -> bool:
+    """Return whether a candidate may be a rival of one that explains the data.
+
+    Args:
+        promise: Its linearized reduction of the cost, dimensionless.
+        explaining: That of the candidate which explains the data, dimensionless; 0 if there is none.
+        criteria: Decision threshold `rival_promise`.
+    """
+    return promise > criteria.rival_promise * explaining
+
+
+def may_replace(promise: float, gain: float, criteria: SelectionCriteria) -> bool:
+    """Return whether another effect may explain as much as one that is removed.
+
+    Args:
+        promise: Linearized reduction of the cost by the other effect, without the removed one, dimensionless.
+        gain: Reduction of the cost by the removed effect, dimensionless.
+        criteria: Decision threshold `linear_gain_ratio`.
+    """
+    return not promise < criteria.linear_gain_ratio * gain
+
+
+def may_be_local_minimum(
+    error: FitError, criteria: SelectionCriteria, *, any_trial: bool, parameter_at_limit: bool
+) -> bool:
+    """Return whether candidates are also tried from the declared parameters.
+
+    Args:
+        error: Error of the present fit.
+        criteria: Decision threshold `explained_chi2`.
+        any_trial: Whether a candidate was promising at the present parameters.
+        parameter_at_limit: Whether a parameter of the fit is at its limit.
+    """
+    return parameter_at_limit or (not any_trial and error.chi2 > criteria.explained_chi2)
+
+
+def least_structural_promise(useful: float, enough: float, criteria: SelectionCriteria) -> float:
+    """Return the linearized gain, dimensionless, above which an effect that replaces a part of the model is fitted.
+
+    Where no other effect is useful, every candidate may be needed: the linearization underestimates their gain.
+
+    Args:
+        useful: Best gain of a trial with another effect, chi-squared per sample, dimensionless.
+        enough: Gain that the search requires, chi-squared per sample, dimensionless.
+        criteria: Decision threshold `min_structural_promise`.
+    """
+    return max(enough, criteria.min_structural_promise * useful) if useful >= enough else 0.0
+
+
+@dataclass(frozen=True)
+class StructureEvidence:
+    """What decides whether effects that replace a part of the model are tried.
+
+    Attributes:
+        error: Error of the present fit.
+        best: Smallest error of a trial with another effect; None without trials.
+        best_remembers: Whether this trial adds a force with memory; friction with memory, a structure, is similar.
+        failed_bandwidth: Bandwidth at which structures were last tried in vain, rad/s; not a number if never.
+        failed_excess: Chi-squared per sample - 1 at that time.
+    """
+
+    error: FitError
+    best: FitError | None
+    best_remembers: bool
+    failed_bandwidth: float
+    failed_excess: float
+
+
+def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria) -> bool:
+    """Return whether effects that replace a part of the model are tried: the others leave much of the error.
+
+    Their simulations must first be compiled. After a trial in vain, the error must have become clearly smaller.
+
+    Args:
+        evidence: The present errors, and those at the last trial.
+        criteria: Decision thresholds `structural_retry`, `structural_remainder` and `min_structural_excess`.
+    """
+    error = evidence.error
+    if (
+        error.bandwidth == evidence.failed_bandwidth
+        and error.chi2 - 1.0 > criteria.structural_retry * evidence.failed_excess
+    ):
+        return False
+    if evidence.best_remembers:
+        return True
+    left = unexplained_fraction(error, evidence.best, criteria)
+    excess = error.chi2 - noise_floor(error, criteria)
+    return left > criteria.structural_remainder and excess > criteria.min_structural_excess
+
+
+def is_worth_convergence(error: FitError, trial: FitError, enough: float, criteria: SelectionCriteria) -> bool:
+    """Return whether the fit of a trial is continued: its first iterations reach a part of the required gain.
+
+    Args:
+        error: Error without the effect.
+        trial: Error of the trial.
+        enough: Required gain, chi-squared per sample, dimensionless.
+        criteria: Decision threshold `min_trial_gain`.
+    """
+    return not (error.cost - trial.cost) / error.count < criteria.min_trial_gain * enough
+
+
+def search_goes_on(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
+    """Return whether to search for another effect: more than noise is left, and more effects are allowed.
+
+    Args:
+        error: Error with the effects selected up to now.
+        selected: Their number.
+        criteria: Decision thresholds `max_effects` and `noise_level`.
+    """
+    return selected < criteria.max_effects and not only_noise_is_left(error, criteria)
+
+
+def is_worth_pairs(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
+    """Return whether to search for two effects that hide each other.
+
+    Not if the error is so small that it may be that of a residue without a name.
+
+    Args:
+        error: Error with the effects selected up to now.
+        selected: Their number.
+        criteria: Decision thresholds `explained_chi2` and `max_effects`.
+    """
+    return not nearly_explains(error, criteria) and selected + 2 <= criteria.max_effects
+
+
+def is_worth_comparing_rivals(error: FitError, criteria: SelectionCriteria) -> bool:
+    """Return whether rivals are compared before the search goes on: perhaps nothing is wrong but one of them."""
+    return not error.simulated and nearly_explains(error, criteria)
+
+
+def is_worth_narrower_observer(narrower: FitError, simulated: FitError, criteria: SelectionCriteria) -> bool:
+    """Return whether effects are searched for with a still narrower observer.
+
+    The model must nearly explain the data with it, while much is left in simulation.
+
+    Args:
+        narrower: Error with that observer.
+        simulated: Error of the same machine in simulation.
+        criteria: Decision threshold `explained_chi2`.
+    """
+    return not narrower.simulated and narrower.chi2 < criteria.explained_chi2 <= simulated.chi2

@@ -1,0 +1,195 @@
+"""Tables of evidence about an effect: what is doubted and why, each limit from both sides. Nothing is simulated."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+
+from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification.judge import effect as judge
+from hframe_gym.identification.judge.effect import (
+    Addition,
+    Chance,
+    EffectEvidence,
+    Forces,
+    MachineBehavior,
+    ParameterValue,
+    TimingEvidence,
+)
+from hframe_gym.identification.judge.error import FitError
+
+pytestmark = pytest.mark.unit
+CRITERIA = SelectionCriteria()
+COUNT = 1e4
+
+
+def error(chi2: float, bandwidth: float = 0.0) -> FitError:
+    """Return the error of a fit to 10,000 values."""
+    return FitError(chi2 * COUNT, COUNT, bandwidth, bandwidth == 60.0)
+
+
+def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> EffectEvidence:
+    """Return evidence of an effect without doubt, except for what is given; chi-squared per sample of both fits."""
+    gain = (without - with_effect) * COUNT
+    found = EffectEvidence(
+        without=error(without),
+        with_effect=error(with_effect),
+        structural=False,
+        confirmed=lambda: gain,
+        fault=lambda: "",
+        chance=lambda: Chance(gain, 1.0),
+        chance_narrower=None,
+        forces=lambda: Forces(1.0, 0.1),
+        forces_accurate=lambda: Forces(1.0, 0.1),
+        drives=lambda: 10.0,
+        additions=lambda: (),
+    )
+    eager = ("structural", "parameters")
+    lazy = {n: v if n in eager or callable(v) else (lambda known=v: known) for n, v in known.items()}
+    return dataclasses.replace(found, **lazy)
+
+
+CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
+FORM = "adds 19 % to the force of drag@x, which depends on the same variable: the form of that effect may be in error"
+
+
+@pytest.mark.parametrize(
+    ("known", "reason"),
+    [
+        ({}, ""),
+        ({"confirmed": 0.31 * 2000.0}, ""),
+        ({"confirmed": 0.29 * 2000.0}, "is not confirmed by runs that it was not fitted to (29 % of the gain)"),
+        ({"confirmed": -4e6}, "is not confirmed by runs that it was not fitted to (their error grows with it)"),
+        ({"fault": "makes the machine diverge"}, "makes the machine diverge"),
+        ({"chance": Chance(2000.0, 65.0)}, ""),  # the smallest gain is 30 times the variance
+        ({"chance": Chance(2000.0, 68.0)}, CHANCE),
+        ({"chance": Chance(2000.0, 68.0), "chance_narrower": Chance(2100.0, 69.0)}, ""),  # in doubt, the slow error
+        ({"chance": Chance(2000.0, 68.0), "chance_narrower": Chance(2000.0, 69.0)}, CHANCE),
+        ({"forces": Forces(0.202, 0.2)}, ""),
+        ({"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)}, ""),  # measured again in doubt
+        (
+            {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.2)},
+            "has a force of 0.2 N, where 0.2 N remain unexplained",
+        ),
+        ({"forces": Forces(0.09, 0.2)}, "has a force of 0.09 N, where 0.2 N remain unexplained"),  # no doubt
+        ({"forces": Forces(2.1e-4, 0.0)}, ""),
+        ({"forces": Forces(1.9e-4, 0.0)}, "has a force of 0.00019 N, 2e-05 of that of the drives"),
+        ({"forces": Forces(1.9e-4, 0.0), "structural": True}, ""),  # it has no force at the machine's coordinates
+        (
+            {"forces": Forces(0.1, 0.3), "structural": True},
+            "explains a force of 0.1 N, where 0.3 N remain unexplained",
+        ),
+        ({"additions": [Addition("drag@x", 0.21)]}, ""),
+        ({"additions": [Addition("spring@x", 0.5), Addition("drag@x", 0.19)]}, FORM),
+    ],
+)
+def test_doubts_where_the_data_are_nearly_explained(known: dict[str, Any], reason: str) -> None:
+    assert judge.doubt_about_candidate(evidence(**known), CRITERIA) == reason
+    assert judge.doubt_beside_others(evidence(**known), CRITERIA) == reason
+
+
+@pytest.mark.parametrize(
+    ("known", "candidate", "beside_others"),
+    [
+        ({"confirmed": 0.0}, "", "not confirmed"),
+        ({"chance": Chance(4000.0, 1e6)}, "", "chance"),
+        ({"fault": "diverges"}, "diverges", "diverges"),
+        ({"forces": Forces(0.01, 1.0)}, "remain unexplained", "remain unexplained"),
+    ],
+)
+def test_while_much_is_unexplained_no_statistical_test_is_made(
+    known: dict[str, Any], candidate: str, beside_others: str
+) -> None:
+    found = evidence(1.6, 1.2, **known)
+    for reason, expected in (
+        (judge.doubt_about_candidate(found, CRITERIA), candidate),
+        (judge.doubt_beside_others(found, CRITERIA), beside_others),
+    ):
+        assert (expected in reason) if expected else reason == ""
+
+
+@pytest.mark.parametrize(("without", "doubted"), [(2.01, True), (2.2, False)])
+def test_an_effect_must_reduce_the_error_beside_all_others(without: float, doubted: bool) -> None:
+    """By a tenth of the excess of the complete machine."""
+    reason = judge.doubt_beside_others(evidence(without, 2.0), CRITERIA)
+    assert reason == ("has no effect on the error" if doubted else "")
+
+
+@pytest.mark.parametrize(("without", "with_effect", "sure"), [(60.0, 1.1, True), (60.0, 3.0, False), (4.9, 1.0, False)])
+def test_an_effect_that_removes_a_clear_error_is_no_correction_of_a_form(
+    without: float, with_effect: float, sure: bool
+) -> None:
+    reason = judge.doubt_about_candidate(evidence(without, with_effect, additions=[Addition("a@x", 0.05)]), CRITERIA)
+    assert ("the form of that effect may be in error" not in reason) == sure
+
+
+def test_evidence_that_takes_seconds_is_asked_for_only_if_needed() -> None:
+    asked: list[str] = []
+
+    def force() -> Forces:
+        asked.append("force")
+        return Forces(1.0, 0.1)
+
+    assert judge.doubt_about_candidate(evidence(confirmed=0.0, forces=force), CRITERIA)
+    assert asked == []
+    assert not judge.doubt_about_candidate(evidence(forces=force), CRITERIA)
+    assert asked == ["force"]
+
+
+@pytest.mark.parametrize(
+    ("parameter", "doubted"),
+    [
+        (ParameterValue("s", "", 1.49, (-0.5, 1.5)), True),
+        (ParameterValue("s", "", 1.45, (-0.5, 1.5)), False),
+        (ParameterValue("s", "", -0.5, (-0.5, 1.5)), True),
+        (ParameterValue("s", "", 0.0, ()), False),  # 0 and starting values are meaningful
+        (ParameterValue("vs", "m/s", 0.995, (), (0.0, 1.0)), True),
+        (ParameterValue("vs", "m/s", 0.9, (), (0.0, 1.0)), False),
+        (ParameterValue("n", "rad/m", 10.05, (), (10.0, 100.0), covered_below=True), True),
+        (ParameterValue("n", "rad/m", 10.05, (), (10.0, 100.0)), False),
+        (ParameterValue("n", "rad/m", 11.0, (), (10.0, math.inf), covered_below=True), False),
+    ],
+)
+def test_a_parameter_at_a_limit_is_doubted(parameter: ParameterValue, doubted: bool) -> None:
+    reason = judge.parameter_at_limit([ParameterValue("a", "N", 1.0), parameter])
+    assert reason.startswith(f"fits only with {parameter.name} at the limit of") == doubted
+    assert bool(reason) == doubted
+    assert judge.doubt_beside_others(evidence(parameters=[parameter]), CRITERIA) == reason
+
+
+@pytest.mark.parametrize(
+    ("rises", "speeds", "reason"),
+    [
+        (True, (4.9, 1.0), ""),
+        (True, (5.1, 1.0), "diverge"),
+        (True, (math.inf, 1.0), "diverge"),
+        (True, (1.0, math.nan), "diverge"),
+        (False, (1.0, 1.0), "lets the tension of a belt fall"),
+    ],
+)
+def test_a_machine_must_stay_physical(rises: bool, speeds: tuple[float, float], reason: str) -> None:
+    text = judge.fault_of_machine(MachineBehavior(rises, lambda: speeds))
+    assert (reason in text) if reason else text == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({}, ""),
+        ({"search": (100.0, 90.0)}, "explains a slow error, not a fast one"),
+        ({"search": (100.0, 110.0), "wide": (10.0, 10.1)}, "explains a slow error, not a fast one"),
+        ({"variance": lambda: 0.0333}, ""),  # the gain of 1 is thirty times that
+        ({"variance": lambda: 0.0334}, CHANCE),
+        ({"confirmed": lambda: 0.31}, ""),
+        ({"confirmed": lambda: 0.29}, "is not confirmed by runs that it was not fitted to"),
+        ({"fault": lambda: "diverges"}, "diverges"),
+        ({"held_out_denies": lambda: True}, "does not reduce the error of the held-out runs"),
+    ],
+)
+def test_a_delay_must_be_fast_certain_and_confirmed(changes: dict[str, Any], reason: str) -> None:
+    """It removes 3 % of the error with the observer of the search, and 10 % with the wider one."""
+    sure = TimingEvidence((100.0, 97.0), (10.0, 9.0), lambda: 1e-3, lambda: 1.0, lambda: "", lambda: False)
+    assert judge.doubt_about_timing(dataclasses.replace(sure, **changes), CRITERIA) == reason

@@ -1,0 +1,51 @@
+"""Tables of rivals: which are equally good, which replace an effect, which remain."""
+
+from __future__ import annotations
+
+import pytest
+
+from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification.judge import rival as judge
+from hframe_gym.identification.judge.error import FitError
+from hframe_gym.identification.judge.rival import RivalEvidence
+
+pytestmark = pytest.mark.unit
+CRITERIA = SelectionCriteria()
+
+
+@pytest.mark.parametrize(("best", "margin"), [(1.0, 0.03), (1.99, 0.002)])
+def test_the_margin_is_three_percent_of_the_gain_or_a_little_per_sample(best: float, margin: float) -> None:
+    assert judge.equal_margin(FitError(2e4, 1e4), best * 1e4, CRITERIA) == pytest.approx(margin * 1e4)
+
+
+def test_of_equally_good_trials_the_simplest_comes_first() -> None:
+    trials = [(1.031, 1), (1.0, 5), (1.029, 3)]
+    assert sorted(trials, key=lambda t: judge.preference(*t, limit=1.03)) == [(1.029, 3), (1.0, 5), (1.031, 1)]
+
+
+@pytest.mark.parametrize(
+    ("loss", "known", "replaces", "remains"),
+    [
+        (1.5, True, True, True),
+        (1.99, True, False, True),
+        (2.01, True, False, True),
+        (2.02, True, False, False),
+        (2.02, False, False, True),  # a pair is compared with the larger of both margins, here 0.03
+        (2.04, False, False, False),
+        (1.965, True, True, True),
+        (1.975, True, False, True),
+    ],
+)
+def test_a_rival_replaces_the_effect_or_is_forgotten_by_its_likelihood(
+    loss: float, known: bool, replaces: bool, remains: bool
+) -> None:
+    """Chance may explain a difference of 0.015 if the effect is right, of 0.03 if the rival is."""
+    evidence = RivalEvidence(2.0, 0.015, loss, 0.03, known)
+    assert judge.is_likelier(evidence, evidence.loss) == replaces
+    assert not judge.is_likelier(evidence, loss)  # another rival is as likely
+    assert judge.remains_rival(evidence) == remains
+
+
+def test_what_chance_may_cause() -> None:
+    assert judge.chance_margin(2.0, 1e4, CRITERIA) == pytest.approx(60.0 / 1e4)
+    assert judge.largest_resembling_loss(2.0, CRITERIA) == pytest.approx(120.0)

@@ -1,0 +1,59 @@
+"""Tables of evidence about tables of force and friction."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification.judge import table as judge
+from hframe_gym.identification.judge.error import FitError
+from hframe_gym.identification.judge.table import TableEvidence
+
+pytestmark = pytest.mark.unit
+CRITERIA = SelectionCriteria()
+
+
+def error(chi2: float) -> FitError:
+    """Return the error of a fit to 10,000 values with the widest observer."""
+    return FitError(chi2 * 1e4, 1e4, 60.0, one_step=True)
+
+
+@pytest.mark.parametrize(("chi2", "gain"), [(1.1, 0.02), (1.15, 0.02), (2.1, 0.2)])
+def test_the_gain_of_a_table_is_a_fifth_of_the_excess(chi2: float, gain: float) -> None:
+    assert judge.required_table_gain(error(chi2), CRITERIA) == pytest.approx(gain)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "table", "knots"),
+    [(0.39, True, True), (0.41, False, True), (1.01, False, False), (math.inf, False, False)],
+)
+def test_data_that_were_left_out_confirm_a_table_or_its_knots(ratio: float, table: bool, knots: bool) -> None:
+    assert judge.confirms_table(ratio, CRITERIA) == table
+    assert judge.confirms_knots(ratio) == knots
+
+
+@pytest.mark.parametrize(("after", "moves"), [(1.89, True), (1.91, False)])
+def test_knots_move_for_the_gain_of_an_effect(after: float, moves: bool) -> None:
+    assert judge.moves_knots(error(2.0), error(after), CRITERIA) == moves
+
+
+@pytest.mark.parametrize(
+    ("explained", "cost", "refitted", "with_effects", "effects", "accepted"),
+    [
+        (True, 9.0, 10.0, 10.0, 0, True),
+        (False, 0.99, 10.0, 10.0, 0, True),
+        (False, 1.01, 10.0, 10.0, 0, False),
+        (False, 0.99, 10.0, 5.0, 0, False),  # beside effects that leave 5, a tenth of that
+        (False, 0.79, 10.0, 1.6, 2, True),  # half of what two effects leave
+        (False, 0.81, 10.0, 1.6, 2, False),
+        (False, 0.79, 10.0, 1.6, 1, False),  # one effect is no imitation of a curve
+        (False, 0.79, 7.0, 1.6, 2, False),  # but more than a tenth of the refitted machine's
+    ],
+)
+def test_a_table_is_accepted_if_it_explains_or_leaves_little(
+    explained: bool, cost: float, refitted: float, with_effects: float, effects: int, accepted: bool
+) -> None:
+    evidence = TableEvidence(explained, cost, refitted, with_effects, effects)
+    assert judge.accepts_table(evidence, CRITERIA) == accepted

@@ -1,0 +1,127 @@
+"""Tables of evidence about the verdict of a search in the fitted runs."""
+
+from __future__ import annotations
+
+import pytest
+
+from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification.judge import cause
+from hframe_gym.identification.judge import verdict as judge
+from hframe_gym.identification.judge.cause import CauseEvidence
+from hframe_gym.identification.judge.error import FitError
+from hframe_gym.identification.judge.verdict import DriftEvidence, PartialEvidence, Verdict
+
+pytestmark = pytest.mark.unit
+CRITERIA = SelectionCriteria()
+
+
+@pytest.mark.parametrize(
+    ("wide", "simulated", "most"),
+    [
+        ((3.3, 10.0), (10.0, 10.0), True),  # three quarters of the excess over the 1.1 of a correct model
+        ((3.4, 10.0), (10.0, 10.0), False),
+        ((9.0, 10.0), (1.6, 10.9), True),  # or of the root mean square error in simulation
+        ((9.0, 10.0), (1.7, 10.9), False),
+        ((1.0, 1.0), (1.0, 1.0), False),
+    ],
+)
+def test_effects_must_remove_three_quarters(
+    wide: tuple[float, float], simulated: tuple[float, float], most: bool
+) -> None:
+    assert judge.explains_most(PartialEvidence(wide, simulated), CRITERIA) == most
+
+
+@pytest.mark.parametrize(
+    ("any_effect", "drift", "explained", "verdict", "reason"),
+    [
+        (True, "", True, "effect_found", ""),
+        (False, "", True, "no_effect", ""),
+        (True, "x.mass", True, "unexplained", "less well than another value of x.mass in each run"),
+    ],
+)
+def test_the_verdict_on_effects_of_the_library(
+    any_effect: bool, drift: str, explained: bool, verdict: Verdict, reason: str
+) -> None:
+    decided = judge.verdict_of_effects(any_effect, drift, lambda: explained)
+    assert decided is not None
+    assert decided[0] == verdict
+    assert reason in decided[1]
+    assert judge.verdict_of_effects(any_effect, "", lambda: False) is None
+
+
+@pytest.mark.parametrize(
+    ("any_effect", "runs_differ", "wide", "verdict"),
+    [
+        (True, False, 3.3, "effect_found"),
+        (True, False, 3.4, "unexplained"),
+        (True, True, 3.3, "unexplained"),
+        (False, False, 0.1, "unexplained"),
+    ],
+)
+def test_the_verdict_where_an_error_remains(any_effect: bool, runs_differ: bool, wide: float, verdict: Verdict) -> None:
+    partial = PartialEvidence((wide, 10.0), (10.0, 10.0))
+    decided, reason = judge.verdict_of_rest(any_effect, lambda: runs_differ, lambda: partial, CRITERIA)
+    assert decided == verdict
+    assert bool(reason) == (verdict == "unexplained")
+
+
+@pytest.mark.parametrize(
+    ("over_time", "explained", "by_run", "imitated"),
+    [
+        (True, False, 1.2, True),
+        (True, False, 1.35, False),  # the difference is no better
+        (True, False, None, False),
+        (True, True, 1.2, False),  # the effect explains the runs in simulation
+        (False, False, 1.2, False),  # no effect over time
+    ],
+)
+def test_an_effect_over_time_may_imitate_a_parameter_that_differs_from_run_to_run(
+    over_time: bool, explained: bool, by_run: float | None, imitated: bool
+) -> None:
+    wide = FitError(1.38e4, 1e4, 60.0, one_step=True)
+    evidence = DriftEvidence(over_time, lambda: explained, lambda: wide, lambda: by_run)
+    assert judge.imitates_drift(evidence, CRITERIA) == imitated
+
+
+@pytest.mark.parametrize(
+    ("any_effect", "refitted_explains", "verdict"),
+    [(True, True, "effect_found"), (False, True, "no_effect"), (False, False, "unexplained")],
+)
+def test_without_the_last_effect_the_refitted_machine_decides(
+    any_effect: bool, refitted_explains: bool, verdict: Verdict
+) -> None:
+    assert judge.verdict_after_removal("effect_found", any_effect, refitted_explains) == verdict
+
+
+@pytest.mark.parametrize(
+    ("explained", "certain", "fraction", "counts"),
+    [(6.0, 1.0, 0.06, True), (4.0, 1.0, 0.06, False), (6.0, 1.0, 0.04, False), (6.0, -0.1, 0.06, False)],
+)
+def test_a_variable_is_a_cause_from_a_twentieth_on(
+    explained: float, certain: float, fraction: float, counts: bool
+) -> None:
+    evidence = CauseEvidence(explained, certain, fraction, beyond_noise=100.0, plain=True)
+    assert cause.is_cause(evidence) == counts
+
+
+def test_a_special_variable_must_explain_clearly_more() -> None:
+    plain, special = (CauseEvidence(50.0, 40.0, 0.5, 100.0, plain=plain) for plain in (True, False))
+    assert cause.rank_of_cause(plain, 100.0) == pytest.approx(0.4)
+    assert cause.rank_of_cause(special, 100.0) == pytest.approx(0.38)
+    assert cause.beyond_noise(100.0, 20.0) == 80.0
+    assert cause.beyond_noise(25.0, 20.0) == 10.0
+
+
+@pytest.mark.parametrize(
+    ("matches", "named"),
+    [
+        ([[True, False]], True),
+        ([[False, True]], False),  # another cause leads
+        ([[True, False], [False, True]], True),
+        ([[True, False], [False, False]], False),
+        ([[]], False),
+        ([], False),
+    ],
+)
+def test_effects_name_the_causes(matches: list[list[bool]], named: bool) -> None:
+    assert cause.names_causes(matches) == named
