@@ -39,7 +39,7 @@ class FitError:
 
 
 def noise_floor(error: FitError, criteria: SelectionCriteria) -> float:
-    """Return chi-squared per sample, dimensionless, of a correct model; with the widest observer `one_step_floor`, else 1.
+    """Return chi-squared per sample, dimensionless, of a correct model: 1, with the widest observer `one_step_floor`.
 
     Args:
         error: Error of any fit with the same observer.
