@@ -95,6 +95,7 @@ def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: flo
         (["current_limit@drives"], [("drives", "current of drives")], True),
         (["current_limit@drives", "load_friction@motor1"], [("drives", "current of drives")], False),
         (["cogging@motor1"], [("phi1", "position of phi1")], True),
+        (["sensor_scale@phi1_rad"], [("phi1_rad", "position of phi1")], False),  # belts that slip imitate it
         (["stribeck_friction@x"], [], False),
         ([], [("x", "velocity of x")], False),
     ],

@@ -563,10 +563,11 @@ def _filtered(filters: Array, denominator: Array, values: Array) -> Array:
     return np.stack([signal.lfilter(numerator, denominator, values) for numerator in filters], axis=1)
 
 
-# Variables of a force by the arguments of its formula. Other formulas (of a voltage, a tension, a measurement) may
-# depend on any variable of their component.
+# Variables of a force by the arguments of its formula. Other formulas (of a voltage, a tension) may depend on any
+# variable of their component.
 _VARIABLES = {"q": "position", "v": "velocity", "direction": "velocity", "t": "time", "drive": "load"}
 _FRICTION_HOOKS = ("coulomb", "friction", "viscous")  # it changes its sign with the velocity
+_SENSOR_HOOKS = {"measurement", "measurement_delay"}
 
 
 def are_causes(effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], machine: Machine) -> bool:
@@ -579,7 +580,8 @@ def are_causes(effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], m
 
     Returns:
         True if the strongest cause is that of an effect, and each effect has a cause among them: it acts on the same
-        component, and its formula depends on the same kind of variable.
+        component, and its formula depends on the same kind of variable. An effect of a sensor is no cause of a force:
+        belts that slip imitate a wrong scale, and a true error of a sensor leaves none of the disagreement.
     """
     return judge.names_causes([[_is_cause(effect, cause, machine) for cause in ranked] for effect in effects])
 
@@ -590,6 +592,8 @@ def _is_cause(effect: AppliedEffect, cause: Dependence, machine: Machine) -> boo
     if cause.component not in (effect.site, machine.coordinate_of_site(effect.site, definition.site)):
         return False
     hooks = {hook: getattr(definition, hook) for hook in HOOKS if getattr(definition, hook)}
+    if hooks.keys() & _SENSOR_HOOKS:
+        return False
     if not hooks.keys() & {"force", *_FRICTION_HOOKS}:
         return True
     kinds = {_VARIABLES[name] for f in hooks.values() for name in argument_names(f) if name in _VARIABLES}
