@@ -222,7 +222,7 @@ def write_all(folder: Path) -> dict[str, tuple[str, ...]]:
     ros = ("v_V=/motor/command/data", "x_m=/joint_states/slide/position")
     return {
         "log.wpilog": ("v_V=/drive/voltage", "x_m=/drive/position"),
-        "log.json.gz": ("v_V=stepq:x/position", "x_m=trapq:toolhead/x"),
+        "log.json.gz": ("v_V=trapq:toolhead/x_velocity", "x_m=stepq:x/position"),
         "log.mat": ("v_V=log.U", "x_m=log.pos.1"),
         "log.bag": ros,
         "ros2.db3": ros,

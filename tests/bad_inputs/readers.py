@@ -252,19 +252,26 @@ def _foreign_logs() -> dict[str, tuple[bytes, tuple[str, ...]]]:
         return {name: ((folder / name).read_bytes(), options) for name, options in maps.items()}
 
 
+def import_case(name: str, content: bytes | None = None) -> Case:
+    """Return the import of a log in the format of another program, the valid one if no content is given."""
+    valid, maps = _foreign_logs()[name]
+    options = [word for pair in maps for word in ("--map", pair)]
+    scales = ("--scale", "v_V=0.1", "--scale", "x_m=0.001")
+    words = ("import", name, "--machine", "axis", *options, *scales, "--out", "runs")
+    return Case({name: valid if content is None else content}, words)
+
+
 def foreign_log(name: str) -> Callable[[], st.SearchStrategy[Case]]:
     """Return a strategy for a damaged log in the format of another program."""
 
     @st.composite
     def damaged(draw: st.DrawFn) -> Case:
-        content, maps = _foreign_logs()[name]
+        content = _foreign_logs()[name][0]
         if name.endswith(".json.gz") and draw(st.booleans()):  # the text inside
             changed = gzip.compress(draw(damaged_bytes(gzip.decompress(content))), 1)
         else:
             changed = draw(damaged_bytes(content))
-        options = [word for pair in maps for word in ("--map", pair)]
-        scales = ("--scale", "v_V=0.1", "--scale", "x_m=0.001")
-        return Case({name: changed}, ("import", name, "--machine", "axis", *options, *scales, "--out", "runs"))
+        return import_case(name, changed)
 
     return damaged
 

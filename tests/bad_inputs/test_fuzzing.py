@@ -17,7 +17,7 @@ from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
 from .commands import run_command
 from .mutations import NUMBERS, TEXTS, hostile_value
 from .options import command_with_options
-from .readers import READERS, Case, load_case
+from .readers import FOREIGN_LOGS, READERS, Case, import_case, load_case
 
 pytestmark = [pytest.mark.integration, pytest.mark.filterwarnings("ignore:Generating overly large repr")]
 
@@ -44,6 +44,13 @@ def test_a_damaged_file_is_read_or_refused(reader: str, count: int) -> None:
 
     check()
     assert all(REFUSALS)
+
+
+@pytest.mark.parametrize("name", FOREIGN_LOGS)
+def test_the_logs_that_are_damaged_are_imported_as_they_are(name: str, tmp_path: Path) -> None:
+    case = import_case(name)
+    case.write(tmp_path)
+    assert run_command(case.words, tmp_path).code == 0
 
 
 @pytest.mark.parametrize("folder", CORPUS, ids=lambda folder: folder.name)

@@ -33,8 +33,8 @@ def test_the_data_logger_gives_a_recording(tmp_path: Path) -> None:
     assert [path.name for path in find_logs(tmp_path)[0]] == ["bench.json.gz"]
     columns = dict.fromkeys(axis.output_channels, "none")
     columns |= {
-        axis.input_channels[0]: "trapq:toolhead/x_velocity [mm/s]",
-        axis.output_channels[0]: "trapq:toolhead/x [mm]",
+        axis.input_channels[0]: "trapq:toolhead/x_velocity",
+        axis.output_channels[0]: "trapq:toolhead/x",
     }
     settings = ImportSettings(MappingOptions(columns, scales={axis.input_channels[0]: 1.0}))
     lines: list[str] = []

@@ -18,6 +18,7 @@ from ..log import Log, LogColumn
 
 Array = NDArray[np.float64]
 
+_UNIT = re.compile(r"\s\[[^\]]*\]$")
 _INDEX = re.compile(r"(?:\[\d+\])+$")
 
 
@@ -50,10 +51,12 @@ def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
     """
     columns = []
     for name in names:
-        folder, slash, last = name.rpartition("/")
+        stated = _UNIT.search(name)  # a unit in brackets may have a slash as well
+        end = name.rfind("/", 0, stated.start() if stated else len(name)) + 1
+        folder, last = name[:end], name[end:]
         index = _INDEX.search(last)
         plain, unit = split_unit(last[: index.start()] if index else last)
-        columns.append(LogColumn(name, f"{folder}{slash}{plain}{index[0] if index else ''}", unit, "number"))
+        columns.append(LogColumn(name, f"{folder}{plain}{index[0] if index else ''}", unit, "number"))
     return tuple(columns)
 
 
