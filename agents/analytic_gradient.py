@@ -105,7 +105,7 @@ class AnalyticPolicyGradient:
         self._model = MotionModel(self._envs.machine)
         # Full-state observations are linear in the state: observation = state @ _observed.
         self._observed = torch.from_numpy(self._model.observation(np.eye(2 * len(self._model.mass))))
-        self._period = SimulatedPeriod(self._envs.machine, self.mapping.period, seed)
+        self._period = SimulatedPeriod(self._envs.machine, self.mapping.period)
         self._generator = np.random.default_rng(seed)
         self._learning_rate, self._periods, self._skipped = learning_rate, periods, skipped
         self._discount, self._limit, self._averaging = discount, limit, averaging
@@ -118,7 +118,7 @@ class AnalyticPolicyGradient:
         self.num_timesteps, self._updates = 0, 0
         self.logger: Any = None
         self.action_space = env.action_space
-        self.generators = (self._generator, self._period.generator)
+        self.generators = (self._generator,)
 
     def set_logger(self, logger: Any) -> None:
         """Set the attribute `logger`, to which the caller writes scores, as with stable-baselines3."""
@@ -190,8 +190,8 @@ class AnalyticPolicyGradient:
                 volts = action.double() * torch.from_numpy(model.rated)
                 references.advance()
                 if k < skipped:
-                    arrays = self._period.outputs(state.numpy(), volts.numpy(), last_volts.numpy(), parameters)
-                    state, last_volts = torch.from_numpy(arrays)[:, : state.shape[1]], volts
+                    motions = self._period.simulate(state.numpy(), volts.numpy(), last_volts.numpy(), parameters)
+                    state, last_volts = torch.from_numpy(self._period.outputs(motions))[:, : state.shape[1]], volts
                     continue
                 outputs = differentiable_period(
                     state, volts, last_volts, parameters, self._period, limit, self._discount

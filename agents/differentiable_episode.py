@@ -1,6 +1,6 @@
 """Differentiable parts of an episode: the motion of a control period, the limits of actions, and the cost.
 
-The derivatives of the machine are finite differences of the compiled simulator. Importing this module needs the extra
+The derivatives of the machine are those of `DifferentiableMotion`. Importing this module needs the extra
 `agents`; `AnalyticPolicyGradient` uses it.
 """
 
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from hframe_gym.arrays import Array, ParameterRows, TravelStates, Volts
+from hframe_gym.arrays import Array
 
-from ..dynamics import Equations, rollout
+from ..dynamics import DifferentiableMotion, Equations, Friction, Motions
 from ..envs.tasks.base import ReferenceTrajectories
 from ..envs.workspace import EndStops
 from ..errors import InputError
@@ -21,11 +21,9 @@ from ..machine import Machine
 
 SAMPLES = 2  # samples of the tool position per control period that enter the cost
 INTEGRATION_STEP = 1e-3  # s, twice that of the environment; the gradient needs no higher accuracy
-SWITCHING_S = 1e-9  # s, length of the interval in which the voltage before the period is applied, for a dead time
-# Steps of the finite differences: belt travel, m, its rate, m/s, and the range of the voltages, V. Static friction can
-# hold the tool up to 0.7 V. Much smaller steps would not move it, so that a derivative of zero would hide from the
-# policy that a higher voltage does.
-TRAVEL_STEP, RATE_STEP, VOLTAGE_STEPS = 2e-5, 5e-3, (0.05, 0.3)
+# Static friction can hold the tool up to 0.7 V. A derivative of zero there would hide from the policy that a higher
+# voltage moves it.
+FRICTION: Friction = "smoothed"
 # Units of travel, m, and rate, m/s, in which the derivative with respect to the state is limited: typical changes in
 # one period.
 TRAVEL_UNIT, RATE_UNIT = 1e-3, 0.05
@@ -39,12 +37,11 @@ CONTOUR_STEP = 1e-6  # m, of the finite differences of the contour error
 
 
 class SimulatedPeriod:
-    """One control period of B machines with n coordinates and d drives, and its derivatives by finite differences.
+    """One control period of B machines with n coordinates and d drives, and its derivatives.
 
     Args:
         machine: Machine that is simulated, with end stops.
         period: Control period, s.
-        seed: Seed of the random steps of the differences.
 
     Attributes:
         delayed: Whether a drive has a dead time, so that the voltages of the period before act at first.
@@ -53,82 +50,80 @@ class SimulatedPeriod:
         InputError: If a dead time exceeds the period.
     """
 
-    def __init__(self, machine: Machine, period: float, seed: int) -> None:
+    def __init__(self, machine: Machine, period: float) -> None:
         self._end_stops = EndStops(machine, INTEGRATION_STEP)
-        self._coordinates, self._drives = len(machine.coordinates), len(machine.drives)
+        self._coordinates = len(machine.coordinates)
         self._tool = [machine.coordinate_names.index(name) for name in machine.tool_axes]
-        self._units = np.tile(machine.travel_per_unit, 2)
-        self._time_s = np.linspace(0.0, period, SAMPLES + 1)
         longest_s = max((float(delay) for delay in Equations(machine).voltage_delays()), default=0.0)
         if longest_s > period:
             raise InputError(
                 f"machine {machine.name!r} has a dead time of {longest_s:g} s; analytic gradients support one of at "
                 f"most a control period, {period:g} s"
             )
-        self.delayed = longest_s > 0.0
-        if self.delayed:  # the simulation delays what is applied from the first sample on
-            self._time_s = np.insert(self._time_s, 1, SWITCHING_S)
-        self.generator = np.random.default_rng(seed)
+        self._motion = DifferentiableMotion(
+            self._end_stops.machine, period / SAMPLES, longest_step=INTEGRATION_STEP, friction=FRICTION
+        )
+        self.delayed = self._motion.delayed
 
-    def outputs(self, state: TravelStates, volts: Volts, last_volts: Volts, parameters: ParameterRows) -> Array:
-        """Simulate one control period.
+    def simulate(self, state: Array, volts: Array, last_volts: Array, parameters: Array) -> Motions:
+        """Simulate one control period in SAMPLES = 2 equal parts.
 
         Args:
-            state: State at its start.
-            volts: Voltages of the drives.
-            last_volts: Voltages of the period before; they still act until a dead time has passed.
-            parameters: Parameters of the machines.
+            state: Belt travel (radius * angle if rotary) of n coordinates and its rate, m and m/s, shape (B, 2 n).
+            volts: Voltages of the drives, V, shape (B, d).
+            last_volts: Voltages of the period before, V, shape (B, d); they still act until a dead time has passed, and
+                have no influence without one.
+            parameters: Parameters of the machines in the order of `Machine.parameters`, SI, shape (B, P).
+
+        Returns:
+            The motions, with states of shape (B, SAMPLES + 1, S); `outputs` reads them.
+        """
+        values = self._end_stops.parameters(parameters)
+        start = np.zeros((len(state), self._motion.state_size))  # states of effects begin at zero in every period
+        start[:, : state.shape[1]] = state / self._units(values)
+        held, before = (np.repeat(values[:, None], SAMPLES, axis=1) for values in (volts, last_volts))
+        earlier = before if self.delayed else before[:, :0]
+        return self._motion.simulate_after(earlier, start, held, values, parallel=False)
+
+    def outputs(self, motions: Motions) -> Array:
+        """Read the results of a period from its motions.
+
+        Args:
+            motions: Result of `simulate`.
 
         Returns:
             State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES = 2 equally spaced
             times, the last of which is the end (all axes of a time before those of the next); shape (B, 2 n + axes *
             SAMPLES).
         """
-        applied = np.repeat(volts[:, None], len(self._time_s), axis=1)
-        if self.delayed:
-            applied[:, 0] = last_volts
-        states = rollout(
-            self._end_stops.machine,
-            self._time_s,
-            applied,
-            velocities=True,
-            parameters=self._end_stops.parameters(parameters),
-            start=state / self._units,
-            longest_step=INTEGRATION_STEP,
-            parallel=False,
-        )
-        tool = states[:, -SAMPLES:, self._tool]
-        return np.hstack([states[:, -1] * self._units, tool.reshape(len(state), -1)])
+        moving = 2 * self._coordinates
+        end = motions.states[:, -1, :moving] * self._units(motions.parameters)
+        tool = motions.states[:, 1:, self._tool]
+        return np.hstack([end, tool.reshape(len(end), -1)])
 
-    def differences(
-        self, state: TravelStates, volts: Volts, last_volts: Volts, parameters: ParameterRows
-    ) -> tuple[Array, Array]:
-        """Simulate one control period and estimate the derivatives of its result by finite differences.
+    def gradients(self, motions: Motions, by_outputs: Array) -> tuple[Array, Array, Array]:
+        """Compute the derivatives of a number from its derivatives with respect to the outputs of a period.
 
-        For each derivative the simulation is repeated with one entry of state or voltages changed by a random step. The
-        arguments are those of `outputs`.
+        Args:
+            motions: Result of `simulate`.
+            by_outputs: Derivatives by the result of `outputs`, per SI unit, shape (B, 2 n + axes * SAMPLES).
 
         Returns:
-            outputs: Result of the method `outputs`, shape (B, o).
-            derivatives: Derivatives of the o outputs with respect to the entries of `state`, then of `volts` and, if
-                the drives have a dead time, of `last_volts`, SI, shape (2 n + d or 2 n + 2 d, B, o).
+            state: Derivatives by belt travel and rate at the beginning, 1/m and s/m, shape (B, 2 n).
+            volts: Derivatives by the voltages, 1/V, shape (B, d).
+            last_volts: Derivatives by the voltages of the period before, 1/V, shape (B, d); zero without a dead time.
         """
-        inputs = np.hstack([state, volts, last_volts] if self.delayed else [state, volts])
-        batch, entries = inputs.shape
-        split = state.shape[1]
-        counts = [self._coordinates] * 2 + [entries - split]
-        steps = np.tile(np.repeat([TRAVEL_STEP, RATE_STEP, 1.0], counts), (batch, 1))
-        lowest, highest = np.log(VOLTAGE_STEPS)
-        steps[:, split:] = np.exp(self.generator.uniform(lowest, highest, (batch, entries - split)))
-        steps *= np.where(self.generator.random(steps.shape) < 0.5, -1.0, 1.0)
-        changed = np.tile(inputs, (1 + entries, 1, 1))
-        for i in range(entries):
-            changed[1 + i, :, i] += steps[:, i]
-        rows = changed.reshape(-1, entries)
-        by_drive = rows[:, split : split + self._drives], rows[:, -self._drives :]
-        results = self.outputs(rows[:, :split], *by_drive, np.tile(parameters, (1 + entries, 1)))
-        results = results.reshape(1 + entries, batch, -1)
-        return results[0], (results[1:] - results[0]) / steps.T[:, :, None]
+        moving, units = 2 * self._coordinates, self._units(motions.parameters)
+        by_states = np.zeros(motions.states.shape)
+        by_states[:, -1, :moving] = by_outputs[:, :moving] * units
+        by_states[:, 1:, self._tool] += by_outputs[:, moving:].reshape(len(units), SAMPLES, -1)
+        found = self._motion.gradients(motions, by_states, by_parameters=False, parallel=False)
+        by_last = found.inputs[:, :-SAMPLES].sum(axis=1)
+        return found.start[:, :moving] / units, found.inputs[:, -SAMPLES:].sum(axis=1), by_last
+
+    def _units(self, parameters: Array) -> Array:
+        """Return the belt travel per position, and per velocity, of each coordinate, (B, 2 n)."""
+        return np.tile(self._motion.travel_per_unit(parameters), 2)
 
 
 class _Period(torch.autograd.Function):
@@ -146,19 +141,18 @@ class _Period(torch.autograd.Function):
         discount: float,
     ) -> Any:
         arrays = [values.detach().numpy() for values in (state, volts, last_volts)]
-        outputs, ctx.derivatives = period.differences(arrays[0], arrays[1], arrays[2], parameters)
-        ctx.limit, ctx.discount, ctx.states, ctx.drives = limit, discount, state.shape[1], volts.shape[1]
-        return torch.from_numpy(outputs)
+        ctx.motions = period.simulate(arrays[0], arrays[1], arrays[2], parameters)
+        ctx.period, ctx.limit, ctx.discount = period, limit, discount
+        return torch.from_numpy(period.outputs(ctx.motions))
 
     @staticmethod
     def backward(ctx: Any, gradient: Any) -> Any:  # type: ignore[override]
-        change = np.nan_to_num(np.einsum("bo,ibo->bi", gradient.numpy(), ctx.derivatives))
-        by_state = change[:, : ctx.states] * np.repeat([TRAVEL_UNIT, RATE_UNIT], ctx.states // 2)
-        norm = np.linalg.norm(by_state, axis=1, keepdims=True)
-        change *= np.minimum(1.0, ctx.limit / np.maximum(norm, 1e-12))
-        by_state, by_volts, by_last = np.split(change, [ctx.states, ctx.states + ctx.drives], axis=1)
-        earlier = [torch.from_numpy(ctx.discount * part) if part.size else None for part in (by_state, by_last)]
-        return earlier[0], torch.from_numpy(by_volts), earlier[1], None, None, None, None
+        parts = ctx.period.gradients(ctx.motions, gradient.numpy())
+        by_state, by_volts, by_last = map(np.nan_to_num, parts)
+        norm = np.linalg.norm(by_state * np.repeat([TRAVEL_UNIT, RATE_UNIT], by_state.shape[1] // 2), axis=1)
+        factor = np.minimum(1.0, ctx.limit / np.maximum(norm, 1e-12))[:, None]
+        by_state, by_volts, by_last = (torch.from_numpy(factor * part) for part in (by_state, by_volts, by_last))
+        return ctx.discount * by_state, by_volts, ctx.discount * by_last, None, None, None, None
 
 
 class _Limit(torch.autograd.Function):
@@ -203,23 +197,33 @@ limited: Any = _Limit.apply
 
 
 def distance_cost(distance: Any) -> Any:
-    """Compute a cost, dimensionless, that increases with the distance d to the goal, m, from 0 at the goal towards 1.
+    """Compute a cost that increases with the distance d to the goal, from 0 at the goal towards 1.
 
     The cost is the sum over k of w[k] * d / (d + s[k]), with the lengths s = 200, 20, 2, 0.2 and 0.02 mm and the
     weights w = 0.05, 0.05, 0.3, 0.5 and 0.1. Halving the distance thus reduces the cost noticeably, from 0.2 m down to
-    20 um. The argument is a tensor of any shape.
+    20 um.
+
+    Args:
+        distance: Distances to the goal, m, tensor of any shape.
+
+    Returns:
+        Costs, dimensionless, 0 to 1, tensor of the same shape.
     """
     scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (COST_SCALES, COST_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
 
 
 def reach_cost(tool: Any, goal: Any) -> Any:
-    """Compute the cost of one control period of a motion to a fixed goal, shape (B,): the mean of `distance_cost`.
+    """Compute the cost of one control period of a motion to a fixed goal; it increases with the distance to the goal.
 
     Args:
         tool: Tool positions of B environments in the middle and at the end of the period (SAMPLES = 2), m, shape (B,
             SAMPLES, axes).
         goal: Goals, m, shape (B, axes).
+
+    Returns:
+        Costs, dimensionless, shape (B,): mean over both times of a function of the distance (`distance_cost`) that
+        increases from 0 at the goal towards 1 far from it.
     """
     squares = ((tool - goal.double()[:, None]) ** 2).sum(2)
     return distance_cost(torch.sqrt(squares + SMALLEST_DISTANCE**2)).mean(1)
@@ -242,14 +246,14 @@ def path_errors(tool: Any, references: ReferenceTrajectories) -> Any:
 
 
 def path_cost(squares: Any) -> Any:
-    """Compute the cost of episodes along a path, rms contour error / 0.1 mm + rms distance to the goal / 0.2 mm.
+    """Compute the cost of episodes along a path from the errors in each control period.
 
     Args:
         squares: Squared distance to the path (contour error), then to the goal, in each period of B episodes, m^2,
             shape (B, periods, 2).
 
     Returns:
-        Costs, dimensionless, shape (B,).
+        Rms contour error / 0.1 mm + rms distance to the goal / 0.2 mm, dimensionless, shape (B,).
     """
     units = torch.tensor([CONTOUR_UNIT, TRACKING_UNIT], dtype=squares.dtype)
     return (torch.sqrt(squares.mean(1) + SMALLEST_DISTANCE**2) / units).sum(1)

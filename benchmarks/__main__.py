@@ -20,6 +20,7 @@ IN_RESULTS: dict[str, tuple[str, ...]] = {
     "accuracy": (),
     "throughput": (),
     "env_speed": (),
+    "differentiable": (),
     "env_bits": (),
     "env_soak": (),
     "identification": ("examples", "all"),

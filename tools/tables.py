@@ -35,6 +35,7 @@ PAGES = (
     "README.md",
     "RESULTS.md",
     "docs/agents.md",
+    "docs/differentiable.md",
     "docs/gap.md",
     "docs/identification_results.md",
     "docs/scaling.md",
@@ -282,6 +283,28 @@ def env_speed(results: dict[str, Any]) -> str:
             fractions = (f"{100 * result[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall"))
             rows.append([name.replace("share of the bare kernel", "fraction of the bare kernel"), ", ".join(fractions)])
     return markdown(["measure", "value"], rows)
+
+
+def differentiable(results: dict[str, Any]) -> str:
+    """Format the speed of differentiated steps, and their errors."""
+    rows = []
+    for row in results["rates"]:
+        low, high = row["spread"]
+        rows.append(
+            [
+                row["machine"],
+                row["friction"],
+                "state, voltages" + (", parameters" if row["by_parameters"] else ""),
+                f"{row['ours_steps_per_s']:.0f}",
+                f"{1.0 / row['ratio']:.1f} ({1.0 / high:.1f} to {1.0 / low:.1f})",
+            ]
+        )
+    header = ["machine", "friction", "with respect to", "differentiated steps/s", "cost in simulated steps"]
+    errors = [
+        [name, f"{e['median']:.1e}", f"{100 * e['fraction_below_1e-6']:.1f} %"] for name, e in results["errors"].items()
+    ]
+    compared = markdown(["machine", "median relative error against central differences", "below 1e-6"], errors)
+    return f"{markdown(header, rows)}\n\n{compared}"
 
 
 def her(results: dict[str, Any]) -> str:
@@ -621,6 +644,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "outside_library_2": outside_library,
     "first_step": first_step,
     "env_speed": env_speed,
+    "differentiable": differentiable,
     "env_soak": env_soak,
     "faults": faults,
     "fuzzing": fuzzing,

@@ -5,7 +5,9 @@ from .codegen.blocks import in_blocks
 from .codegen.kernel import Kernel, kernel_for, kernel_source_text
 from .codegen.machine_code import LANES
 from .codegen.shared_kernels import share_kernel
+from .derivatives import DifferentiableMotion, Friction, Gradients, Motions
 from .physics.belts import BeltState
+from .physics.effect_instances import instances_with_state
 from .physics.equations import Equations, ForceBalance
 from .physics.linearization import (
     StateSpace,
@@ -30,10 +32,14 @@ from .simulation import NotFiniteError, in_parallel, rollout, simulate, simulate
 __all__ = [
     "LANES",
     "BeltState",
+    "DifferentiableMotion",
     "Equations",
     "ForceBalance",
+    "Friction",
+    "Gradients",
     "Kernel",
     "MotionPoint",
+    "Motions",
     "NotFiniteError",
     "StateSpace",
     "belt_forces",
@@ -44,6 +50,7 @@ __all__ = [
     "effect_states",
     "in_blocks",
     "in_parallel",
+    "instances_with_state",
     "kernel_for",
     "kernel_source_text",
     "linearize",

@@ -35,10 +35,14 @@ def moving_states(count):
     return state, np.tile(list(MACHINE.parameters.values()), (count, 1))
 
 
-def test_difference_quotients_agree_with_the_linear_model_of_the_motion():
+def test_derivatives_agree_with_the_linear_model_of_the_motion():
     state, parameters = moving_states(16)
     volts = np.full((16, 2), 2.0)
-    outputs, derivatives = SimulatedPeriod(MACHINE, PERIOD, seed=0).differences(state, volts, volts, parameters)
+    period = SimulatedPeriod(MACHINE, PERIOD)
+    motions = period.simulate(state, volts, volts, parameters)
+    outputs = period.outputs(motions)
+    rows = [period.gradients(motions, np.tile(row, (16, 1))) for row in np.eye(outputs.shape[1])]
+    derivatives = np.stack([np.hstack(row[:2]) for row in rows], axis=2).transpose(1, 0, 2)  # (entries, B, outputs)
     A, B, _ = MODEL.discretize(MODEL.tool_position(state).mean(axis=0), PERIOD)
     expected = np.hstack([A, B]).T  # (entries of state and voltages, entries of the next state)
     scale = np.repeat([1e-3, 0.05], 4) / np.repeat([1e-3, 0.05, 1.0], [4, 4, 2])[:, None]
@@ -56,7 +60,7 @@ def with_dead_time(seconds):
 def test_a_dead_time_applies_the_voltages_of_the_period_before():
     machine, voltages = with_dead_time(3e-3), np.random.default_rng(1).uniform(-6.0, 6.0, (5, 1, 2))
     parameters = np.array([list(machine.parameters.values())])
-    period, state = SimulatedPeriod(machine, PERIOD, seed=0), MODEL.goal_state(np.zeros((1, 2)))
+    period, state = SimulatedPeriod(machine, PERIOD), MODEL.goal_state(np.zeros((1, 2)))
     times = np.arange(6) * PERIOD
     start = state / np.tile(machine.travel_per_unit, 2)
     inputs = np.concatenate([np.zeros((1, 1, 2)), voltages]).transpose(1, 0, 2)
@@ -64,7 +68,7 @@ def test_a_dead_time_applies_the_voltages_of_the_period_before():
     expected = simulate_batch(machine, np.arange(7) * PERIOD, np.append(inputs, inputs[:, -1:], axis=1), start=start)
     last = np.zeros((1, 2))
     for k in range(len(times) - 1):
-        state = period.outputs(state, voltages[k], last, parameters)[:, :8]
+        state = period.outputs(period.simulate(state, voltages[k], last, parameters))[:, :8]
         last = voltages[k]
         tool = MODEL.tool_position(state)[0]
         assert np.abs(tool - expected.positions[0, k + 2, :2]).max() < 2e-6
@@ -73,7 +77,7 @@ def test_a_dead_time_applies_the_voltages_of_the_period_before():
 
 def test_a_dead_time_beyond_a_period_is_rejected():
     with pytest.raises(InputError, match=r"dead time of 0\.011 s"):
-        SimulatedPeriod(with_dead_time(0.011), PERIOD, seed=0)
+        SimulatedPeriod(with_dead_time(0.011), PERIOD)
 
 
 def test_the_cost_rewards_every_decade_of_distance():
@@ -129,7 +133,7 @@ def test_the_gradient_of_an_episode_predicts_how_its_cost_changes(actuation, tas
     length = torch.sqrt(sum((g**2).sum() for g in gradients))
     change = {}
     # With a base the errors, whose rms enters the cost, are of the size of the change.
-    step = 0.002 if algorithm.mapping.base else 0.02
+    step = 2e-4 if algorithm.mapping.base else 0.02
     for sign in (1.0, -1.0):
         with torch.no_grad():
             for parameter, gradient in zip(parameters, gradients, strict=True):

@@ -82,11 +82,11 @@ class KernelSource:
         hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]
         self.uses_time = any("t" in argument_names(f) for f in hooks) or any(d.against == "time" for d in definitions)
         traces = (
-            self._prepare(),
-            self._delays("voltage_delays"),
+            self.trace_constants(Trace("prepare(parameters, derived, h: float)")),
+            self.trace_delays(Trace("voltage_delays(parameters, delays)"), "voltage_delays"),
             StepTrace(self).trace,
-            self._read_sensors(),
-            self._delays("measurement_delays"),
+            self.trace_sensors(Trace("read_sensors(state, parameters, readings)")),
+            self.trace_delays(Trace("measurement_delays(parameters, delays)"), "measurement_delays"),
         )
         self.text = "\n\n".join(map(function_source, traces))
 
@@ -104,9 +104,8 @@ class KernelSource:
 
     # -- constants of a step ---------------------------------------------------------------------------------------
 
-    def _prepare(self) -> Trace:
-        """Trace the constants that depend on parameters and the step length only."""
-        trace = Trace("prepare(parameters, derived, h: float)")
+    def trace_constants(self, trace: Trace) -> Trace:
+        """Trace the constants that depend on parameters and the step length only; return the trace."""
         equations, h, rows = self._equations(trace), trace.argument("h"), self.layout.derived
         for i in self._coordinates:
             mass = trace.let("mass", i, equations.mass(i))
@@ -136,16 +135,14 @@ class KernelSource:
 
     # -- sensors and delays ----------------------------------------------------------------------------------------
 
-    def _delays(self, function: str) -> Trace:
-        """Trace voltage_delays (delay of each drive, s) or measurement_delays (delay of each sensor, s)."""
-        trace = Trace(f"{function}(parameters, delays)")
+    def trace_delays(self, trace: Trace, function: str) -> Trace:
+        """Trace voltage_delays (delay of each drive, s) or measurement_delays (each sensor, s); return the trace."""
         for row, delay in enumerate(getattr(self._equations(trace), function)()):
             trace.store("delays", row, delay)
         return trace
 
-    def _read_sensors(self) -> Trace:
-        """Trace the reading of each sensor in its unit."""
-        trace = Trace("read_sensors(state, parameters, readings)")
+    def trace_sensors(self, trace: Trace) -> Trace:
+        """Trace the reading of each sensor in its unit; return the trace."""
         equations = self._equations(trace)
         travel = [trace.load("state", i, f"travel_{i}") for i in self._coordinates]
         positions = [p / equations.radius(i) for i, p in enumerate(travel)]

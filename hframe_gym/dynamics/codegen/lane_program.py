@@ -9,14 +9,14 @@ from functools import lru_cache
 from typing import Any
 
 from ..physics import friction
-from . import lane_compiler, lane_formulas
+from . import derivative_formulas, lane_compiler, lane_formulas
 from .lane_compiler import compile_lanes
 from .machine_code import LANES, native_functions
 
 # Python functions that a source text can call, besides the vector instructions.
 FORMULAS: Mapping[str, Callable[..., Any]] = {
     name: function
-    for module in (friction, lane_formulas)
+    for module in (friction, lane_formulas, derivative_formulas)
     for name, function in inspect.getmembers(module, inspect.isfunction)
     if function.__module__ == module.__name__
 }
@@ -45,5 +45,5 @@ class LaneProgram:
 @lru_cache(maxsize=1)
 def _foundation() -> str:
     """Return a hash of the code with which source texts are compiled."""
-    modules = (friction, lane_formulas, lane_compiler)
+    modules = (friction, lane_formulas, derivative_formulas, lane_compiler)
     return hashlib.sha256("".join(map(inspect.getsource, modules)).encode()).hexdigest()

@@ -80,9 +80,23 @@ class StepTrace:
     """
 
     def __init__(self, source: KernelSource) -> None:
-        self.source = source
-        self.coordinates = range(len(source.machine.coordinates))
         self.trace = trace = Trace("advance(state, parameters, derived, inputs, external_forces, h: float, steps: int)")
+        self._begin(source)
+        count, first = len(self.coordinates), 2 * len(self.coordinates) + 1
+        with trace.block("for step in range(steps):", loop=True):
+            self._step()
+        for i in self.coordinates:
+            trace.store("state", i, self.travel[i])
+            trace.store("state", count + i, self.speed[i])
+        elapsed = 0.0 if source.uses_time else self.h * trace.argument("steps")
+        trace.store("state", 2 * count, self.time + elapsed)
+        for row, k in enumerate(self.equations.states):
+            trace.store("state", first + row, self.effect_states[k])
+
+    def _begin(self, source: KernelSource) -> None:
+        """Trace what comes before the first step: the state is loaded."""
+        self.source, trace = source, self.trace
+        self.coordinates = range(len(source.machine.coordinates))
         self.equations = _PreparedEquations(source, trace)
         count = len(self.coordinates)
         trace.line("align_stack()")
@@ -95,15 +109,6 @@ class StepTrace:
             for row, k in enumerate(self.equations.states)
         }
         self.h = trace.argument("h")
-        with trace.block("for step in range(steps):", loop=True):
-            self._step()
-        for i in self.coordinates:
-            trace.store("state", i, self.travel[i])
-            trace.store("state", count + i, self.speed[i])
-        elapsed = 0.0 if source.uses_time else self.h * trace.argument("steps")
-        trace.store("state", 2 * count, self.time + elapsed)
-        for row, k in enumerate(self.equations.states):
-            trace.store("state", first + row, self.effect_states[k])
 
     def _step(self) -> None:
         """Trace one step."""
@@ -204,11 +209,16 @@ class StepTrace:
         decay, gain, first, last = (
             self._by_direction(i, key, balance) for key in ("decay", "speed_gain", "first_weight", "last_weight")
         )
-        arguments = (self.speed[i], balance.forces[i], balance.coulomb[i], decay, gain)
+        speed = self._initial_speed(i, balance)
+        arguments = (speed, balance.forces[i], balance.coulomb[i], decay, gain)
         next_speed = self.trace.variable("next_speed", i, self.trace.node("update_speed", *arguments))
-        crossing = self.trace.variable("crossing", i, next_speed * self.speed[i])
-        travel = fma(last, next_speed, fma(first, self.speed[i], self.travel[i]))
+        crossing = self.trace.variable("crossing", i, next_speed * speed)
+        travel = fma(last, next_speed, fma(first, speed, self.travel[i]))
         return next_speed, crossing, self.trace.variable("next_travel", i, travel)
+
+    def _initial_speed(self, i: int, balance: ForceBalance) -> Expression:
+        """Return the speed of coordinate i from which the flow begins; derivatives replace it."""
+        return self.speed[i]
 
     def _stops(
         self, balance: ForceBalance, flows: Sequence[tuple[Expression, Expression, Expression]]

@@ -1,0 +1,191 @@
+"""What differentiable stages of all libraries have in common: the machine, its parameters and states, and checks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import Array
+from ..dynamics import DifferentiableMotion, Friction, Motions, NotFiniteError, instances_with_state
+from ..envs.workspace import EndStops, tool_terms
+from ..errors import InputError
+from ..machine import Machine, rest_state
+
+_DIVERGED = 1e6  # m, rad or per second, as in `simulate`
+
+
+class Stage:
+    """Machine whose motions are differentiated, without a library for derivatives.
+
+    Args:
+        machine: Machine to simulate.
+        period: Time for which a voltage is held, s; also the time between two states.
+        longest_step: Largest step of the integrator, s; the default is that of the environments.
+        end_stops: Whether the tool hits end stops at the edges of the workspace, as in the environments. Their
+            stiffness counts as constant in the derivatives.
+        friction: Derivative where static friction holds a coordinate or a coordinate stops: "exact" for that of the
+            motion, "smoothed" or "sliding" so that voltages count that do not overcome friction
+            (docs/differentiable.md).
+        parallel: Whether to distribute the machines of a batch over the processor's cores.
+
+    Attributes:
+        motion: Simulated motions and their derivatives, on NumPy arrays.
+        parameter_names: Names of the P parameters, for example "x.mass".
+        nominal: Their values in the machine, SI, shape (P,).
+        state_names: Names of the S entries of a state: positions, velocities, states of effects.
+        rated: Rated voltages of the drives, V, shape (drives,): what the action 1 of an environment applies.
+
+    Raises:
+        InputError: If the period or step is not positive, `friction` is unknown, or end stops need a workspace that
+            the machine does not declare.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        period: float = 0.01,
+        *,
+        longest_step: float = 0.5e-3,
+        end_stops: bool = False,
+        friction: Friction = "exact",
+        parallel: bool = True,
+    ) -> None:
+        self.machine, self.period, self.parallel = machine, float(period), parallel
+        self._stops = EndStops(machine, longest_step) if end_stops else None
+        simulated = self._stops.machine if self._stops else machine
+        self.motion = DifferentiableMotion(simulated, period, longest_step=longest_step, friction=friction)
+        self.parameter_names = tuple(machine.parameters)
+        self.nominal = np.array(list(machine.parameters.values()))
+        names = machine.coordinate_names
+        effects = [f"{i.effect.label} of {i.component}" for i in instances_with_state(simulated)]
+        self.state_names = (*names, *(f"velocity of {name}" for name in names), *effects)
+        self.rated = np.array([drive.rated_voltage for drive in machine.drives])
+        self._tool = tool_terms(machine) if machine.tool_axes else None
+
+    def rest_states(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Array:
+        """Return states at rest with unstretched belts.
+
+        Args:
+            tool: Positions of the linear coordinates, m, shape (B, linear coordinates); default: all at 0.
+            batch: Number B of states if `tool` is not given.
+
+        Returns:
+            States, SI, shape (B, S).
+        """
+        rows = (
+            [rest_state(self.machine, row) for row in np.atleast_2d(np.asarray(tool, float))]
+            if (tool is not None)
+            else [rest_state(self.machine)] * batch
+        )
+        states = np.zeros((len(rows), len(self.state_names)))
+        states[:, : rows[0].size] = rows
+        return states
+
+    def column(self, name: str) -> int:
+        """Return the index of a parameter.
+
+        Args:
+            name: Full name, for example "x.mass".
+
+        Returns:
+            Index in `parameter_names`.
+
+        Raises:
+            InputError: If the machine has no such free parameter.
+        """
+        if name not in self.parameter_names:
+            tied = self.machine.ties.get(name)
+            reason = f"is {tied[1]:g} times {tied[0]}; change that one" if tied else "is none of its parameters"
+            raise InputError(f"machine {self.machine.name!r}: {name!r} {reason}")
+        return self.parameter_names.index(name)
+
+    def with_end_stops(self, parameters: Array) -> Array:
+        """Append the parameters of the end stops, if the stage has some, to those of the machine.
+
+        Args:
+            parameters: Parameters of the machines, SI, shape (B, P).
+
+        Returns:
+            Parameters of the simulated machines, SI, shape (B, P or more).
+        """
+        return self._stops.parameters(parameters) if self._stops else parameters
+
+    def checked(
+        self, start: Sequence[int], voltages: Sequence[int], parameters: Sequence[int], earlier: Sequence[int] | None
+    ) -> None:
+        """Check that the shapes of the arguments of a simulation fit the machine and each other.
+
+        Args:
+            start: Shape of the first states.
+            voltages: Shape of the voltages.
+            parameters: Shape of the parameters.
+            earlier: Shape of the voltages of earlier periods, if there are some.
+
+        Raises:
+            InputError: If a shape does not fit.
+        """
+        batch = start[0] if len(start) == 2 else -1
+        drives, size = len(self.machine.drives), len(self.state_names)
+        expected = {
+            "start": (start, (batch, size)),
+            "voltages": (voltages, (batch, voltages[1] if len(voltages) == 3 else -1, drives)),
+            "parameters": (parameters, (batch, len(self.nominal))),
+        }
+        if earlier is not None:
+            expected["earlier"] = (earlier, (batch, earlier[1] if len(earlier) == 3 else -1, drives))
+        for name, (shape, right) in expected.items():
+            if tuple(shape) != right:
+                text = {
+                    "start": f"(B, {size})",
+                    "voltages": f"(B, periods, {drives})",
+                    "earlier": f"(B, periods before, {drives})",
+                    "parameters": f"({len(self.nominal)},) or (B, {len(self.nominal)})",
+                }[name]
+                raise InputError(
+                    f"{name} has shape {tuple(shape)}, machine {self.machine.name!r} needs {text}, with the same B "
+                    "for all arguments"
+                )
+
+    def check_finite(self, states: Array) -> None:
+        """Check that motions stay finite.
+
+        Args:
+            states: States, SI, shape (B, T + 1, S).
+
+        Raises:
+            NotFiniteError: If a motion diverges; the message names time and coordinate.
+        """
+        diverged = ~(np.abs(states) < _DIVERGED)
+        if diverged.any():
+            b, k, entry = map(int, np.argwhere(diverged)[0])
+            raise NotFiniteError(
+                f"machine {self.machine.name!r}, motion {b}: {self.state_names[entry]} diverges at t = "
+                f"{k * self.period:g} s. Check start, voltages and parameters, or use a shorter longest_step"
+            )
+
+    def simulate(
+        self, start: Array, voltages: Array, parameters: Array, earlier: Array | None, start_time: float
+    ) -> Motions:
+        """Simulate, and check that the motions stay finite.
+
+        Args:
+            start: First states, SI, shape (B, S).
+            voltages: Voltages, V, shape (B, T, drives).
+            parameters: Parameters, SI, shape (B, P).
+            earlier: Voltages of earlier periods, V, shape (B, any number, drives), or None.
+            start_time: Time since the machines were switched on, s.
+
+        Returns:
+            The motions over T periods, with states of shape (B, T + 1, S).
+
+        Raises:
+            NotFiniteError: If a motion diverges.
+        """
+        before = np.zeros((len(start), 0, len(self.rated))) if earlier is None else earlier
+        motions = self.motion.simulate_after(
+            before, start, voltages, self.with_end_stops(parameters), start_time=start_time, parallel=self.parallel
+        )
+        self.check_finite(motions.states)
+        return motions

@@ -1,0 +1,209 @@
+"""Motions of a machine as differentiable functions of torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from ..errors import InputError
+from .stage import Stage
+
+try:
+    import torch
+except ImportError as error:
+    raise ImportError("differentiable stages need torch: pip install 'hframe_gym[agents]'") from error
+
+Tensor = torch.Tensor
+
+
+class DifferentiableStage(Stage):
+    """Stage whose motions torch differentiates with respect to initial state, voltages and machine parameters.
+
+    All tensors are on the processor and are computed in float64; gradients have the type of what they belong to. Second
+    derivatives are not available. The arguments are those of `Stage`.
+
+    Example:
+        ::
+
+            stage = DifferentiableStage(load_machine("hframe"))
+            voltages = torch.zeros(1, 50, 2, requires_grad=True)
+            states = stage.rollout(stage.rest([[0.0, 0.0]]), voltages)
+            distance = (stage.tool_positions(states)[:, -1] - torch.tensor([0.05, 0.02])).square().sum()
+            distance.backward()  # voltages.grad, shape (1, 50, 2)
+    """
+
+    def rest(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Tensor:
+        """Return states at rest with unstretched belts.
+
+        Args:
+            tool: Positions of the linear coordinates, m, shape (B, linear coordinates); default: all at 0.
+            batch: Number B of states if `tool` is not given.
+
+        Returns:
+            States, SI, shape (B, S).
+        """
+        return torch.from_numpy(self.rest_states(tool, batch=batch))
+
+    def parameters(self, changes: Mapping[str, Any], *, batch: int = 1) -> Tensor:
+        """Return the parameters of B machines, with some values replaced by tensors that may require gradients.
+
+        Args:
+            changes: Value of each changed parameter by name, SI: number, or tensor of shape () or (B,).
+            batch: Number B of machines.
+
+        Returns:
+            Parameters in the order of `parameter_names`, SI, shape (B, P).
+
+        Raises:
+            InputError: If the machine has no such parameter.
+        """
+        columns = list(torch.from_numpy(self.nominal).expand(batch, -1).unbind(1))
+        for name, value in changes.items():
+            columns[self.column(name)] = torch.as_tensor(value, dtype=torch.float64).expand(batch)
+        return torch.stack(columns, dim=1)
+
+    def rollout(
+        self,
+        start: Tensor,
+        voltages: Tensor,
+        parameters: Tensor | None = None,
+        *,
+        earlier: Tensor | None = None,
+        start_time: float = 0.0,
+    ) -> Tensor:
+        """Simulate B machines over T periods; the voltages are held over each period.
+
+        Args:
+            start: First states, SI, shape (B, S).
+            voltages: Voltages, V, shape (B, T, drives).
+            parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
+            earlier: Voltages of periods before the first one, V, shape (B, any number, drives), which matter for drives
+                with a delay. Default: the first voltages acted before.
+            start_time: Time since the machines were switched on, s, for effects that depend on it.
+
+        Returns:
+            States at the beginning and at the end of every period, SI, shape (B, T + 1, S).
+
+        Raises:
+            InputError: If a shape does not fit the machine or the other arguments, or a tensor is on another device.
+            NotFiniteError: If a motion diverges.
+        """
+        values = torch.from_numpy(self.nominal) if parameters is None else parameters
+        if values.ndim == 1 and start.ndim == 2:
+            values = values.expand(len(start), -1)
+        tensors = [start, voltages, values, *(() if earlier is None else (earlier,))]
+        for tensor in tensors:
+            if tensor.device.type != "cpu":
+                raise InputError(f"a tensor is on the device {tensor.device}; machines are simulated on the processor")
+        self.checked(start.shape, voltages.shape, values.shape, None if earlier is None else earlier.shape)
+        before = voltages.new_zeros((len(start), 0, voltages.shape[2])) if earlier is None else earlier
+        result: Tensor = _rollout(start.double(), voltages.double(), values.double(), before.double(), self, start_time)
+        return result
+
+    def step(
+        self,
+        state: Tensor,
+        voltages: Tensor,
+        parameters: Tensor | None = None,
+        *,
+        earlier: Tensor | None = None,
+        start_time: float = 0.0,
+    ) -> Tensor:
+        """Simulate one period, for voltages that depend on the state: a policy or a controller.
+
+        Args:
+            state: States, SI, shape (B, S).
+            voltages: Voltages, V, shape (B, drives).
+            parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
+            earlier: Voltages of periods before, V, shape (B, any number, drives), for drives with a delay.
+            start_time: Time since the machines were switched on, s, for effects that depend on it.
+
+        Returns:
+            States at the end of the period, SI, shape (B, S).
+
+        Raises:
+            InputError: As in `rollout`.
+            NotFiniteError: If a motion diverges.
+        """
+        states = self.rollout(state, voltages[:, None], parameters, earlier=earlier, start_time=start_time)
+        return states[:, 1]
+
+    def readings(self, states: Tensor, parameters: Tensor | None = None) -> Tensor:
+        """Compute the readings of the sensors, without noise and without the delay of a sensor.
+
+        Args:
+            states: States, SI, shape (B, n, S).
+            parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
+
+        Returns:
+            Readings, m or rad, shape (B, n, sensors).
+        """
+        values = torch.from_numpy(self.nominal) if parameters is None else parameters
+        values = values.expand(len(states), -1) if values.ndim == 1 else values
+        result: Tensor = _readings(states.double(), values.double(), self)
+        return result
+
+    def tool_positions(self, states: Tensor) -> Tensor:
+        """Return the positions of the tool.
+
+        Args:
+            states: States, SI, shape (..., S).
+
+        Returns:
+            Positions, m, shape (..., axes).
+
+        Raises:
+            InputError: If the machine declares no tool axes.
+        """
+        if self._tool is None:
+            raise InputError(f"machine {self.machine.name!r} declares no tool_axes; use the states themselves")
+        axes = [states[..., i] + (states[..., a] * states[..., b] if a >= 0 else 0.0) for i, a, b in self._tool]
+        return torch.stack(axes, dim=-1)
+
+
+class _Rollout(torch.autograd.Function):
+    """States of motions as a differentiable function of start, voltages, parameters and earlier voltages."""
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, start: Tensor, voltages: Tensor, parameters: Tensor, earlier: Tensor, stage: Stage, start_time: float
+    ) -> Tensor:
+        arrays = [tensor.detach().numpy() for tensor in (start, voltages, parameters, earlier)]
+        ctx.motions = stage.simulate(arrays[0], arrays[1], arrays[2], arrays[3], start_time)
+        ctx.stage, ctx.before, ctx.columns = stage, earlier.shape[1], parameters.shape[1]
+        return torch.from_numpy(ctx.motions.states)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> Any:  # type: ignore[override]
+        stage: Stage = ctx.stage
+        found = stage.motion.gradients(
+            ctx.motions, gradient.numpy(), by_parameters=ctx.needs_input_grad[2], parallel=stage.parallel
+        )
+        start, inputs, parameters = map(torch.from_numpy, (found.start, found.inputs, found.parameters))
+        by_parameters = parameters[:, : ctx.columns] if ctx.needs_input_grad[2] else None
+        return start, inputs[:, ctx.before :], by_parameters, inputs[:, : ctx.before], None, None
+
+
+class _Readings(torch.autograd.Function):
+    """Readings of the sensors as a differentiable function of states and parameters."""
+
+    @staticmethod
+    def forward(ctx: Any, states: Tensor, parameters: Tensor, stage: Stage) -> Tensor:  # type: ignore[override]
+        ctx.stage, ctx.columns = stage, parameters.shape[1]
+        ctx.states, ctx.parameters = states.detach().numpy(), stage.with_end_stops(parameters.detach().numpy())
+        return torch.from_numpy(stage.motion.readings(ctx.states, ctx.parameters, parallel=stage.parallel))
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> Any:  # type: ignore[override]
+        stage: Stage = ctx.stage
+        found = stage.motion.readings_gradients(ctx.states, ctx.parameters, gradient.numpy(), parallel=stage.parallel)
+        states, parameters = map(torch.from_numpy, found)
+        return states, parameters[:, : ctx.columns], None
+
+
+_rollout: Any = _Rollout.apply
+_readings: Any = _Readings.apply

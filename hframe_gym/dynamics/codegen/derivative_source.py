@@ -1,0 +1,146 @@
+"""Generate the source of the derivatives of a machine's simulation kernel, from the traces of the kernel itself.
+
+The functions multiply by the transposed derivative (reverse mode): from the derivatives of a number, such as a cost,
+with respect to the results of a function, they compute its derivatives with respect to the function's arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..physics.equations import ForceBalance
+from ..symbolic.elementwise import absolute, where
+from ..symbolic.expressions import Expression, function_source
+from .kernel_source import KernelSource
+from .reverse_trace import ReverseTrace
+from .step_trace import StepTrace
+
+DERIVATIVE_FUNCTIONS = (
+    "step_back",
+    "step_back_without_parameters",
+    "prepare_back",
+    "read_sensors_back",
+    "voltage_delays_back",
+)
+
+
+class _StepBack(StepTrace):
+    """Trace of one step of the integrator and of its derivatives.
+
+    Args:
+        source: Kernel to which the step belongs.
+        friction: Derivative of static friction, see `derivatives.Friction`.
+        by_parameters: Whether to compute derivatives with respect to the parameters.
+    """
+
+    def __init__(self, source: KernelSource, *, friction: str, by_parameters: bool) -> None:
+        name = "step_back" if by_parameters else "step_back_without_parameters"
+        results = "adjoint_state, adjoint_parameters, adjoint_derived, adjoint_inputs"
+        trace = ReverseTrace(f"{name}(state, parameters, derived, inputs, {results}, h: float)", friction=friction)
+        self.trace = self.reverse = trace
+        self._begin(source)
+        argument_travel, argument_speed = list(self.travel), list(self.speed)
+        argument_states = dict(self.effect_states)
+        self._step()
+        count = len(self.coordinates)
+        rows = [*zip(argument_travel, self.travel, strict=True), *zip(argument_speed, self.speed, strict=True)]
+        by_row = dict(enumerate(rows))
+        for row, k in enumerate(self.equations.states):
+            by_row[2 * count + 1 + row] = (argument_states[k], self.effect_states[k])
+        seeds: dict[Expression, Expression] = {}
+        for row, (_, result) in by_row.items():
+            seed = trace.let("seed", row, trace.read("adjoint_state", row))
+            seeds[result] = seeds[result] + seed if result in seeds else seed
+        arrays = ("inputs", "parameters", "derived") if by_parameters else ("inputs",)
+        loaded = {key: value for key, value in trace.loaded.items() if key[0] in arrays}
+        with trace.section("derivatives"):
+            found = trace.adjoints(seeds, [*(argument for argument, _ in by_row.values()), *loaded.values()])
+            for row, (argument, _) in by_row.items():
+                trace.write("adjoint_state", row, found.get(argument, trace.expression(0.0)))
+            for (array, row), value in loaded.items():
+                if value in found:
+                    trace.add_to(f"adjoint_{array}", row, found[value])
+        trace.drop_unused_branches()
+
+    def _voltages(self) -> list[Expression]:
+        """Return the commanded voltage of each drive in this step."""
+        return [self.trace.load("inputs", j, f"u{j}") for j in range(len(self.source.machine.drives))]
+
+    def _initial_speed(self, i: int, balance: ForceBalance) -> Expression:
+        """Return the speed of coordinate i; a held one counts as zero, because a small speed would stop at once."""
+        speed = self.speed[i]
+        if self.reverse.friction == "sliding":
+            return speed
+        held = (speed == 0.0) & (absolute(balance.forces[i]) < balance.coulomb[i])
+        return where(held, 0.0, speed)  # type: ignore[no-any-return]
+
+    def _stops(
+        self, balance: ForceBalance, flows: Sequence[tuple[Expression, Expression, Expression]]
+    ) -> list[tuple[Expression, Expression]]:
+        """Trace a branch for each coordinate that stops; return speeds and travels."""
+        if self.reverse.friction == "sliding":
+            return [(next_speed, next_travel) for next_speed, _, next_travel in flows]
+        ends = []
+        for i, (next_speed, crossing, next_travel) in enumerate(flows):
+            stops = crossing < 0.0
+
+            def update(
+                values: Sequence[Expression], i: int = i, stops: Expression = stops
+            ) -> tuple[Expression, Expression]:
+                # Machines that do not stop take values for which everything is finite.
+                speed, traveled = self.reverse.operations(
+                    "stop_or_reverse",
+                    where(stops, self.speed[i], 1.0),
+                    where(stops, balance.forces[i], 0.0),
+                    where(stops, balance.coulomb[i], 1.0),
+                    self._by_direction(i, "viscous", balance),
+                    self._by_direction(i, "viscous", balance, reversed_motion=True),
+                    self.equations.derived("coordinate", i, "mass"),
+                    self.equations.derived("coordinate", i, "per_mass"),
+                    self.h,
+                )
+                return where(stops, speed, values[0]), where(stops, self.travel[i] + traveled, values[1])
+
+            speed, travel = self.trace.update_if_any(stops, [next_speed, next_travel], update)
+            ends.append((speed, travel))
+        return ends
+
+
+def derivative_source(source: KernelSource, *, friction: str) -> str:
+    """Write the source text of the derivatives of a kernel, for the module `lane_compiler`.
+
+    Args:
+        source: The kernel.
+        friction: Derivative of static friction, see `derivatives.Friction`.
+
+    Returns:
+        Text of the functions `DERIVATIVE_FUNCTIONS`. Each adds to the rows of the derivatives with respect to
+        parameters, step constants and voltages. A step replaces `adjoint_state`, the derivatives with respect to the
+        state after it, by those with respect to the state before it.
+    """
+    traces = [_StepBack(source, friction=friction, by_parameters=flag).reverse for flag in (True, False)]
+    constants = ReverseTrace("prepare_back(parameters, adjoint_derived, adjoint_parameters, h: float)")
+    source.trace_constants(constants)
+    _add_derivatives(constants, "derived", ("parameters",))
+    sensors = ReverseTrace("read_sensors_back(state, parameters, adjoint_readings, adjoint_state, adjoint_parameters)")
+    source.trace_sensors(sensors)
+    _add_derivatives(sensors, "readings", ("state", "parameters"))
+    delays = ReverseTrace("voltage_delays_back(parameters, adjoint_delays, adjoint_parameters)")
+    source.trace_delays(delays, "voltage_delays")
+    _add_derivatives(delays, "delays", ("parameters",))
+    return "\n\n".join(map(function_source, [*traces, constants, sensors, delays]))
+
+
+def _add_derivatives(trace: ReverseTrace, results: str, arguments: Sequence[str]) -> None:
+    """Append statements that add the derivatives of a weighted sum of the results to rows of the arguments."""
+    trace.line(f'"""Derivatives of {results}."""')
+    loaded = {key: value for key, value in trace.loaded.items() if key[0] in arguments}
+    seeds: dict[Expression, Expression] = {}
+    for (array, row), value in trace.stored.items():
+        if array == results:
+            seed = trace.let("seed", row, trace.read(f"adjoint_{results}", row))
+            seeds[value] = seeds[value] + seed if value in seeds else seed
+    found = trace.adjoints(seeds, loaded.values())
+    for (array, row), value in loaded.items():
+        if value in found:
+            trace.add_to(f"adjoint_{array}", row, found[value])

@@ -1,0 +1,379 @@
+"""Derivatives of simulated motions with respect to initial states, voltages and parameters, in reverse mode.
+
+The derivatives are those of the computed motion itself, step by step, not differences of two simulations: they are
+exact to rounding. At rest and at a stop, friction has a corner; `Friction` names the derivatives that can be taken
+there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ..arrays import Array
+from ..errors import InputError
+from ..machine import Machine
+from .codegen.derivative_loops import periods_back, periods_forward, readings_back, readings_forward
+from .codegen.derivative_source import DERIVATIVE_FUNCTIONS, derivative_source
+from .codegen.kernel_source import FUNCTIONS, KernelSource
+from .codegen.lane_program import LaneProgram
+from .codegen.machine_code import LANES
+from .simulation import LONGEST_STEP, in_parallel
+
+# Derivative where static friction holds a coordinate, or where it stops within a step; the motion is always the same.
+# "exact": that of the motion, zero for a voltage that does not move the coordinate. "sliding": as if friction kept its
+# direction and size, also through a stop. "smoothed": as "exact", but a force f on a coordinate that friction holds
+# with up to F has the fraction |f| / F of its influence when sliding, so that voltages count before they overcome it.
+Friction = Literal["exact", "smoothed", "sliding"]
+
+
+@dataclass(frozen=True)
+class _Program:
+    """Addresses of the functions of a machine's shape, and numbers of rows."""
+
+    source: KernelSource
+    kernel: dict[str, int]
+    derivatives: dict[str, int]
+
+
+@lru_cache(maxsize=64)
+def _program(shape: _Shape, friction: Friction) -> _Program:
+    """Return the compiled functions of a machine's shape."""
+    source = KernelSource(shape.machine)
+    kernel = LaneProgram(source.text, FUNCTIONS)
+    derivatives = LaneProgram(derivative_source(source, friction=friction), DERIVATIVE_FUNCTIONS)
+    return _Program(source, dict(kernel.addresses), dict(derivatives.addresses))
+
+
+class _Shape:
+    """A machine that is equal to others of its shape."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+
+    def __hash__(self) -> int:
+        return hash(self.machine.shape)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Shape) and self.machine.shape == other.machine.shape
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions of B machines over T equal periods; what is needed to differentiate them is kept.
+
+    Attributes:
+        states: States at the beginning and at the end of every period, SI, shape (B, T + 1, S): positions, velocities,
+            then the states of the effects, as in `simulate`.
+        inputs: Voltages of the earlier periods, then of the simulated ones, V, shape (B, earlier + T, drives).
+        parameters: Parameters, SI, shape (B, P).
+        kernel_states: States as the kernel has them: belt travel, m, its rate, m/s, time, s, and effect states.
+    """
+
+    states: Array
+    inputs: Array
+    parameters: Array
+    kernel_states: Array
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Derivatives of one number with respect to what determines the motions of B machines, per SI unit.
+
+    Attributes:
+        start: By the first states, shape (B, S).
+        inputs: By the voltages, those of earlier periods first, 1/V, shape (B, earlier + T, drives).
+        parameters: By the parameters, shape (B, P); zero if they were left out.
+    """
+
+    start: Array
+    inputs: Array
+    parameters: Array
+
+
+class DifferentiableMotion:
+    """Motions of machines that differ in parameter values only, over equal periods with held voltages.
+
+    `hframe_gym.differentiable` makes these functions differentiable functions of torch and of JAX.
+
+    Args:
+        machine: Machine; it gives the equations of motion.
+        period: Length of a period, s.
+        longest_step: Largest step of the integrator, s.
+        friction: Derivative at the corner of friction: "exact", "smoothed" or "sliding" (see `Friction`).
+
+    Attributes:
+        machine: As given.
+        period: As given, s.
+        step: Step of the integrator, s.
+
+    Raises:
+        InputError: If the period or the step is not positive, or the name of the treatment is unknown.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        period: float,
+        *,
+        longest_step: float = LONGEST_STEP,
+        friction: Friction = "exact",
+    ) -> None:
+        if not (0.0 < period < np.inf and 0.0 < longest_step < np.inf):
+            raise InputError(f"period ({period:g} s) and longest_step ({longest_step:g} s) must be positive")
+        if friction not in get_args(Friction):
+            raise InputError(f"friction={friction!r} is unknown; choose one of {', '.join(get_args(Friction))}")
+        self.machine, self.period = machine, float(period)
+        self._steps = max(1, int(np.ceil(period / longest_step - 1e-6)))
+        self.step = self.period / self._steps
+        self._program = _program(_Shape(machine), friction)
+        source = self._program.source
+        self._count = len(machine.coordinates)
+        self._sizes = (self._count, len(source.layout.derived), len(machine.drives))
+        names = list(machine.parameters)
+        self._radii: dict[int, tuple[int, float]] = {}  # column and factor by coordinate; others are linear
+        for i, coordinate in enumerate(machine.coordinates):
+            if coordinate.kind == "rotary":
+                name, factor = f"{coordinate.name}.radius", 1.0
+                while name in machine.ties:
+                    name, tie = machine.ties[name]
+                    factor *= tie
+                self._radii[i] = names.index(name), factor
+
+    @property
+    def delayed(self) -> bool:
+        """Whether a drive has a delay, so that voltages of earlier periods still act."""
+        return self._program.source.delayed
+
+    @property
+    def state_size(self) -> int:
+        """Number S of entries of a state: positions, velocities, and states of effects."""
+        return self._program.source.states - 1
+
+    def simulate(
+        self, start: Array, inputs: Array, parameters: Array, *, start_time: float = 0.0, parallel: bool = True
+    ) -> Motions:
+        """Simulate B machines; shapes are not checked.
+
+        Args:
+            start: First states, SI, shape (B, S).
+            inputs: Voltages of the T periods, V, shape (B, T, drives). Before the first period, the first one acts.
+            parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            start_time: Time since the machines were switched on, s, for effects that depend on it.
+            parallel: Whether to distribute the machines over threads.
+
+        Returns:
+            The motions over T periods, with states of shape (B, T + 1, S); T is the number of voltages.
+        """
+        return self._simulate(start, inputs, parameters, 0, start_time, parallel)
+
+    def simulate_after(
+        self,
+        earlier: Array,
+        start: Array,
+        inputs: Array,
+        parameters: Array,
+        *,
+        start_time: float = 0.0,
+        parallel: bool = True,
+    ) -> Motions:
+        """Simulate B machines whose drives have a delay, after periods with known voltages.
+
+        Args:
+            earlier: Voltages of the periods before the first one, V, shape (B, earlier, drives).
+            start: First states, SI, shape (B, S).
+            inputs: Voltages of the T periods, V, shape (B, T, drives).
+            parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            start_time: Time since the machines were switched on, s.
+            parallel: Whether to distribute the machines over threads.
+
+        Returns:
+            The motions over T periods, with states of shape (B, T + 1, S).
+        """
+        both = np.concatenate([earlier, inputs], axis=1)
+        return self._simulate(start, both, parameters, earlier.shape[1], start_time, parallel)
+
+    def _simulate(
+        self, start: Array, inputs: Array, parameters: Array, before: int, start_time: float, parallel: bool
+    ) -> Motions:
+        """Simulate; the first `before` voltages are those of earlier periods."""
+        inputs, parameters = (np.ascontiguousarray(values, dtype=np.float64) for values in (inputs, parameters))
+        batch, count = len(start), self._count
+        states = np.empty((batch, inputs.shape[1] - before + 1, self.state_size + 1))
+        units = self._units(parameters)
+        states[:, 0, : 2 * count] = start[:, : 2 * count] * units
+        states[:, 0, 2 * count] = start_time
+        states[:, 0, 2 * count + 1 :] = start[:, 2 * count :]
+        kernel = self._program.kernel
+        functions = (kernel["prepare"], kernel["voltage_delays"], kernel["advance"])
+
+        def run(first: int, last: int) -> None:
+            periods_forward(
+                functions,
+                self._sizes,
+                self.delayed,
+                before,
+                inputs,
+                parameters,
+                self.step,
+                self._steps,
+                first,
+                last,
+                states,
+            )
+
+        _in_blocks(run, batch, parallel)
+        public = np.delete(states, 2 * count, axis=2)
+        public[:, :, : 2 * count] /= units[:, None]
+        return Motions(public, inputs, parameters, states)
+
+    def gradients(
+        self, motions: Motions, by_states: Array, *, by_parameters: bool = True, parallel: bool = True
+    ) -> Gradients:
+        """Compute the derivatives of a number from its derivatives with respect to the states of motions.
+
+        Args:
+            motions: Result of `simulate`.
+            by_states: Derivatives by the states, per SI unit, shape (B, T + 1, S).
+            by_parameters: Whether to compute the derivatives by the parameters.
+            parallel: Whether to distribute the machines over threads.
+
+        Returns:
+            The derivatives by the first states, shape (B, S), voltages and parameters, shape (B, P).
+        """
+        states, inputs, parameters = motions.kernel_states, motions.inputs, motions.parameters
+        batch, count = len(states), self._count
+        before = inputs.shape[1] - states.shape[1] + 1
+        units = self._units(parameters)
+        adjoint = np.insert(by_states, 2 * count, 0.0, axis=2)
+        adjoint[:, :, : 2 * count] /= units[:, None]
+        start, of_parameters = np.empty((batch, states.shape[2])), np.empty(parameters.shape)
+        of_inputs = np.zeros(inputs.shape)
+        kernel, derivatives = self._program.kernel, self._program.derivatives
+        functions = (
+            kernel["prepare"],
+            kernel["voltage_delays"],
+            kernel["advance"],
+            derivatives["step_back" if by_parameters else "step_back_without_parameters"],
+            derivatives["prepare_back"],
+            derivatives["voltage_delays_back"],
+        )
+
+        def run(first: int, last: int) -> None:
+            periods_back(
+                functions,
+                self._sizes,
+                (self.delayed, by_parameters),
+                before,
+                inputs,
+                parameters,
+                self.step,
+                self._steps,
+                first,
+                last,
+                states,
+                adjoint,
+                start,
+                of_inputs,
+                of_parameters,
+            )
+
+        _in_blocks(run, batch, parallel)
+        by_start = np.delete(start, 2 * count, axis=1)
+        if by_parameters:
+            first = motions.states[:, 0, : 2 * count]
+            change = by_start[:, : 2 * count] * first
+            change -= (adjoint[:, :, : 2 * count] * motions.states[:, :, : 2 * count]).sum(1)
+            self._add_by_units(change, of_parameters)
+        by_start[:, : 2 * count] *= units
+        return Gradients(by_start, of_inputs, of_parameters)
+
+    def readings(self, states: Array, parameters: Array, *, parallel: bool = True) -> Array:
+        """Compute the readings of the sensors, without noise and delay.
+
+        Args:
+            states: States, SI, shape (B, n, S).
+            parameters: Parameters, SI, shape (B, P).
+            parallel: Whether to distribute the machines over threads.
+
+        Returns:
+            Readings, m or rad, shape (B, n, sensors).
+        """
+        parameters = np.ascontiguousarray(parameters, dtype=np.float64)
+        travel = states[:, :, : self._count] * self._units(parameters)[:, None, : self._count]
+        readings = np.empty((*states.shape[:2], len(self.machine.sensors)))
+        address = self._program.kernel["read_sensors"]
+        _in_blocks(
+            lambda first, last: readings_forward(address, travel, parameters, first, last, readings),
+            len(states),
+            parallel,
+        )
+        return readings
+
+    def readings_gradients(
+        self, states: Array, parameters: Array, by_readings: Array, *, parallel: bool = True
+    ) -> tuple[Array, Array]:
+        """Compute the derivatives of a number from its derivatives with respect to the readings of the sensors.
+
+        Args:
+            states: States, SI, shape (B, n, S).
+            parameters: Parameters, SI, shape (B, P).
+            by_readings: Derivatives by the readings, 1/m or 1/rad, shape (B, n, sensors).
+            parallel: Whether to distribute the machines over threads.
+
+        Returns:
+            states: Derivatives by the states, shape (B, n, S).
+            parameters: Derivatives by the parameters, shape (B, P).
+        """
+        parameters = np.ascontiguousarray(parameters, dtype=np.float64)
+        units = self._units(parameters)[:, None, : self._count]
+        travel = states[:, :, : self._count] * units
+        of_travel, of_parameters = np.empty(travel.shape), np.empty(parameters.shape)
+        address, adjoint = self._program.derivatives["read_sensors_back"], np.ascontiguousarray(by_readings, float)
+        _in_blocks(
+            lambda first, last: readings_back(
+                address, travel, parameters, adjoint, first, last, of_travel, of_parameters
+            ),
+            len(states),
+            parallel,
+        )
+        by_states = np.zeros(states.shape)
+        by_states[:, :, : self._count] = of_travel * units
+        change = (of_travel * states[:, :, : self._count]).sum(1)
+        self._add_by_units(np.hstack([change, np.zeros_like(change)]), of_parameters)
+        return by_states, of_parameters
+
+    def travel_per_unit(self, parameters: Array) -> Array:
+        """Return the belt travel per position of each coordinate: the radius of a pulley.
+
+        Args:
+            parameters: Parameters, SI, shape (B, P).
+
+        Returns:
+            Radius of a pulley, m/rad, or 1 for a linear coordinate, shape (B, coordinates).
+        """
+        units = np.ones((len(parameters), self._count))
+        for i, (column, factor) in self._radii.items():
+            units[:, i] = factor * parameters[:, column]
+        return units
+
+    def _units(self, parameters: Array) -> Array:
+        """Return the belt travel per position of each coordinate, twice, (B, 2 * coordinates)."""
+        return np.tile(self.travel_per_unit(parameters), 2)
+
+    def _add_by_units(self, change: Array, by_parameters: Array) -> None:
+        """Add derivatives by the belt travel per position, (B, 2 * coordinates), to those by the parameters."""
+        for i, (column, factor) in self._radii.items():
+            by_parameters[:, column] += factor * (change[:, i] + change[:, self._count + i])
+
+
+def _in_blocks(run: Any, batch: int, parallel: bool) -> None:
+    """Call a function for all blocks of a batch, in threads or in this one."""
+    blocks = -(-batch // LANES)
+    if parallel:
+        in_parallel(run, blocks)
+    else:
+        run(0, blocks)
