@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled, helper
+from .compiled import compiled, compiled_only
 from .machine_code import LANES
 from .native_calls import call_at
 
 
-@helper
+@compiled_only
 def _load_lanes(block: int, k: int, table, rows) -> None:
     """Copy row k of a table over periods, shape (B, periods, rows), to the lanes of a block."""
     for lane in range(LANES):
@@ -26,7 +26,7 @@ def _load_lanes(block: int, k: int, table, rows) -> None:
             rows[row, lane] = table[b, k, row]
 
 
-@helper
+@compiled_only
 def _load_parameters(block: int, parameters, rows) -> None:
     """Copy the parameters of the machines of a block, shape (B, parameters), to its lanes."""
     for lane in range(LANES):
@@ -37,7 +37,7 @@ def _load_parameters(block: int, parameters, rows) -> None:
             rows[row, lane] = parameters[b, row]
 
 
-@helper
+@compiled_only
 def _set_voltages(block: int, k: int, before: int, steps: int, h: float, inputs, delays, delayed: bool, out) -> None:
     """Set the voltages of a period: one row per drive, or with delays the mean voltages of each step.
 
@@ -70,7 +70,7 @@ def _set_voltages(block: int, k: int, before: int, steps: int, h: float, inputs,
                 out[s * delays.shape[0] + j, lane] = value
 
 
-@helper
+@compiled_only
 def _add_voltages_back(
     block: int, k: int, before: int, steps: int, h: float, inputs, delays, delayed: bool, adjoint, out, delays_out
 ) -> None:
