@@ -48,9 +48,9 @@ def wpilog_record(number: int, time_us: int, payload: bytes) -> bytes:
     return bytes([lengths]) + b"".join(fields) + payload
 
 
-def wpilog_start(number: int, name: str, kind: str) -> bytes:
+def wpilog_start(number: int, name: str, kind: str, description: str = "") -> bytes:
     """Return the control record that starts an entry."""
-    texts = b"".join(struct.pack("<I", len(text)) + text.encode() for text in (name, kind, ""))
+    texts = b"".join(struct.pack("<I", len(text)) + text.encode() for text in (name, kind, description))
     return wpilog_record(0, 0, b"\0" + struct.pack("<I", number) + texts)
 
 

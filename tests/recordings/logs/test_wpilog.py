@@ -73,6 +73,33 @@ def test_structures_are_read_by_their_description(tmp_path: Path) -> None:
     assert any("/bits (struct:Bits)" in remark for remark in log.remarks)  # bit fields are not read
 
 
+def test_each_test_of_sysid_becomes_a_run(tmp_path: Path, axis: Machine) -> None:
+    records = [
+        wpilog_start(1, "sysid-test-state-drive", "string"),
+        wpilog_start(2, "voltage-left-drive", "double", "Volt"),
+        wpilog_start(3, "position-left-drive", "double", "Meter"),
+        wpilog_start(4, "velocity-left-drive", "double", '{"unit": "Rotation per Second"}'),
+        wpilog_start(5, "odd", "double", "Furlong per Fortnight"),
+    ]
+    states = ["quasistatic-forward"] * 10 + ["none"] + ["dynamic-reverse"] * 10 + ["quasistatic-forward"] * 10
+    for k, state in enumerate(states):
+        records.append(wpilog_record(1, k * 20_000, state.encode()))
+        for number in (2, 3, 4, 5):
+            records.append(wpilog_record(number, k * 20_000 + 100, struct.pack("<d", 0.01 * k * number)))
+    (tmp_path / "log.wpilog").write_bytes(wpilog(*records))
+    logs = open_logs(tmp_path / "log.wpilog")
+    assert [column.unit for column in logs[0].columns] == ["V", "m", "rev/s", ""]
+    columns = dict.fromkeys(axis.output_channels, "none")
+    columns |= {axis.input_channels[0]: "voltage-left-drive", axis.output_channels[0]: "position-left-drive"}
+    settings = ImportSettings(MappingOptions(columns))
+    files = import_logs(tmp_path / "log.wpilog", tmp_path / "runs", axis, settings, lambda line: None)
+    names = ["quasistatic-forward_1", "dynamic-reverse", "quasistatic-forward_2"]
+    assert [file.name for file in files] == [f"log_{name}.csv.gz" for name in names]
+    first, rows = (load_recordings(tmp_path / "runs", axis)[k] for k in (1, 0))
+    np.testing.assert_allclose(first.outputs[:, 0], 0.03 * np.arange(10))
+    np.testing.assert_allclose(rows.outputs[:, 0], 0.03 * np.arange(11, 21))
+
+
 def test_rows_are_sorted_and_repeated_times_left_out(tmp_path: Path) -> None:
     records = [wpilog_record(1, time, struct.pack("<q", value)) for time, value in [(30, 3), (10, 1), (20, 2), (20, 4)]]
     (tmp_path / "log.wpilog").write_bytes(wpilog(wpilog_start(1, "n", "int64"), *records))

@@ -2,17 +2,23 @@
 
 A file begins with "WPILOG", the version and a text of any content. Each record has the number of its entry, a size and
 a time in microseconds, in as many bytes as its first byte says. Records of entry 0 start an entry, finish it or change
-its description. All numbers are little-endian.
+its description, which may be the unit. All numbers are little-endian.
+
+The tests of SysId are marked by an entry of texts, such as "sysid-test-state-drive": each becomes a log.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import re
 import struct
 from array import array
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +26,7 @@ from typing_extensions import override
 
 from ....errors import InputError
 from ....file_limits import refuse_many_values
+from ...quantities import is_unit, normalize_unit
 from ...text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
@@ -46,6 +53,9 @@ _STRUCT_NUMBERS = {
 }
 _MOST_ITEMS = 64  # of an array; longer ones are data of cameras and the like, not signals
 _DEEPEST = 8  # structures in structures
+_STATES = ("quasistatic-forward", "quasistatic-reverse", "dynamic-forward", "dynamic-reverse")  # of SysId's tests
+_NO_TEST = "none"
+_LONGEST_STATE = 32  # characters
 _SCHEMA = "/.schema/"  # names of entries that describe structures begin so
 _SCHEMA_TYPE = "structschema"
 _MEMBER = re.compile(r"(?:(?:enum\s*)?\{[^}]*\}\s*)?(?P<type>\w+)\s+(?P<name>\w+)\s*(?:\[\s*(?P<count>\d+)\s*\])?")
@@ -57,6 +67,7 @@ class _Entry:
 
     name: str
     kind: str
+    unit: str = ""
     times: array[int] = field(default_factory=lambda: array("q"))
     starts: array[int] = field(default_factory=lambda: array("q"))
     sizes: array[int] = field(default_factory=lambda: array("q"))
@@ -96,7 +107,14 @@ class WpiLogs(LogFormat):
             listed = ", ".join(left_out[:10]) + f" and {len(left_out) - 10} more" * (len(left_out) > 10)
             remarks.append(f"entries without numbers: {listed}")
         refuse_many_values(path, sum(len(entry.times) for entry in entries), 1)
-        return [log_of_tables(path, tables, tuple(remarks))]
+        tests = _tests(content, entries)
+        if not tests:
+            return [log_of_tables(path, tables, tuple(remarks))]
+        remarks.append("it has tests of SysId, which become one run each")
+        return [
+            log_of_tables(path, [_during(table, begin, end) for table in tables], tuple(remarks), name)
+            for name, begin, end in tests
+        ]
 
 
 def _entries(path: Path, content: bytes) -> tuple[list[_Entry], bool]:
@@ -147,16 +165,79 @@ def _control(
         (number,) = struct.unpack_from("<xI", payload)
         if payload[0] == 0:
             texts, position = [], 5
-            for _ in range(2):
+            for _ in range(3):
                 (length,) = struct.unpack_from("<I", payload, position)
                 texts.append(payload[position + 4 : position + 4 + length].decode())
                 position += 4 + length
-            name, kind = texts
+            name, kind, description = texts
             by_number[number] = entries.setdefault((name, kind), _Entry(name, kind))
+            by_number[number].unit = _unit(description) or by_number[number].unit
         elif payload[0] == 1:
             by_number.pop(number, None)
     except (struct.error, UnicodeDecodeError):
         raise InputError(f"{path}, byte {start}: has a damaged control record") from None
+
+
+def _unit(description: str) -> str:
+    """Return the unit that the description of an entry states, "Meter per Second" or {"unit": "m/s"}; else ""."""
+    stated: Any = description
+    if description.startswith("{"):
+        try:
+            content = json.loads(description)
+        except (ValueError, RecursionError):
+            return ""
+        stated = content.get("unit") or content.get("units") if isinstance(content, dict) else ""
+    if not isinstance(stated, str) or not stated:
+        return ""
+    parts = [normalize_unit(part) for part in re.split(r"\s+per\s+", stated.strip(), flags=re.IGNORECASE)]
+    unit = normalize_unit("/".join(parts))
+    return unit if is_unit(unit) else ""
+
+
+def _tests(content: bytes, entries: Sequence[_Entry]) -> list[tuple[str, float, float]]:
+    """Return name, begin and end of the tests of SysId, s, each from its first state to the next other one."""
+    tests = []
+    marks = [(entry, states) for entry in entries if (states := _states(content, entry))]
+    for entry, states in marks:
+        order = np.argsort(np.array(entry.times), kind="stable")
+        times, ordered = np.array(entry.times)[order] / 1e6, [states[k] for k in order]
+        changes = [k for k in range(len(ordered)) if k == 0 or ordered[k] != ordered[k - 1]]
+        for begin, end in zip(changes, [*changes[1:], None], strict=True):
+            if ordered[begin] != _NO_TEST:
+                name = f"{entry.name.rpartition('/')[2]}_{ordered[begin]}" if len(marks) > 1 else ordered[begin]
+                tests.append((name, float(times[begin]), float(times[end]) if end is not None else np.inf))
+    tests.sort(key=lambda test: test[1])
+    counts = Counter(name for name, _, _ in tests)
+    numbers: Counter[str] = Counter()
+    numbered = []
+    for name, start, stop in tests:
+        numbers[name] += 1
+        numbered.append((f"{name}_{numbers[name]}" if counts[name] > 1 else name, start, stop))
+    return numbered
+
+
+def _states(content: bytes, entry: _Entry) -> list[str]:
+    """Return the values of an entry that marks the tests of SysId; empty for another entry."""
+    if entry.kind != "string" or not entry.times:
+        return []
+    states = []
+    for start, size in zip(entry.starts, entry.sizes, strict=True):
+        state = content[start : start + size] if size <= _LONGEST_STATE else b""
+        if state.decode("ascii", errors="replace") not in (*_STATES, _NO_TEST):
+            return []
+        states.append(state.decode())
+    return states if any(state != _NO_TEST for state in states) else []
+
+
+def _during(table: TimedTable, begin: float, end: float) -> TimedTable:
+    """Return the rows of a table from a time, s, until before another."""
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[NDArray[Any], list[Array], list[str]]:
+        time_s, values, remarks = table.reader(indices, progress)
+        rows = (time_s >= begin) & (time_s < end)
+        return time_s[rows], [column[rows] for column in values], remarks
+
+    return dataclasses.replace(table, reader=read)
 
 
 def _structures(content: bytes, entries: Sequence[_Entry]) -> dict[str, np.dtype[np.void]]:
@@ -220,7 +301,10 @@ def _table(path: Path, content: bytes, entry: _Entry, structures: dict[str, np.d
             progress(int(sizes.sum()))
         return np.array(entry.times, np.float64) / 1e6, values, []
 
-    return TimedTable(entry.name, signal_columns([entry.name + end for end in ends]), read)
+    columns = signal_columns([entry.name + end for end in ends])
+    if entry.unit and item in _NUMBERS:
+        columns = tuple(dataclasses.replace(column, unit=column.unit or entry.unit) for column in columns)
+    return TimedTable(entry.name, columns, read)
 
 
 def _leaves(kind: np.dtype[np.void], prefix: str = "", offset: int = 0) -> list[tuple[str, int, np.dtype[np.generic]]]:
