@@ -84,7 +84,6 @@ class Agent(Controller):
     Args:
         policy: Policy of stable-baselines3.
         mapping: Converts outputs of the policy to actions; None if the outputs are the actions.
-        machine: Machine on which the policy was trained.
         card: Contents of agent.json (`AGENT_KEYS`: recipe, task, control period, ...); further entries are not saved.
 
     Raises:

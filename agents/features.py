@@ -260,7 +260,6 @@ class TransferBank:
     transfer and are limited to its longest one.
 
     Args:
-        machine: Machine with its declared parameters.
         period: Control period, s.
         transfers: Durations in control periods beyond the shortest possible transfer, ascending; 0: the shortest.
 
@@ -308,7 +307,6 @@ class PlanBank:
     """First voltages of K transfers, planned in every period for the machine as estimated (`SimulatedTransfers`).
 
     Args:
-        machine: Machine with its declared parameters.
         period: Control period, s.
         estimator: Estimator of the parameters; `laws` plans with its present estimates.
         durations: Durations of the transfers in periods, ascending.

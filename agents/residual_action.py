@@ -85,7 +85,6 @@ class ResidualAction:
     observations. In every control period, call `augment` first, then `action`.
 
     Args:
-        machine: Machine for which the base controller is designed.
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
         estimates: Whether to add estimates of friction, masses and belts to the observation also without a base.
@@ -95,7 +94,6 @@ class ResidualAction:
 
     Attributes:
         authority: Fractions of the rated voltage and of the last action, by distance and speed.
-        period: As given, s.
         tool_speeds: Columns of the array `observation` that hold the tool velocity along its axes, m/s.
         base: Controller whose action the policy corrects, or None.
         bank: Motions to rest at the goal (`transfers` or `plans`) whose voltages the policy weights, or None.

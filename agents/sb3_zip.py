@@ -38,7 +38,6 @@ class Sb3Model(Controller):
     Args:
         model: Model of stable-baselines3.
         form: Form in which it observes, for observations by key in SI units.
-        machine: Machine on which it runs.
         period: Control period, s.
         full_state: Whether it observes the full state instead of sensors.
     """

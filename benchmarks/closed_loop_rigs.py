@@ -15,7 +15,6 @@ import argparse
 import json
 import os
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,11 +25,9 @@ from rich.table import Table
 
 from benchmarks.other_simulator_rigs import hidden
 from benchmarks.results_file import ROOT, write_results
-from benchmarks.rig_score import root_mean_square, survives_rated_voltage
-from benchmarks.scoring import score_names
-from hframe_gym.identification import identify
+from benchmarks.rig_score import identify_rig, root_mean_square
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import Recording, load_machine, load_recordings
+from hframe_gym.recordings import Recording, load_machine
 from tests.reference_simulator import Array
 from tests.rigs.random_effects import DrawnEffect
 
@@ -59,34 +56,16 @@ def run_rig(folder: Path, truth: tuple[DrawnEffect, ...], *, log: bool = False) 
         The row of the results, as plain data.
     """
     declared = load_machine(str(folder / "machine.json"))
-    recordings, unseen = (load_recordings(folder / name, declared) for name in ("runs", "unseen"))
-    began = time.process_time()
-
-    def print_line(line: str) -> None:
-        print(f"{time.process_time() - began:7.1f} {line}", flush=True)
-
-    result = identify(recordings, declared, log=print_line if log else None)
-    seconds = time.process_time() - began
-    report = result.as_json()
-    named = {f"{e['name']}@{e['site']}": list(e.get("rivals", ())) for e in report["effects"]}
-    names = score_names(truth, result.verdict, named)
-    noise = np.array(
-        [s.noise or estimated for s, estimated in zip(declared.sensors, result.held_out.noise, strict=True)]
-    )
-    machines = {"declared": declared, "before": result.before.machine, "after": result.after.machine}
+    answer = identify_rig(folder, declared, truth, log=log)
+    estimated = answer.result.held_out.noise
+    noise = np.array([s.noise or value for s, value in zip(declared.sensors, estimated, strict=True)])
+    report = answer.result.as_json()
     return {
-        "rig": folder.name,
-        "hidden": json.loads((folder / "truth.json").read_text())["hidden"],
-        "verdict": result.verdict,
-        "named": named,
+        **answer.row,
         "hint": report.get("hint"),
-        "complete": all(names.identified),
-        "extra": list(names.extra),
-        "unseen": {name: _mean_ratio(machine, unseen, noise) for name, machine in machines.items()},
-        "left": report.get("left"),
+        "unseen": {name: _mean_ratio(machine, answer.unseen, noise) for name, machine in answer.machines.items()},
         "unfinished": report.get("unfinished"),
-        "stable": survives_rated_voltage(result.after.machine),
-        "cpu_seconds": round(seconds, 1),
+        "cpu_seconds": round(answer.seconds["cpu"], 1),
     }
 
 

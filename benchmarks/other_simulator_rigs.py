@@ -12,8 +12,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +20,9 @@ from rich.table import Table
 
 from benchmarks.identification import source_key
 from benchmarks.results_file import ROOT, write_results
-from benchmarks.rig_score import survives_rated_voltage, unseen_errors
-from benchmarks.scoring import score_names
+from benchmarks.rig_score import identify_rig, unseen_errors
 from hframe_gym.atomic_files import write_text
-from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.recordings import load_recordings
 from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.random_rigs import describe_effects
 
@@ -86,26 +81,12 @@ def run_rig(number: int, key: str, *, log: bool = False) -> dict[str, Any]:
             row: dict[str, Any] = old["row"]
             return row
     declared = BUILTIN_MACHINES["hframe"]()
-    recordings, unseen = (load_recordings(folder / name, declared) for name in ("runs", "unseen"))
-    wall, cpu = time.perf_counter(), time.process_time()
-    result = identify(recordings, declared, log=partial(print, flush=True) if log else None)
-    seconds = {"wall": round(time.perf_counter() - wall, 2), "cpu": round(time.process_time() - cpu, 2)}
-    report = result.as_json()
-    named = {f"{e['name']}@{e['site']}": list(e.get("rivals", ())) for e in report["effects"]}
-    names = score_names(TRUTH[number], result.verdict, named)
-    machines = {"declared": declared, "before": result.before.machine, "after": result.after.machine}
+    answer = identify_rig(folder, declared, TRUTH[number], log=log)
     row = {
-        "rig": folder.name,
-        **json.loads((folder / "truth.json").read_text()),
+        **answer.row,
         "truth": describe_effects(TRUTH[number]),
-        "verdict": result.verdict,
-        "named": named,
-        "complete": all(names.identified),
-        "extra": list(names.extra),
-        "unseen": {name: unseen_errors(machine, unseen) for name, machine in machines.items()},
-        "left": report.get("left"),
-        "stable": survives_rated_voltage(result.after.machine),
-        "seconds": seconds,
+        "unseen": {name: unseen_errors(machine, answer.unseen) for name, machine in answer.machines.items()},
+        "seconds": answer.seconds,
     }
     CACHE.mkdir(parents=True, exist_ok=True)
     write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import math
+import time
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.scoring import score_names
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import IdentificationResult, simulate_recording
+from hframe_gym.identification import IdentificationResult, identify, simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from hframe_gym.recordings import Recording, load_machine, save_machine
+from hframe_gym.recordings import Recording, load_machine, load_recordings, save_machine
 from tests.reference_simulator import Array
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
 from tests.rigs.random_effects import DrawnEffect
@@ -163,6 +165,61 @@ def _consistency(recordings: Sequence[Recording], result: IdentificationResult) 
     reported = [e.rmse for e in result.after.held_out.channels.values()]
     differences = [abs(e / r - 1.0) for e, r in zip(errors, reported, strict=True) if r]
     return float(min(max(differences, default=0.0), 1e9))
+
+
+class IdentifiedRig(NamedTuple):
+    """Answer to the recordings of a rig in a folder.
+
+    Attributes:
+        result: Result of the identification.
+        machines: The machine as declared, before and after the search for effects, by stage.
+        unseen: Runs for the error of the answer.
+        row: What every table of rigs says about it, as plain data.
+        seconds: Duration of the identification, s, by "wall" and "cpu".
+    """
+
+    result: IdentificationResult
+    machines: dict[str, Machine]
+    unseen: list[Recording]
+    row: dict[str, Any]
+    seconds: dict[str, float]
+
+
+def identify_rig(folder: Path, declared: Machine, truth: Sequence[DrawnEffect], *, log: bool) -> IdentifiedRig:
+    """Identify the rig of a folder with `runs`, `unseen` and `truth.json`, and compare the names with the truth.
+
+    Args:
+        folder: Folder of the rig.
+        declared: Machine to start from.
+        truth: What the rig hides.
+        log: Whether to print the progress of the identification, with the processor time.
+
+    Returns:
+        The answer.
+    """
+    recordings, unseen = (load_recordings(folder / name, declared) for name in ("runs", "unseen"))
+    wall, cpu = time.perf_counter(), time.process_time()
+
+    def print_line(line: str) -> None:
+        print(f"{time.process_time() - cpu:7.1f} {line}", flush=True)
+
+    result = identify(recordings, declared, log=print_line if log else None)
+    seconds = {"wall": round(time.perf_counter() - wall, 2), "cpu": round(time.process_time() - cpu, 2)}
+    report = result.as_json()
+    named = {f"{e['name']}@{e['site']}": list(e.get("rivals", ())) for e in report["effects"]}
+    names = score_names(truth, result.verdict, named)
+    row = {
+        "rig": folder.name,
+        **json.loads((folder / "truth.json").read_text()),
+        "verdict": result.verdict,
+        "named": named,
+        "complete": all(names.identified),
+        "extra": list(names.extra),
+        "left": report.get("left"),
+        "stable": survives_rated_voltage(result.after.machine),
+    }
+    machines = {"declared": declared, "before": result.before.machine, "after": result.after.machine}
+    return IdentifiedRig(result, machines, unseen, row, seconds)
 
 
 def survives_rated_voltage(machine: Machine) -> bool:

@@ -98,17 +98,10 @@ def map_tasks(
 
 
 def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
-    """Run a function that writes files, in a temporary folder, and return the contents of the files.
+    """Run a function that writes files to an empty folder; return its result, and the files by relative path.
 
     A worker process, which must not write to the folders of its caller, returns its files in this way; the calling
     process writes them with `write_files`.
-
-    Args:
-        write: Function that takes the path of an empty folder and writes files to it.
-
-    Returns:
-        result: What the function returns.
-        files: Contents of the files by path relative to the folder.
     """
     with scratch_folder() as scratch:
         folder = scratch / "files"  # the scratch folder itself is locked
@@ -119,11 +112,7 @@ def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]
 
 
 def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
-    """Write files to a folder; they appear together, or none of them.
-
-    Args:
-        folder: Folder; created if it does not exist.
-        files: Contents by path relative to the folder.
+    """Write files, by relative path, to a folder; they appear together, or none of them.
 
     Raises:
         InputError: If another process writes to the folder.
@@ -156,9 +145,6 @@ def single_threaded_linear_algebra() -> Iterator[None]:
     """Limit the linear algebra libraries of NumPy and SciPy to one thread, as a context or a decorator.
 
     More threads change the order of sums, and with it the last bits of results.
-
-    Yields:
-        Nothing; the limit holds inside the context.
     """
     with _linear_algebra_threads().limit(limits=1, user_api="blas"):
         yield

@@ -29,18 +29,10 @@ MAX_VALUES = 1_000_000_000  # numbers of a table: 8 GB, two hours at 10 kHz with
 
 
 def expansion_limit(path: Path) -> int:
-    """Return the largest accepted size of the decompressed content of a file.
+    """Return the largest accepted size, bytes, of the decompressed content of a file.
 
-    A small compressed file can expand to more than the memory holds; such a file is refused.
-
-    Args:
-        path: The compressed file.
-
-    Returns:
-        Number of bytes: 100 times the size of the file (`MAX_EXPANSION`), but at least 64 MB (`FREE_EXPANSION`).
-
-    Raises:
-        OSError: If the file does not exist.
+    A small compressed file can expand to more than the memory holds; such a file is refused. The limit is 100 times the
+    size of the file (`MAX_EXPANSION`), but at least 64 MB (`FREE_EXPANSION`).
     """
     return max(FREE_EXPANSION, MAX_EXPANSION * path.stat().st_size)
 
@@ -92,13 +84,7 @@ def refuse_many_values(path: Path, rows: int, columns: int) -> None:
 
 
 def read_document(path: Path) -> str:
-    """Read a whole text file such as JSON or TOML, of at most 16 MB (`MAX_DOCUMENT`).
-
-    Args:
-        path: File to read, UTF-8 with or without a byte order mark, or UTF-16 with one.
-
-    Returns:
-        Text of the file.
+    """Read a whole text file such as JSON or TOML, UTF-8 or UTF-16 with a byte order mark, of at most 16 MB.
 
     Raises:
         InputError: If the file cannot be read, is larger than 16 MB, or is not such a text.
@@ -117,13 +103,7 @@ def read_document(path: Path) -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Args:
-        path: File to read, in an encoding of `read_document`.
-
-    Returns:
-        Content of the file: dictionaries, lists, texts, numbers, True, False and None.
+    """Read a JSON file in an encoding of `read_document`.
 
     Raises:
         InputError: If the file cannot be read, is larger than 16 MB or nested too deeply, or is not valid JSON. NaN,
@@ -147,15 +127,9 @@ _DAMAGED = (
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an .npz file without executing code from the file.
+    """Read the arrays of an .npz file, of any shape, without executing code from the file.
 
     Arrays of Python objects, which NumPy stores as pickles, are refused, because reading a pickle can execute code.
-
-    Args:
-        path: File that `numpy.savez` or `numpy.savez_compressed` wrote.
-
-    Returns:
-        Arrays of numbers or texts by name, each with the shape in which it was written.
 
     Raises:
         InputError: If the file cannot be read, an array is damaged or holds Python objects, or the arrays together are

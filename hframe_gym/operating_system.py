@@ -24,11 +24,7 @@ _FOLDERS = {
 
 
 def cores() -> int:
-    """Return the number of cores that this process may use; evaluated once per process.
-
-    Returns:
-        Number of cores, at least 1.
-    """
+    """Return the number of cores that this process may use, at least 1; evaluated once per process."""
     return _cores(os.getpid())
 
 
@@ -81,13 +77,5 @@ def interrupt(process: subprocess.Popen[str]) -> None:
 
 
 def quoted(word: str, system: str = sys.platform) -> str:
-    """Quote a word of a command that a message proposes, if the shell needs it.
-
-    Args:
-        word: Word, for example a path with blanks.
-        system: Operating system as in `sys.platform`.
-
-    Returns:
-        The word in the quotation marks of the system's shell, or as it is.
-    """
+    """Quote a word of a command that a message proposes, such as a path, as the shell of a system needs it."""
     return subprocess.list2cmdline([word]) if system == "win32" else shlex.quote(word)

@@ -93,27 +93,17 @@ def _import_from_user(module: str) -> None:
 
 
 def names_module(name: str) -> bool:
-    """Return whether a name has the form `package.module:name`; a Windows path with a drive has not.
-
-    Args:
-        name: Name that a user has written.
-
-    Returns:
-        True if the part before the colon can be a module and the part after it is no path.
-    """
+    """Return whether a name has the form `package.module:name`; a Windows path with a drive has not."""
     return re.fullmatch(r"[^\W\d][\w.]*:[^\\/:]+", name) is not None
 
 
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
-    """Import every module of a package, so that the classes and functions in them register themselves by name.
+    """Import every module of a package but `skip`, so that the classes and functions in them register.
 
     Args:
         package: Full name of the package, its `__name__`.
         path: Folders of the package, its `__path__`.
-        skip: Names of modules, without the package, that are not imported because they need optional dependencies.
-
-    Raises:
-        ImportError: If a module cannot be imported.
+        skip: Modules that need optional dependencies.
     """
     for module in pkgutil.iter_modules(path):
         if module.name not in skip:
@@ -132,13 +122,7 @@ class Registry(Generic[T]):
         self._parts: dict[str, T] = {}
 
     def register(self, name: str) -> Callable[[P], P]:
-        """Return a decorator that adds a class or function to the registry.
-
-        Args:
-            name: Name by which options and commands select the class or function.
-
-        Returns:
-            The decorator, which returns the class or function unchanged.
+        """Return a decorator that adds a class or function to the registry under a name, by which options select it.
 
         Raises:
             ValueError: When the decorator is applied, if another class or function has the name. A class or function
@@ -156,14 +140,7 @@ class Registry(Generic[T]):
         return add
 
     def unregister(self, name: str) -> None:
-        """Remove a class or function from the registry, for example at the end of a test.
-
-        Args:
-            name: Name under which it was registered.
-
-        Raises:
-            KeyError: If the name is not registered.
-        """
+        """Remove a class or function from the registry, for example at the end of a test."""
         del self._parts[name]
 
     def get(self, name: str) -> T:
@@ -174,9 +151,6 @@ class Registry(Generic[T]):
         Args:
             name: Registered name. `package.module:name` first imports that module, which registers the name; it is
                 installed, on PYTHONPATH or in the current folder.
-
-        Returns:
-            The class or function.
 
         Raises:
             InputError: If the module cannot be imported or the name is not registered; the message lists all names.
@@ -202,14 +176,7 @@ class Registry(Generic[T]):
         return tuple(self._parts)
 
     def __contains__(self, name: object) -> bool:
-        """Return whether a name is registered; plugins are imported before the answer is False.
-
-        Args:
-            name: Name to look up.
-
-        Returns:
-            True if it is registered.
-        """
+        """Return whether a name is registered; plugins are imported before the answer is False."""
         if name not in self._parts:
             load_plugins()
         return name in self._parts

@@ -81,10 +81,7 @@ class Panel(NamedTuple):
 
 
 def plot_style() -> Any:  # matplotlib's type lists the names of all settings
-    """Return the settings of matplotlib with which a plot (`Panel`) is drawn: fonts, colors, grid, no frame.
-
-    Returns:
-        Settings by name, a dictionary for `matplotlib.rc_context`.
+    """Return the settings of matplotlib with which plots are drawn, for `matplotlib.rc_context`.
 
     Raises:
         ImportError: If matplotlib is missing; the message says how to install it.
@@ -120,7 +117,7 @@ def plot_style() -> Any:  # matplotlib's type lists the names of all settings
 
 
 def panel_svg(panel: Panel, prefix: str) -> str:
-    """Draw a plot as an SVG element to be inserted into a web page.
+    """Draw a plot as an SVG element to be inserted into a web page, with its description as the alternative text.
 
     Each color becomes a variable of the page's style sheet, for example `var(--ink)`, so that the plot follows the
     light or dark display of the reader.
@@ -129,9 +126,6 @@ def panel_svg(panel: Panel, prefix: str) -> str:
         panel: Title, description and function that draws the plot.
         prefix: Prefix of the identifiers in the element, a different one for each plot of a page: letters, digits,
             hyphens.
-
-    Returns:
-        Text `<svg ...>...</svg>`, with the plot's description as the alternative text.
 
     Raises:
         ImportError: If matplotlib or Jinja is missing; the message says how to install them.
@@ -205,11 +199,7 @@ def _fix_layout(figure: Any) -> None:
 
 
 def legend_above(axes: Any) -> None:
-    """Add a legend above the axes, where it hides no curve, with up to four entries in a row.
-
-    Args:
-        axes: Matplotlib axes with labeled curves.
-    """
+    """Add a legend above the axes, where it hides no curve, with up to four entries in a row."""
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
@@ -260,15 +250,7 @@ def _templates(package: str) -> Any:
 
 
 def number(value: float | None, absent: str = "") -> str:
-    """Format a number for tables and texts, with three significant digits; large ones are rounded to an integer.
-
-    Args:
-        value: Number to format, in any unit; None if there is none.
-        absent: Text for None.
-
-    Returns:
-        Text, for example "0.0312", "18.3" or "12413"; from 1e6 on with an exponent, "1.24e+06".
-    """
+    """Format the `value`, in any unit, with three significant digits, as "18.3" or "12413"; None as `absent`."""
     if value is None:
         return absent
     return f"{value:.0f}" if 999.5 <= abs(value) < 1e6 else f"{value:.3g}"

@@ -18,6 +18,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 from rich.console import Console
 from typer.core import TyperCommand, TyperGroup
+from typing_extensions import override
 
 from ..distributed import LOCAL_RAY
 from ..registry import load_plugins
@@ -36,15 +37,11 @@ class RunFormats(StrEnum):
 class Command(TyperCommand):
     """Typer command whose line of usage names its arguments in capitals, such as RUNS_DIR."""
 
+    @override
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the words of the line of usage after the name of the command.
+        """Return the words of the line of usage after the name of the command: "[OPTIONS]" and the arguments.
 
-        Args:
-            ctx: Click context of the command.
-
-        Returns:
-            "[OPTIONS]" and the arguments. Typer writes a required one as "{runs_dir}", which looks like a placeholder
-            that was not filled in.
+        Typer writes a required one as "{runs_dir}", which looks like a placeholder that was not filled in.
         """
         return [piece.replace("{", "").replace("}", "").upper() for piece in super().collect_usage_pieces(ctx)]
 
@@ -55,29 +52,15 @@ class CommandGroup(TyperGroup):
     Paragraphs of the help pages fill the width of the terminal; Typer alone would keep the line breaks of docstrings.
     """
 
+    @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line of the group, as Click does.
-
-        Args:
-            ctx: Click context of the group.
-            args: Words of the command line after the name of the group.
-
-        Returns:
-            Words that are left for the command.
-        """
+        """Parse the command line of the group; without a command, that of `list`."""
         rest: list[str] = super().parse_args(ctx, args or ["list"] * ("list" in self.commands))
         return rest
 
+    @override
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, without line breaks within the paragraphs of its help, so that these fill the terminal.
-
-        Args:
-            ctx: Click context of the group.
-            cmd_name: Name of the command.
-
-        Returns:
-            The command, or None if the group has none of this name.
-        """
+        """Return a command, without line breaks within the paragraphs of its help, so that these fill the terminal."""
         command = super().get_command(ctx, cmd_name)
         if command is not None and command.help:
             paragraphs = inspect.cleandoc(command.help).split("\n\n")
@@ -88,19 +71,11 @@ class CommandGroup(TyperGroup):
 class Application(typer.Typer):
     """Typer application whose commands are of the class `Command` unless another one is given."""
 
+    @override
     def command(
         self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **settings: Any
     ) -> Callable[[_Function], _Function]:
-        """Return a decorator that makes a function a command.
-
-        Args:
-            name: Name of the command. Default: that of the function.
-            cls: Class of the command.
-            **settings: Other arguments of `typer.Typer.command`.
-
-        Returns:
-            The decorator.
-        """
+        """Return a decorator that makes a function a command."""
         return super().command(name, cls=cls, **settings)
 
 
@@ -152,11 +127,7 @@ class _TolerantStream:
 
 @contextmanager
 def closed_output_tolerated() -> Iterator[None]:
-    """Let the work inside a `with` block go on if the reader of its output ends, as in `hframe import LOGS | head`.
-
-    Yields:
-        Nothing. Within the block, texts that nobody reads are discarded.
-    """
+    """Let the work inside a `with` block go on if the reader of its output ends, as in `hframe import LOGS | head`."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = _TolerantStream(sys.stdout), _TolerantStream(sys.stderr)
     try:
@@ -210,36 +181,23 @@ def register_agents() -> None:
 
 
 def log(line: str) -> None:
-    """Print a line of text at once, also if the output is not a terminal.
-
-    Args:
-        line: Text; markup of rich in it is printed as it is.
-    """
+    """Print a line of text at once, also if the output is not a terminal; markup of rich in it is printed as it is."""
     console.print(plain_text(line), markup=False, highlight=False)
 
 
 def plain_text(text: str) -> str:
-    """Make a text safe to print: names in files may contain characters that control the terminal.
+    """Return a text with every character that could control the terminal replaced by its escape sequence.
 
-    Args:
-        text: Text to print.
-
-    Returns:
-        The text with every character that is not printable, except line feeds and tabs, replaced by its escape sequence
-        in Python's notation.
+    Names in files may contain such characters. Line feeds and tabs stay.
     """
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
 def registered_choices() -> dict[str, str]:
-    """List the names that some options accept, such as names of tasks and controllers, for the help texts.
+    """List the names that some options accept, by their placeholder in the help texts: {"tasks": "reach, track"}.
 
-    Plugins are imported first.
-
-    Returns:
-        Names separated by commas, by the placeholder that stands for them in the help texts, for example {"tasks":
-        "reach, track"}. The placeholders are agents, algorithms, controllers, protocols, randomizations, sensors and
-        tasks.
+    Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols, randomizations, sensors
+    and tasks.
     """
     from ..agents import recipe_names, shipped_agent_names
     from ..controllers import CONTROLLERS
@@ -267,31 +225,17 @@ class CommandWithChoices(Command):
     option --ray may have no value.
     """
 
+    @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line and store the values of options and arguments in the context, as Click does.
-
-        The option --ray (run on Ray, a library for parallel computing on clusters) may be followed by the address of a
-        cluster. If it is not, the value "local" is stored: Ray then starts on this machine.
-
-        Args:
-            ctx: Click context of the command, which receives the values by name in its attribute `params`.
-            args: Words after the command's name.
-
-        Returns:
-            Words that no option or argument has used.
-        """
+        """Parse the command line; the option --ray without the address of a cluster gets the value "local"."""
         words = []
         for word, following in pairwise([*args, ""]):
             words += [word] if word != "--ray" or _RAY_ADDRESS.fullmatch(following) else [word, LOCAL_RAY]
         return super().parse_args(ctx, words)
 
+    @override
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help page, with the names of the registered tasks, controllers etc. for their placeholders.
-
-        Args:
-            ctx: Click context of the command.
-            formatter: Click formatter that receives the text.
-        """
+        """Write the help page, with the names of the registered tasks, controllers etc. for their placeholders."""
         choices = registered_choices()
         for parameter in self.params:
             help_text = getattr(parameter, "help", None)

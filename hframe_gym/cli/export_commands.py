@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typing_extensions import override
 
 from ..errors import InputError
 from .app import CommandGroup, CommandWithChoices, app, log, register_agents
@@ -27,19 +28,9 @@ DATASET = "dataset"  # the kind that `hframe export CONTROLLER` means
 class ExportGroup(CommandGroup):
     """Group with one command for each registered exporter; they are imported when the first command is needed."""
 
+    @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the command line; without a kind of export, `hframe export CONTROLLER` writes a data set.
-
-        Args:
-            ctx: Click context of the group.
-            args: Words of the command line after the name of the group.
-
-        Returns:
-            Words that are left for the command.
-
-        Raises:
-            InputError: If the first word is neither a kind of export nor a controller.
-        """
+        """Parse the command line; without a kind of export, `hframe export CONTROLLER` writes a data set."""
         if args and args[0] not in ("--help", *self.list_commands(ctx)):
             if not args[0].startswith("-"):
                 _require_controller(args[0], self.list_commands(ctx))
@@ -47,31 +38,18 @@ class ExportGroup(CommandGroup):
             args = [DATASET, *args]
         return super().parse_args(ctx, args)
 
+    @override
     def list_commands(self, ctx: Any) -> list[str]:
-        """List the registered kinds of export.
-
-        Args:
-            ctx: Click context of the group.
-
-        Returns:
-            Names.
-        """
+        """List the registered kinds of export."""
         from ..exporters import EXPORTERS
         from ..registry import load_plugins
 
         load_plugins()
         return list(EXPORTERS)
 
+    @override
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command of an exporter.
-
-        Args:
-            ctx: Click context of the group.
-            cmd_name: Name of the exporter.
-
-        Returns:
-            The command, or None if there is no such exporter.
-        """
+        """Return the command of an exporter, None if there is no such exporter."""
         if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
             self.commands[cmd_name] = _command(cmd_name)
         return super().get_command(ctx, cmd_name)

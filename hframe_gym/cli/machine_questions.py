@@ -62,10 +62,7 @@ class MachineAnswers:
     values: tuple[str, ...] = ()
 
     def options(self) -> MachineOptions:
-        """Convert the answers, which are partly texts, to the options of the new machine.
-
-        Returns:
-            Options with numbers in SI units, for `new_machine`.
+        """Convert the answers, which are partly texts, to the options of `new_machine`.
 
         Raises:
             InputError: If a text is not a number, or does not have the form PARAMETER=VALUE.
@@ -121,25 +118,14 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
 
 
 def file_obstacle(path: Path, force: bool) -> str:
-    """Return the reason why a new machine cannot be written to a file: wrong ending, or the file exists.
-
-    Args:
-        force: Whether an existing file is replaced.
-
-    Returns:
-        What is wrong with the file and what to do; empty if nothing is.
-    """
+    """Return why a new machine cannot be written to a file, and what to do; empty if it can."""
     if path.suffix != ".json":
         return "must end in .json"
     return "exists already; choose another name" if path.exists() and not force else ""
 
 
 def motion_lines(machine: Machine) -> list[str]:
-    """Describe moved mass, stall force and top speed at rated voltage; implausible values reveal a wrong unit.
-
-    Returns:
-        One line with units per rigid motion (one that stretches no belt), for example along x and along y.
-    """
+    """Describe moved mass, stall force and top speed at rated voltage of each rigid motion, to reveal wrong units."""
     lines = []
     for name, limit in motion_limits(machine).items():
         c = machine.coordinate(name)
@@ -157,9 +143,6 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
         answers: Values of the command's options, empty or None where not given.
         log: Called with a line of text for the user.
         force: Whether the name of an existing file is accepted.
-
-    Returns:
-        Answers with template, file and sensors; a value stays empty or None where the user accepts the template's.
 
     Raises:
         InputError: If a given value cannot be used, for example an unknown template.

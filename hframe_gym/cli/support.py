@@ -45,31 +45,14 @@ _INTERRUPTS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGBREAK") if 
 
 
 def require_folder(path: Path) -> Path:
-    """Raise an error if a path is a file where a folder is needed.
-
-    Args:
-        path: Value of the option --out; the folder need not exist yet.
-
-    Returns:
-        The same path.
-
-    Raises:
-        InputError: If the path is a file.
-    """
+    """Return the value of the option --out, a folder that need not exist yet; an InputError refuses a file."""
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}: is a file, but must be a folder")
     return path
 
 
 def rig_folders(folder: Path) -> list[Path]:
-    """List the subfolders of a folder that contain recordings, one subfolder per rig.
-
-    Args:
-        folder: Folder of several rigs, or of the recordings of one.
-
-    Returns:
-        Subfolders in alphabetical order; none if the folder itself contains recordings.
-    """
+    """List the subfolders of a folder that contain recordings, one per rig; none if the folder itself contains some."""
     from ..recordings import recording_files
 
     if not folder.is_dir() or recording_files(folder):
@@ -78,15 +61,9 @@ def rig_folders(folder: Path) -> list[Path]:
 
 
 def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
-    """Raise an error if a folder has only one run.
+    """Raise an InputError if a folder has only one run; the message says how to cut it into several.
 
     An identification needs at least two: one is not fitted, but used to verify the result.
-
-    Args:
-        recordings: Runs of the folder (times, s; voltages, V; measurements, m or rad).
-
-    Raises:
-        InputError: If there is a single run. The message says how to cut it into several.
     """
     if len(recordings) != 1:
         return
@@ -101,14 +78,7 @@ def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
 
 
 def task_with_path(name: str, path: str | None) -> Any:
-    """Return the task that the options --task and --path select.
-
-    Args:
-        name: Name of a registered task.
-        path: Value of --path: name of a path or a CSV file; None for the task's default path.
-
-    Returns:
-        For a task in which the tool follows a path, a task object with this path; otherwise the name of the task.
+    """Return the task that the options --task and --path select: a task object with the path, or the name of the task.
 
     Raises:
         InputError: If the task is unknown, or if a path is given for a task that does not follow one.
@@ -125,13 +95,9 @@ def task_with_path(name: str, path: str | None) -> Any:
 
 
 def option_words(**values: str | None) -> str:
-    """Format options as the end of a command line that a message proposes.
+    """Format options as the end of a command line that a message proposes, quoted: " --machine axis --task reach".
 
-    Args:
-        **values: Value by name of the option; None for an option that is left out.
-
-    Returns:
-        Options with a blank before each, quoted for a shell, for example " --machine axis --task reach".
+    An option whose value is None is left out.
     """
     return "".join(f" --{name} {quoted(value)}" for name, value in values.items() if value is not None)
 
@@ -139,15 +105,8 @@ def option_words(**values: str | None) -> str:
 def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
     """Write the line that proposes, after an evaluation of controllers, to train an agent with the same settings.
 
-    Args:
-        machine: Value of the option --machine.
-        task: Value of the option --task.
-        randomize: Value of the option --randomize.
-        period: Control period of the evaluation, s.
-
-    Returns:
-        One line with the command and, if it differs, the control period of the recipe; empty if the package has no
-        recipe "ppo" for the task.
+    It names the control period of the recipe if it differs from `period`, s, that of the evaluation. It is empty if the
+    package has no recipe "ppo" for the task.
     """
     from ..agents import load_recipe
 
@@ -162,14 +121,7 @@ def training_proposal(machine: str, task: str, randomize: str, period: float) ->
 
 @contextmanager
 def value_errors_as_input_errors() -> Iterator[None]:
-    """Convert each ValueError raised inside a `with` block to an InputError with the same message.
-
-    Yields:
-        Nothing.
-
-    Raises:
-        InputError: If the block raises a ValueError.
-    """
+    """Convert each ValueError raised inside a `with` block to an InputError with the same message."""
     try:
         yield
     except ValueError as error:
@@ -179,9 +131,6 @@ def value_errors_as_input_errors() -> Iterator[None]:
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar during the `with` block, if the output is a terminal.
-
-    Args:
-        description: Text before the bar.
 
     Yields:
         Function that updates the bar. Call it with the work done and the total work, for example in bytes.
@@ -215,16 +164,7 @@ def _progress_records() -> Callable[..., None]:
 
 
 def describe_failure(error: Exception) -> tuple[int, str]:
-    """Convert an exception to an exit code and a message of one line.
-
-    Args:
-        error: Exception that a command raised.
-
-    Returns:
-        code: Exit code of the process: `INPUT_AT_FAULT` (2) for errors in input, files or installation, else
-            `INTERNAL_ERROR` (1).
-        message: Text for the user, without a line break.
-    """
+    """Convert an exception to an exit code (`INPUT_AT_FAULT` or `INTERNAL_ERROR`) and a message of one line."""
     from ..dynamics import NotFiniteError
 
     usage = getattr(error, "format_message", None)  # of Typer's errors about options
@@ -256,10 +196,6 @@ def print_warning(message: Warning | str, category: type[Warning], *_args: Any, 
 
     Warnings of NumPy about numbers that overflow are left out: a search tries machines that diverge, and tells so where
     it matters.
-
-    Args:
-        message: The warning.
-        category: Its class; the other arguments of `warnings.showwarning` (file, line) are ignored.
     """
     if issubclass(category, RuntimeWarning) and not os.environ.get(DEBUG_VARIABLE):
         return
@@ -268,11 +204,7 @@ def print_warning(message: Warning | str, category: type[Warning], *_args: Any, 
 
 @contextmanager
 def collect_warnings() -> Iterator[list[str]]:
-    """Collect the texts of warnings during the `with` block, for a report; they are still printed.
-
-    Yields:
-        List that receives the text of each warning of the class UserWarning.
-    """
+    """Collect the texts of warnings (UserWarning) during the `with` block, for a report; they are still printed."""
     texts: list[str] = []
     show = warnings.showwarning
 
@@ -296,12 +228,10 @@ def check_recordings_before_fit(
     A fault is a finding that is certainly an error in the data, for example a stuck sensor or a wrong sign.
 
     Args:
-        recordings: Runs to fit (times, s; voltages, V; measurements, m or rad).
+        recordings: Runs to fit.
+        machine: Machine as declared.
         refuse: Folder of the recordings, which the error names. None: faults are only printed.
         log: Called with a line of text for every group of similar faults, and for the number of other findings.
-
-    Returns:
-        All findings.
 
     Raises:
         InputError: If there is a fault and `refuse` is given.
@@ -363,11 +293,7 @@ def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float
 def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
     """Let the first Ctrl-C during the `with` block end a search with what it found so far; the second one ends all.
 
-    Args:
-        budget: Budget of the identification. While no search is in progress, Ctrl-C ends the command as everywhere.
-
-    Yields:
-        Nothing.
+    While no search is in progress, Ctrl-C ends the command as everywhere.
     """
     previous = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(previous):
@@ -394,15 +320,8 @@ def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
 def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:
     """Propose formulas for the forces that an identification could only describe by tables of values.
 
-    Such a table stands for a force that no known effect explains. This needs scikit-learn; without it, nothing is
-    proposed.
-
-    Args:
-        result: Result of an identification: machines, selected effects and fitted runs.
-        log: Called with a line of text for every formula, or with the reason why there is none.
-
-    Returns:
-        For each table, a comparison of formulas with it; empty without tables or without scikit-learn.
+    Such a table stands for a force that no known effect explains. Without scikit-learn, nothing is proposed,
+    and the log gets the reason.
     """
     from ..identification.report.formulas import compare_formulas
 

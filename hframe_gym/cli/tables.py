@@ -175,14 +175,7 @@ def _over_bound(result: Mapping[str, Any], part: str, bound: NDArray[np.float64]
 
 
 def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
-    """List why the time-optimal bound, the shortest possible settling time, is missing in the scores of controllers.
-
-    Args:
-        scores: Contents of scores.json, the file that `hframe evaluate` writes.
-
-    Returns:
-        Each different reason once, as text, in the order of the controllers; empty if all bounds are known.
-    """
+    """List each reason why the time-optimal bound is missing in the scores (scores.json), once and in their order."""
     reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
     return list(dict.fromkeys(reason for reason in reasons if reason))
 
@@ -351,11 +344,7 @@ def _limits_table(machine: Machine) -> Table:
 
 
 def belt_mode_line(machine: Machine) -> str:
-    """Describe in one line the lowest three natural frequencies of a machine's masses on its belts, at position 0.
-
-    Returns:
-        Text without a line break, with frequencies in Hz, or with the word "none" if there is no elastic belt.
-    """
+    """Describe in one line the lowest three natural frequencies, Hz, of the masses on the belts."""
     modes = [f for f in mode_frequencies(machine).tolist() if f > 0]
     if not modes:
         return "belt modes: none (no elastic belt)"

@@ -62,7 +62,6 @@ class AdaptiveController(FullStateController):
     Its registered name is `adaptive-pid`, because the controllers that it adapts are `ModelBasedController`s (`pid`).
 
     Attributes:
-        model: Model of the machine.
         expected_friction: Voltages that compensate the difference between estimated and modeled friction along the
             path, divided by the rated voltages, shape (B, 4 * drives): one column per drive for the present period,
             then for each of the next two periods, then for the mean of recent periods. 0 if the goal does not move.
@@ -184,13 +183,7 @@ class AdaptiveController(FullStateController):
 class MomentumFilter:
     """Recursive least-squares estimator of friction, masses and belt stiffness of B machines with n coordinates.
 
-    Args:
-        model: Model of the machine with its declared parameters.
-        period: Control period, s.
-
     Attributes:
-        model: As given.
-        period: As given, s.
         estimates: Relative errors of the model (0.1: actual value 10 % above the model's), shape (B, 2 n + 1): n
             Coulomb friction forces (f_c), n masses (d_c), belt stiffness (e). Zero at the start of an episode.
     """
@@ -230,8 +223,6 @@ class MomentumFilter:
         unstretched belts and one for the tool, along each axis; the description of the module states the equations.
 
         Args:
-            before: States at the start of the period.
-            after: States at its end.
             volts: Mean voltages at the motors in the period.
             effect_force: Modeled forces of the machine's effects, including those by which effects change friction.
             starts: Machines whose episode starts with `after`; their estimates become zero.
@@ -302,7 +293,6 @@ def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) 
     """Return a copy of a machine whose belt stiffnesses EA and masses (inertias) are multiplied by factors.
 
     Args:
-        machine: Machine to copy.
         stiffness_ratio: Factor on the tensile stiffness EA of all belts, dimensionless.
         mass_ratio: Factor on the masses of all coordinates, dimensionless.
     """

@@ -58,10 +58,6 @@ class Controller(ABC):
     A controller may keep a memory of each machine (integrators, estimates, voltages sent within the dead time); `reset`
     clears it. B is the number of rows of the observation.
 
-    Args:
-        machine: Machine model from which the controller is designed.
-        period: Control period, s.
-
     Attributes:
         feedback: What the controller needs to measure (class attribute). "state": the true full state; such a
             controller cannot run from sensors. "estimated_state": the full state, which `StateEstimator` supplies where
@@ -69,8 +65,6 @@ class Controller(ABC):
         knowledge: For what it uses the machine from which it is designed, a few words for the leaderboard (class
             attribute). A planner with the true parameters of a draw says so.
         files: Files besides its source that determine what it does, such as weights. They count as learned.
-        machine: As given.
-        period: As given, s.
 
     Raises:
         InputError: If the period is not between 1e-5 s and 10 s.
@@ -193,7 +187,6 @@ class UnitCheck:
     """Check that observations are arrays by key in SI units, for controllers that use them as they are.
 
     Args:
-        machine: Machine of the controller.
         full_state: Whether the full state is observed instead of sensors.
     """
 
@@ -260,13 +253,6 @@ class FullStateController(Controller):
 
     This class converts observations to states and goals, and records which machines start a new episode.
 
-    Args:
-        machine: Machine model from which the controller is designed.
-        period: Control period, s.
-
-    Attributes:
-        model: Design model of the machine.
-
     Raises:
         InputError: If the machine does not have one drive per axis of its tool, or the period is invalid.
     """
@@ -311,7 +297,6 @@ class Estimator(Protocol):
     In every control period, call `update` with the measurements, then `send` with the voltages.
 
     Attributes:
-        model: Model of the machine.
         period: Control period, s.
         channels: Number of measurements per machine.
     """
@@ -344,10 +329,6 @@ class OutputFeedbackController(Controller):
         controller: Full-state controller (`feedback` is "state" or "estimated_state").
         estimator: State estimator of the same machine and control period. Its measurements are the first
             `estimator.channels` columns of the array `observation` that the environment returns.
-
-    Attributes:
-        controller: As given.
-        estimator: As given.
 
     Raises:
         InputError: If the estimator's period is invalid.

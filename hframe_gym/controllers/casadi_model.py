@@ -31,7 +31,6 @@ class SymbolicModel:
     each drive on a scale on which -1 is the lowest and 1 the highest possible voltage, shape (drives,).
 
     Args:
-        machine: Machine with its effects.
         parameters: CasADi symbols of all P parameters in the order of `Machine.parameters`, shape (P,).
         start: CasADi symbols of the state at the start, m and m/s, shape (2 n,).
         reversal_speed: Speed v0 of the smoothed Coulomb friction F tanh(v / v0), m/s.

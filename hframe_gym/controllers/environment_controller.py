@@ -30,11 +30,7 @@ class EnvironmentController(Controller):
     It undoes the options `normalize` and `flat`, and takes an observation without batch axis as that of one machine.
 
     Args:
-        controller: Controller of observations by key in SI units.
         form: Form of the observations.
-
-    Attributes:
-        controller: As given.
     """
 
     feedback: ClassVar[Feedback] = "observation"

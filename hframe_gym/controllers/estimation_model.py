@@ -28,11 +28,7 @@ class ParameterRatios:
     A logarithm of 0.1 means about 10 % above the declared value. A parameter cannot change its sign.
 
     Args:
-        machine: Machine with the declared values.
         names: Full names of the k estimated parameters, for example "x.mass".
-
-    Attributes:
-        names: As given.
     """
 
     def __init__(self, machine: Machine, names: Iterable[str]) -> None:
@@ -60,9 +56,6 @@ class AugmentedParameters(ParameterRatios):
 
     EA is the tensile stiffness of a belt (modulus times cross section), N; its estimate also absorbs the error of the
     belt's length.
-
-    Args:
-        machine: Machine with the declared values.
 
     Attributes:
         names: Full names of the k parameters.

@@ -89,14 +89,7 @@ class MinimumEnergyTransfers:
     A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position at which
     the machine is linearized.
 
-    Args:
-        model: Model of the machine.
-        period: Control period, s.
-
     Attributes:
-        model: As given.
-        period: As given, s.
-        grid: Operating points of the gains.
         shortest: Number of periods of the shortest transfer.
         longest: Number of periods of the longest transfer.
         gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape (points,
@@ -145,8 +138,6 @@ class MinimumEnergyTransfers:
         stays within them, the longest one is selected, which exceeds them.
 
         Args:
-            error: State minus goal state.
-            goal: Tool position at the goal.
             limits: Lowest voltages and highest voltages, V, shape (B, drives) each.
             at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
 
@@ -206,8 +197,6 @@ class PreviewGains:
     An operating point is a tool position at which the machine is linearized. The state is that of `TravelStates`.
 
     Args:
-        model: Model of the machine.
-        grid: Operating points (tool positions) for which gains are computed.
         period: Control period, s.
         horizon: Number of previewed goals, H.
         change_weight: Weight w of voltage changes, m/V.
@@ -261,14 +250,11 @@ class PreviewTracker:
     """Preview control of the tool position, with a disturbance observer.
 
     Args:
-        model: Model of the machine.
-        grid: Operating points (tool positions) for which gains are computed.
         period: Control period, s.
         goals: Number of previewed goals (one per control period) that `command` receives; those more than 0.1 s
             ahead are not used.
 
     Attributes:
-        model, grid, period: As given.
         horizon: Number of previewed goals that are used, H.
         gains: Preview gains by operating point.
     """
@@ -289,9 +275,6 @@ class PreviewTracker:
         integrator.
 
         Args:
-            before: States at the start of the period.
-            after: States at its end.
-            volts: Voltages at the motors in the period.
             starts: Machines whose episode starts with `after`; their estimate is set to zero.
         """
         if len(self._disturbance) != len(after):
@@ -306,11 +289,9 @@ class PreviewTracker:
         """Compute the motor voltages, within the rated ones, that follow the previewed goals from now on.
 
         Args:
-            state: Present states.
             goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes) for H =
                 `horizon`; further goals are ignored.
             last: Motor voltages of the previous period. The plan penalizes changes from them.
-            elapsed_s: Time since the start of the episode.
         """
         model, H = self.model, self.horizon
         goals = goals[:, : H + 1]

@@ -27,7 +27,6 @@ class DeadTime:
 
     Attributes:
         delay_s: Dead time of the slowest drive, s.
-        period: As given, s.
         remainder_s: Dead time beyond complete periods, s.
         machine_without_delay: Copy of the machine without the effects that cause a dead time.
     """
@@ -123,7 +122,6 @@ class DeadTime:
         """Predict the state at the end of the dead time by simulation with the voltages in the delay line.
 
         Args:
-            state: Present state.
             parameters: Parameters of `machine_without_delay`. Default: its declared ones.
             offset: Voltages added to those in the delay line, for example for an estimated disturbance.
         """

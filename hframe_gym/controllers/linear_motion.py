@@ -45,12 +45,7 @@ FINAL_ERROR = 1e-6
 
 
 class LinearMotion:
-    """Discrete-time linear models of machines with different parameters, for voltages that are held over a period.
-
-    Args:
-        model: Model of the machine with its declared parameters.
-        period: Control period, s.
-    """
+    """Discrete-time linear models of machines with different parameters, for voltages that are held over a period."""
 
     def __init__(self, model: MotionModel, period: float) -> None:
         self._model, self._period = model, period
@@ -69,10 +64,6 @@ class LinearMotion:
 
         Viscous friction and motor constants are taken from the declared machine; masses, belts and radii from
         `parameters`.
-
-        Args:
-            parameters: Parameters of the machines.
-            position: Tool positions of the linearization.
 
         Returns:
             A: System matrices, shape (B, 2 n, 2 n).
@@ -102,11 +93,6 @@ class LinearMotion:
 
         Constant forces allow a plan with a linear model. At speeds far above 20 mm/s, the force opposes the present
         motion. At speeds far below, it opposes the motion towards the goal, and is smaller within about 1 mm of it.
-
-        Args:
-            state: Present state.
-            error: State minus goal state.
-            parameters: Parameters of the machines.
         """
         n = len(self._model.mass)
         level = self._force_of_unit * (parameters[:, self._coulomb_columns] / self._coulomb_unit)
@@ -228,9 +214,6 @@ class SimulatedTransfers:
         Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their effects.
 
         Args:
-            state: Present state.
-            goal: Tool positions of the goals.
-            parameters: Parameters of the machines.
             last_volts: Voltages of the previous period. They still act during the dead time of the drives.
 
         Returns:

@@ -60,12 +60,7 @@ class ModelBasedController(FullStateController):
     The registered name `pid` is historical and serves as its short name: like a PID it needs no training and has
     proportional, derivative and integrating action, but it is not a PID.
 
-    Args:
-        machine: Machine model from which gains and feedforward are computed.
-        period: Control period, s.
-
     Attributes:
-        model: Model of the machine.
         transfers: Feedback gains of the motions to rest at a fixed goal (point-to-point motion).
 
     Raises:

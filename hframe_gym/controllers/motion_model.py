@@ -27,9 +27,6 @@ FRICTION_COMPENSATION_SPEED = 0.02
 class OperatingPointGrid:
     """Grid of tool positions for which gains are designed, because the belts' stiffness depends on the position.
 
-    Args:
-        machine: Machine whose tool axes have a range (the workspace).
-
     Attributes:
         points: Tool positions of the grid, 9 x 7 for x and y and 9 for one axis, m, shape (points, axes).
         span: Size of the workspace along each axis, m, shape (axes,).
@@ -61,7 +58,6 @@ class MotionModel:
         machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives.
 
     Attributes:
-        machine: As given.
         axes: Names of the tool's coordinates, ("x", "y") or one name.
         tool: Indices of these coordinates in the machine's order.
         observed: Coordinate names in the order of a full-state observation.
@@ -128,9 +124,6 @@ class MotionModel:
 
     def observation(self, state: TravelStates) -> Array:
         """Convert states to full-state observations, the inverse of the method `state`.
-
-        Args:
-            state: States.
 
         Returns:
             Positions in the order of `observed`, then their velocities, m, rad, m/s and rad/s, shape (B, 2 n).
@@ -265,9 +258,6 @@ class MotionModel:
         Force = change of momentum / period + viscous friction - drive force. Belt forces are internal and cancel.
 
         Args:
-            before: States at the start of the period.
-            after: States at its end.
-            volts: Voltages at the motors in the period.
             period: Control period, s.
 
         Returns:

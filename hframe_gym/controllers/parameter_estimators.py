@@ -98,8 +98,6 @@ class ParameterEstimator(ABC):
         """Update the attribute `estimates` with the measured states of the control period that has ended.
 
         Args:
-            before: States at the start of the period.
-            after: States at its end.
             actions: Voltages at the drives in the period, divided by the rated voltages, shape (B, drives). With a dead
                 time (`switch_s` > 0): the voltages before, then after, `switch_s` in the period, shape (B, 2, drives).
             starts: Machines whose episode starts with `after`. Their estimates become zero: all parameters have their

@@ -49,7 +49,6 @@ class PredictiveController(FullStateController):
     """Model-predictive controller that identifies friction, masses and belts during the episode.
 
     Attributes:
-        estimator: Estimator of the parameters.
         feature_sizes: Number of columns of `estimates`, by name; a learned policy on top of this controller observes
             them.
 
@@ -216,9 +215,6 @@ class _PathPlanner:
     """Planner of the motion along a previewed path for B machines with different parameters.
 
     Args:
-        linear: Linear models of the machines.
-        grid: Operating points at which they are linearized.
-        model: Model of the machine that is simulated.
         period: Control period, s.
         horizon: Number of previewed goals, H.
     """

@@ -74,7 +74,6 @@ class ArrivalPlanner:
         Args:
             matrices: A, B and E of the model, next error = A error + B voltages + E force, in m, s, V and N, of the
                 shapes (B, 2 n, 2 n), (B, 2 n, drives) and (B, 2 n, n); `LinearMotion.matrices` computes them.
-            error: State minus goal state.
             force: Force on each coordinate until the tool arrives, for example friction.
         """
         A, pulse, force_response = scaled_matrices(*matrices)
@@ -214,8 +213,6 @@ class PlanSimulation:
         """Simulate the machines with given voltages and return the positions of their tools.
 
         Args:
-            state: States at the start.
-            parameters: Parameters of the machines.
             volts: Commanded voltages of each period, V, shape (B, periods, drives).
 
         Returns:
@@ -250,9 +247,6 @@ class PlanSimulation:
         by finite differences, reduce the cost.
 
         Args:
-            state: States at the start.
-            parameters: Parameters of the machines.
-            goal: Tool goals.
             plans: One array per plan, at least one: commanded voltages of each period, V, shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
             count: Number of periods since the start of the episode. It selects the finite-difference steps, whose size

@@ -51,7 +51,6 @@ class StateEstimator:
     """Kalman filter that estimates states and parameters from the declared sensors; see `Estimator`.
 
     Args:
-        machine: Machine whose `sensors` supply the measurements.
         period: Control period, s.
         parameter_covariance: Covariance of the logarithms of the ratios of the k parameters `augmented.names` to their
             values in the machine, at the start of an episode, shape (k, k). Default: that of declared values.

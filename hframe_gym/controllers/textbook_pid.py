@@ -28,7 +28,6 @@ class TextbookPID(FullStateController):
     velocity; for a moving goal, on the difference to the goal's velocity.
 
     Attributes:
-        model: Model of the machine.
         proportional: Proportional gains of the axes, N/m, shape (axes,).
         derivative: Derivative gains of the axes, Ns/m, shape (axes,).
         integral: Integral gains of the axes, N/(m s), shape (axes,).

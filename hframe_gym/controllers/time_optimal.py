@@ -87,7 +87,6 @@ class TimeOptimalReach:
     the drives.
 
     Args:
-        machine: Machine whose motion is optimized, with its effects.
         band: Radius of the band around the goal, m.
         intervals: Numbers of collocation intervals of the motion until the tool enters the band for the last time
             (duration T), and of the following HOLD_S within the band.

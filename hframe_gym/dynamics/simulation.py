@@ -109,7 +109,6 @@ def simulate_batch(
 
     Args:
         machine: One of the machines; it gives the equations of motion and the default parameters.
-        time_s: Sample times.
         inputs: Voltages, V, held from each sample until the next, shape (N, drives) for all machines or (B, N, drives).
         parameters: Parameters of the machines. Default: by `machine`.
         start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,) or
@@ -190,8 +189,6 @@ def rollout(machine: Machine, time_s: Times, inputs: Array, *, velocities: bool 
     """Simulate machines as `simulate_batch`, and return positions, no sensor readings.
 
     Args:
-        machine: One of the machines.
-        time_s: Sample times.
         inputs: Voltages, V, held from each sample until the next, shape (N, drives) or (B, N, drives).
         velocities: Whether to append the velocities, m/s or rad/s, to the positions.
         **options: Keyword arguments of `simulate_batch`: `parameters`, `start`, ...

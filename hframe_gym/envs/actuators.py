@@ -166,7 +166,6 @@ class ActuatorModel:
     """Convert actions to the input voltages of the simulated motors, with D/A converters and dead times.
 
     Args:
-        machine: Machine with its drives and their converters.
         count: Number of environments.
         column: Function that takes the full name of a parameter ("motor1.converter_bits") and returns its column in the
             argument `values` of `begin`.
@@ -222,8 +221,6 @@ class ActuatorModel:
 
         Args:
             actions: Voltages as fractions of the rated voltages, shape (environments, drives); limited to [-1, 1] here.
-            first: Index of the first block.
-            last: Index after the last block.
             clipped: Number of action entries outside [-1, 1] since the reset; increased here.
         """
         commanded = self.inputs if self._commanded is None else self._commanded

@@ -41,7 +41,6 @@ def units_per_travel(machine: Machine, values: Array) -> Array:
     """Compute the factors from belt travel (m) to the units of the coordinates (m or rad).
 
     Args:
-        machine: Machine with its coordinates.
         values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order;
             further columns are ignored.
 
@@ -75,7 +74,6 @@ class BatchedSimulator:
     block b // LANES.
 
     Args:
-        machine: Machine model.
         count: Number of machines.
         space: Names of the parameters in the columns of `reset`'s argument `values`; those of the machine come first.
         period: Control period, s; voltages are constant for this time.
@@ -152,9 +150,7 @@ class BatchedSimulator:
         Their time, the internal states of their effects and their delayed voltages are set to zero.
 
         Args:
-            index: The machines.
             position: Tool positions, m, shape (k, axes).
-            values: Parameters.
             motion: Positions of the n coordinates, then their velocities, in their units, shape (k, 2 n), in place of
                 `position`. Default: at rest.
         """
@@ -206,8 +202,6 @@ class BatchedSimulator:
             actions: Voltages as fractions of the rated voltages, finite, shape (count, drives); limited to
                 [-1, 1] here.
             clipped: Number of action entries outside [-1, 1] since the reset; increased here.
-            first: Index of the first block.
-            last: Index after the last block.
         """
         self.actuators.command(actions, first, last, clipped)
         if self._delay_line is not None:
@@ -236,7 +230,6 @@ class BatchedSimulator:
         """Compute the true tool positions of the k machines in blocks first to last - 1, m, shape (k, axes).
 
         Args:
-            first: Index of the first block.
             last: Index after the last block. Default: all blocks from `first` on.
         """
         last = self.blocks if last is None else last

@@ -43,7 +43,6 @@ class StepResult(NamedTuple):
     """Arrays into which a step of `count` environments writes everything but the observation.
 
     Attributes:
-        reward: Rewards, shape (count,).
         terminated: Whether `achieved_goal` is outside the workspace, bool, shape (count,); always False unless `ends`
             is "terminate".
         distance: Distance of the true tool position to the goal, m, shape (count,).
@@ -59,15 +58,8 @@ class StepResult(NamedTuple):
 class EnvironmentBatch:
     """Advance, observe and reset many environments with the same options.
 
-    Args:
-        config: Options of the environments.
-        count: Number of environments.
-
     Attributes:
-        machine: Machine without randomization, with the chosen sensors and actuators.
         workspace: One row per axis of the tool (x and y), columns low and high, m, shape (axes, 2).
-        simulator: Simulates the machines.
-        sampler: Samples parameters at startup and reset.
         references: Computes the goals.
         observations: Computes observations from states or measurements.
         format: Converts observations to the form that `normalize` and `flat` select; the batch itself uses SI units.
@@ -151,7 +143,6 @@ class EnvironmentBatch:
         """Begin a new episode in k environments, with new parameters, start position and goal.
 
         Args:
-            index: The environments.
             start: Tool positions at the start, m, shape (k, axes). Default: the task chooses them.
             plan: Plans of the goals. Default: the task chooses them.
             parameters: Values by full name, SI, shape (k,) each, in place of those that are sampled.
@@ -294,7 +285,6 @@ class EnvironmentBatch:
         """Begin new episodes in k environments whose episodes ended, and write their first observations.
 
         Args:
-            index: The environments.
             observation: Observation after the last `step`; rows `index` are overwritten.
             result: Result of the last `step`. In rows `index`, the distances to goal and path are overwritten with
                 those at the start of the new episodes. Rewards and terminations remain those of the step.

@@ -64,7 +64,6 @@ class ParameterSpace:
         Arrays of the result have shape (N,).
 
         Args:
-            machine: Machine.
             task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".
         """
         task = {f"task.{name}": value for name, value in (task_parameters or {}).items()}
@@ -97,7 +96,6 @@ class RuleSampler:
     Args:
         space: Names, nominal values and limits of all N parameters.
         rules: Randomization rules.
-        machine: Machine whose identified covariance `RandomizeIdentified` uses.
         when: Rules to apply, "reset" (every episode) or "startup" (once per seed); the others are ignored.
         before: Smallest and largest values before the rules, SI, shape (N,) each. Default: the nominal values twice.
 
@@ -232,7 +230,6 @@ class MachineSampler:
     seed. Rules with `when="reset"` change the resulting values in every episode.
 
     Args:
-        machine: Machine without randomization.
         randomize: Name of a preset such as "default", or a list of rules.
         count: Number of environments.
         task_parameters: Nominal values of the task's parameters, SI, by name without "task.", e.g. "speed".

@@ -31,7 +31,6 @@ class SensorArray:
     """Turn ideal readings into measurements with noise, quantization and range; store the last two of each sensor.
 
     Args:
-        machine: Machine that declares the sensors.
         sensors: The n sensors to measure.
         count: Number of environments.
         column: Function that takes the full name of a parameter ("x_m.noise") and returns its column in the argument
@@ -86,8 +85,6 @@ class SensorArray:
 
         Args:
             readings: Ideal readings, as for `measure`.
-            elapsed: Control periods since the reset.
-            index: The environments.
             block_ranges: Ranges of their blocks, as the function `block_ranges` yields them.
         """
         measured, unused = np.empty_like(self.measurements)
@@ -244,9 +241,6 @@ class DelayLine:
 
         Args:
             step: Number of the integration step that `record` stored last.
-            first: Index of the first block.
-            last: Index after the last block.
-            out: Output.
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
+from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
 from ..dynamics import LANES
 from ..dynamics.codegen.blocks import write_block
 from ..dynamics.codegen.compiled import compiled
@@ -35,7 +35,6 @@ class StateView:
     """Select n positions and velocities of the simulated state for an observation; the first are the tool position.
 
     Args:
-        simulator: Simulator of the machines.
         signals: Specifications of the entries; the tool's axes come first.
 
     Attributes:
@@ -72,9 +71,7 @@ class ObservationBuilder:
     """Compute the observations of `simulator.count` environments, except their goals.
 
     Args:
-        simulator: Simulator of the machines.
         sensors: Observed sensors, or None to observe the true state.
-        sampler: Sampler of the parameters.
         privileged: Whether observations contain the array `privileged` (true state and randomized parameters).
 
     Attributes:
@@ -121,11 +118,13 @@ class ObservationBuilder:
         self, first: int, last: int, view: StateView, out: NDArray[np.float32], tool: NDArray[np.float32]
     ) -> int:
         """Write a view to `out`, the tool position to `tool`; return an environment with a non-finite state, or -1."""
-        simulator, program = self._simulator, view.program.addresses["observe"]
-        broken: int = _observe(
-            program, view.size, simulator.state, simulator.units_per_travel, view.bounds, first, last, out, tool
-        )
+        broken: int = _observe(*self._inputs(view), first, last, out, tool)
         return broken
+
+    def _inputs(self, view: StateView) -> tuple[int, int, Array, Array, Array]:
+        """Return the first arguments of `_observe`: the view's function and what it reads."""
+        simulator = self._simulator
+        return view.program.addresses["observe"], view.size, simulator.state, simulator.units_per_travel, view.bounds
 
     def begin(
         self,
@@ -140,11 +139,7 @@ class ObservationBuilder:
         Parameters are stored for the array `privileged`, measurements if sensors are observed.
 
         Args:
-            index: The environments.
-            keys: Keys of the episodes.
-            values: Parameters of the episodes.
             sampler: Sampler that returned `keys` and `values`.
-            elapsed: Control periods since the reset.
         """
         if self.privileged:
             self._parameters[index] = sampler.normalized(values)
@@ -191,8 +186,6 @@ class ObservationBuilder:
         written too.
 
         Args:
-            first: Index of the first block.
-            last: Index after the last block.
             observation: Output; rows of other blocks are not changed.
             tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
             evaluation: Kind of built-in reward (0 dense, 1 sparse), distance that counts as a success, m, and two
@@ -212,25 +205,10 @@ class ObservationBuilder:
         elif evaluation is None:
             broken = self._observe(first, last, self._state, observation["observation"], tool)
         else:  # one call for both: calls are most of a step of one environment
-            view, state, units = self._state, simulator.state, simulator.units_per_travel
-            out, desired = observation["observation"], observation["desired_goal"]
+            arrays = observation["observation"], tool, observation["desired_goal"]
             kind, band, distance, reward = evaluation
-            broken = _observe_and_evaluate(
-                view.program.addresses["observe"],
-                view.size,
-                state,
-                units,
-                view.bounds,
-                first,
-                last,
-                out,
-                tool,
-                desired,
-                kind,
-                band,
-                distance,
-                reward,
-            )
+            inputs = self._inputs(self._state)
+            broken = _observe_and_evaluate(*inputs, first, last, *arrays, kind, band, distance, reward)
         if self.privileged:
             rows = observation["privileged"]
             broken = max(broken, self._observe(first, last, self._all_state, rows, tool))
@@ -257,8 +235,6 @@ class ObservationBuilder:
         """Write the true tool positions of the environments in blocks first to last - 1, limited to their bounds.
 
         Args:
-            first: Index of the first block.
-            last: Index after the last block.
             tool: Output, positions, m, shape (count, axes); other rows are not changed.
         """
         self._observe(first, last, self._tool, tool, tool)

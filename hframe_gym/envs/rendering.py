@@ -62,7 +62,6 @@ class Scene:
         """Collect the data for a picture of environment b; the path of a moving goal is that of the first 3 s.
 
         Args:
-            batch: Batch of environments.
             b: Index of the environment, from 0.
             trail: Past tool positions (x, y), m, oldest first.
         """
@@ -127,7 +126,6 @@ class Renderer:
     """Draw scenes of one machine into a window or an array.
 
     Args:
-        machine: Machine with a workspace.
         mode: Render mode, "human" (a window) or "rgb_array" (an array).
         fps: Maximum frame rate of the window, 1/s.
 

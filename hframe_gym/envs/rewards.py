@@ -68,8 +68,6 @@ def evaluate_rows(
         achieved: Tool positions that the reward uses, true or measured, m, shape (n, axes).
         measured: Whether `achieved` is measured and can differ from `tool`; if not, only `tool` is used.
         desired: Goal positions, m, shape (n, axes).
-        first: Index of the first row.
-        last: Index after the last row.
         kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1: sparse, 0
             within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm).
         band: Distance to the goal within which the sparse reward is 0, m.

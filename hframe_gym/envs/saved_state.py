@@ -58,7 +58,6 @@ def check_state(state: Any, kind: str, batch: Any) -> None:
     Args:
         state: Argument of `set_state`.
         kind: Class of the environment, "single" or "vector".
-        batch: The environments.
 
     Raises:
         InputError: If it is no saved state, or one of another kind, number, machine or options.

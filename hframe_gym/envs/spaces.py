@@ -50,7 +50,6 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
     """Specify the entries of an observation of the true state: positions of coordinates, then their velocities.
 
     Args:
-        machine: Machine.
         names: Names of coordinates. Default: the tool's axes and the driven coordinates.
 
     Raises:
@@ -123,7 +122,6 @@ def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float
     """Specify the entries of `privileged`, the observation array for a critic: true state, randomized parameters.
 
     Args:
-        machine: Machine.
         bounds: For each randomized parameter, by full name ("x.mass"), the smallest and largest value that it can have,
             divided by its nominal value, dimensionless (SI if that is 0).
 
@@ -151,7 +149,6 @@ def observation_signals(
     """Specify the entries of all arrays of an observation, by key in alphabetical order as in a space of Gymnasium.
 
     Args:
-        machine: Machine.
         previews: Number of future goals in the observation; 0 for a goal that does not move.
         observed: Entries of the array `observation`. Default: positions and velocities of the tool's axes and the
             driven coordinates.
@@ -218,7 +215,6 @@ class ObservationFormat:
 
     Attributes:
         active: Whether observations change at all.
-        normalize: As given.
         entries: Specifications of all entries of a flat observation, in order; None if observations have keys.
         space: Observation space of one environment.
     """

@@ -49,9 +49,6 @@ class ProgressReward(BuiltinReward):
 
     Calling the object gives the potential -ln(1 + d / d0), whose increase in a step is the first term; `StepRewards`
     keeps the potential before the step and adds the second term.
-
-    Args:
-        band: Not used.
     """
 
     kind = PROGRESS
@@ -110,13 +107,11 @@ class StepRewards:
     """Compute the rewards of steps, and of relabeled goals, by a reward function.
 
     Args:
-        reward: Function of achieved and desired positions, m.
         observation_format: Converts between positions and goals as observed.
         count: Number of environments.
         moving: Whether goals move, so that the desired goal before a step differs from that after it.
 
     Attributes:
-        reward: As given.
         compares_steps: Whether the reward needs the goals of the step before.
         compiled: Whether `write` computes the rewards; if not, `of_step` does.
         depends_on_distance: Whether the reward of a step is a built-in function of the distance alone, for which
@@ -147,7 +142,6 @@ class StepRewards:
         Only the reward "progress" needs them; for others this method does nothing.
 
         Args:
-            index: The environments.
             observation: Arrays by key; the rows `index` of `achieved_goal` and `desired_goal`, m, shape
                 (count, axes), are used.
         """

@@ -135,7 +135,6 @@ class EndStops:
     decreases as 1/d.
 
     Args:
-        machine: Machine with a range for each tool axis.
         step: Step of the integrator with which the machines are simulated, s.
 
     Attributes:

@@ -32,7 +32,6 @@ class MetricSet(Protocol):
         """Compute the metrics of B recorded episodes, by name, as data that JSON can hold.
 
         Args:
-            episodes: Recorded episodes.
             bound_s: Shortest possible settling time of each episode, s, shape (B,), NaN where unknown, or None for all.
             seed: Seed of the bootstrap resampling.
         """
@@ -47,7 +46,6 @@ def score_episodes(
     """Compute the scores of one controller from its B recorded episodes.
 
     Args:
-        episodes: Recorded episodes.
         bound_s: Shortest possible settling times, s, shape (B,), NaN where unknown; None if unknown for all.
         seed: Seed of the bootstrap resampling that gives confidence intervals.
         metrics: "reach" (fixed goal), "track" (path) or another registered set. Default: "track" if there is a path.

@@ -53,7 +53,6 @@ class PlayedStage:
     """One simulated machine (stage) in the window of the game, driven by a controller or by the user.
 
     Args:
-        scenario: Machine, task, randomization, sensors, drives and control period.
         name: Name of the controller; None for the user.
 
     Attributes:
@@ -146,7 +145,6 @@ class Game:
     """Window in which the user drives a simulated machine (stage), and a controller the same one beside it.
 
     Args:
-        scenario: Machine, task, randomization, sensors, drives, control period and seed.
         controller: Name of a controller that drives the first stage in place of the user. Default: the user.
         beside: Name of a controller that drives a second stage, same start, goal and parameters. Default: none.
         speed: Speed of the simulation relative to real time, positive.

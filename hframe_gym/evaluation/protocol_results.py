@@ -328,7 +328,6 @@ def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     that were edited improve, all of them: more than a handful are found.
 
     Args:
-        result: Content of the file.
         draws: Values of the repeated run by part and metric.
     """
     protocol = get_protocol(result.protocol)

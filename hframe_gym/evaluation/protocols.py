@@ -60,7 +60,6 @@ class Protocol:
         parts: Tasks by the name of the part, each scored separately.
         digest: First 16 hexadecimal digits of a SHA-256 of the settings and of all draws.
         summary: What the benchmark asks for, one sentence.
-        machine: Built-in machine from whose parameters controllers are designed.
         randomize: Name of the randomization preset of the simulated machine.
         undeclared_effects: Whether each draw also has effects that the declared machine lacks.
         sensors: What controllers observe, "state" or "rig".
@@ -207,7 +206,6 @@ class Entry(NamedTuple):
         sha256: Hash of what determines it: files of an agent; source, files and weights of a controller.
         algorithm: How it was trained, for example "ppo"; empty for a controller.
         observes: "state", "measurements", or "Kalman estimates" (`StateEstimator` of the package).
-        model: For what it uses the declared machine (`Controller.knowledge`).
         training_steps: Environment steps of its training; None if unknown or without training.
         training_cpu_s: Processor time of its training, s; None if unknown or without training.
         control_us: Processor time of `act` per control period of one machine, us; None if it was not measured.

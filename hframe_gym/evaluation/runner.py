@@ -236,7 +236,6 @@ def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count:
 
     Args:
         path: File ending in .csv.
-        episodes: Recorded episodes.
         machine: Machine whose tool axes and channels name the columns.
         count: Number of episodes to write, from the first one on.
 

@@ -158,7 +158,6 @@ class EpisodeConditions(NamedTuple):
     """Machine parameters, starts and goals of the B episodes of a scenario; they do not depend on the controller.
 
     Attributes:
-        machine: Simulated machine with its nominal parameters.
         parameters: Sampled values of the P parameters in the order of `Machine.parameters`, SI, shape (B, P).
         start: Tool position at the start, m, shape (B, axes).
         goal: Tool goal at the start, m, shape (B, axes).

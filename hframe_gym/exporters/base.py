@@ -34,23 +34,13 @@ def option(default: Any, text: str, *, cli_type: Any = None, least: int | None =
         cli_type: Type of the option on the command line, if it differs from the type of the field.
         least: Smallest value that the command line accepts; None for no limit.
         most: Largest value that the command line accepts.
-
-    Returns:
-        The field of a dataclass.
     """
     limits = None if least is None else (least, most)
     return dataclasses.field(default=default, metadata={HELP: text, ARGUMENT: False, CLI_TYPE: cli_type, RANGE: limits})
 
 
 def argument(text: str) -> Any:
-    """Declare a field of an exporter that `hframe export` takes as an argument without an option name.
-
-    Args:
-        text: Help text; placeholders such as {controllers} stand for the registered names.
-
-    Returns:
-        The field of a dataclass.
-    """
+    """Declare a field of an exporter that `hframe export` takes as an argument without an option name; see `option`."""
     return dataclasses.field(metadata={HELP: text, ARGUMENT: True, CLI_TYPE: None, RANGE: None})
 
 
@@ -96,10 +86,7 @@ class MachineExporter(Exporter):
 
     @abstractmethod
     def files(self, machine: Machine) -> Files:
-        """Compute the contents of the files.
-
-        Returns:
-            Text or bytes by file name.
+        """Compute the contents of the files, text or bytes by file name.
 
         Raises:
             InputError: If the exporter cannot describe the machine.
@@ -107,9 +94,6 @@ class MachineExporter(Exporter):
 
     def loaded(self) -> Machine:
         """Return the machine of the field `machine`.
-
-        Returns:
-            The machine.
 
         Raises:
             InputError: If there is no such machine, or its file is faulty.
@@ -140,12 +124,7 @@ class MachineExporter(Exporter):
             log(f"wrote {path}")
 
     def provenance(self, machine: Machine) -> dict[str, Any]:
-        """Describe where an export comes from; equal exports have equal files, so there is no date in it.
-
-        Returns:
-            Name, description, hash and effects of the machine, kind and options of the export, and the version of this
-            package.
-        """
+        """Describe where an export comes from: machine and its hash, options and version, but no date."""
         from .. import __version__
 
         content = json.dumps(machine_to_dict(machine), sort_keys=True)
@@ -161,14 +140,7 @@ class MachineExporter(Exporter):
         }
 
     def header(self, machine: Machine, *more: str) -> list[str]:
-        """Write the first lines of a text file: provenance, then further statements; printable characters only.
-
-        Args:
-            *more: Further lines, for example on units.
-
-        Returns:
-            Lines without comment signs.
-        """
+        """Write the first lines of a text file: provenance, then further statements, without comment signs."""
         about = self.provenance(machine)
         options = ", ".join(f"{name} = {value}" for name, value in about["options"].items())
         lines = [
@@ -182,13 +154,9 @@ class MachineExporter(Exporter):
 
 
 def plain(text: str) -> str:
-    """Make a text safe inside a comment of any of the exported languages.
+    """Return a text as one that is safe inside a comment of any exported language.
 
-    Args:
-        text: Text, which may contain names from a machine file.
-
-    Returns:
-        Printable ASCII characters on one line, without signs that begin or end comments.
+    It is printable ASCII on one line, without signs that begin or end comments.
     """
     ascii_text = "".join(c if c.isascii() and c.isprintable() else "?" for c in " ".join(text.split()))
     for sign, substitute in (("*/", "* /"), ("/*", "/ *"), ("*)", "* )"), ("(*", "( *"), ("\\", "/")):
@@ -197,53 +165,24 @@ def plain(text: str) -> str:
 
 
 def xml_comment(lines: Sequence[str]) -> str:
-    """Write lines as a comment of XML, which must not contain two hyphens in a row.
-
-    Args:
-        lines: Lines of text.
-
-    Returns:
-        The comment with a line break at its end.
-    """
+    """Write lines as a comment of XML, which must not contain two hyphens in a row, with a line break at its end."""
     return "<!--\n" + "".join(f"  {line}\n".replace("--", "- -") for line in lines) + "-->\n"
 
 
 def indented(xml: str) -> str:
-    """Indent XML by its structure.
-
-    Args:
-        xml: XML without an XML declaration.
-
-    Returns:
-        The same elements, one per line, with a line break at the end.
-    """
+    """Indent XML without declaration by its structure: one element a line, with a line break at the end."""
     element = ElementTree.fromstring(xml)
     ElementTree.indent(element)
     return ElementTree.tostring(element, encoding="unicode") + "\n"
 
 
 def commented(lines: Sequence[str], sign: str) -> str:
-    """Write lines as comments.
-
-    Args:
-        lines: Lines of text.
-        sign: Sign that begins a comment, for example "#".
-
-    Returns:
-        One comment per line, each with a line break at its end.
-    """
+    """Write lines as comments that begin with a sign, each with a line break at its end."""
     return "".join(f"{sign} {line}".rstrip() + "\n" for line in lines)
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """Write a JSON file.
-
-    Args:
-        content: Content; arrays become lists.
-
-    Returns:
-        Text of the file.
-    """
+    """Return the text of a JSON file; arrays become lists."""
     return json.dumps(content, indent=1, default=_plain_value) + "\n"
 
 
@@ -253,11 +192,7 @@ def _plain_value(value: Any) -> Any:
 
 
 def axis_range(coordinate: Coordinate) -> tuple[float, float]:
-    """Return the range of a coordinate; a carriage without a range has 0.25 m to either side, a pulley one turn.
-
-    Returns:
-        Lowest and highest position, m or rad.
-    """
+    """Return the range of a coordinate, m or rad; without one, 0.25 m or one turn to either side."""
     return coordinate.range or ((0.0, 2.0 * np.pi) if coordinate.kind == "rotary" else (-0.25, 0.25))
 
 

@@ -104,28 +104,12 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
 
 
 def helper_functions(language: C99) -> list[str]:
-    """Write the functions beyond math.h that formulas use.
-
-    Args:
-        language: Language in which the formulas have been written.
-
-    Returns:
-        Source text of each function.
-    """
+    """Write the functions beyond math.h that formulas in a language use."""
     return [_HELPERS[name].format(p=language.prefix) for name in sorted(language.helpers & set(_HELPERS))]
 
 
 def function_block(formula: Formula, language: C99) -> tuple[str, str]:
-    """Write a formula as a function.
-
-    Args:
-        formula: Formula.
-        language: Language with the prefix of the names.
-
-    Returns:
-        signature: First line without the brace.
-        block: The function's body in braces.
-    """
+    """Write a formula as a function: its first line without the brace, and its body in braces."""
     body = write_body(formula, language)
     unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
     lines = [*(f"(void){name};" for name in unused), *body.lines]

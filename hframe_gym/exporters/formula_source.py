@@ -65,11 +65,7 @@ class Signal:
     comment: str
 
     def elements(self) -> list[str]:
-        """Write each entry in source text; arrays count from 0 in both languages.
-
-        Returns:
-            Texts, for example "velocity[0]".
-        """
+        """Write each entry in source text, such as "velocity[0]"; arrays count from 0 in both languages."""
         return [f"{self.name}[{i}]" for i in range(self.size)] if self.size else [self.name]
 
 
@@ -130,11 +126,7 @@ def trace_formula(
 
 
 def parameters_of(machine: Machine) -> dict[str, Parameter]:
-    """Name the parameters of a machine in source text.
-
-    Returns:
-        Parameters by full name; identifiers are unique.
-    """
+    """Name the parameters of a machine in source text, by full name; identifiers are unique."""
     found: dict[str, Parameter] = {}
     taken: set[str] = set()
     for full, value in machine.parameters.items():
@@ -164,38 +156,25 @@ class Language(ABC):
 
     @abstractmethod
     def number(self, text: str) -> str:
-        """Write a number.
-
-        Args:
-            text: The number as Python writes it.
-
-        Returns:
-            Its source text.
-        """
+        """Write a number, given as Python writes it."""
 
     @abstractmethod
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Write an operation or a call of a function.
+        """Write an operation or a call of a function, without brackets around it.
 
         Args:
             name: Operator such as "+" or name of a function in `dynamics.elementwise`.
             operands: Source text of the operands, which are atoms or in brackets.
-
-        Returns:
-            Source text without brackets around it.
         """
 
     @abstractmethod
     def assignment(self, target: str, value: str, *, kind: str) -> str:
-        """Write a line that assigns a value.
+        """Write a line that assigns a value to a target.
 
         Args:
             target: Name that gets the value.
             value: Source text of the value.
             kind: "number" or "condition" for a new name, "output" for an existing one.
-
-        Returns:
-            The line.
         """
 
 
@@ -292,15 +271,7 @@ class Body:
 
 
 def write_body(formula: Formula, language: Language) -> Body:
-    """Write the assignments of a formula: common parts first, each computed once, then the outputs.
-
-    Args:
-        formula: Formula.
-        language: Language.
-
-    Returns:
-        The source text and the names in it.
-    """
+    """Write the assignments of a formula: common parts first, each computed once, then the outputs."""
     return _Writer(formula, language).body
 
 

@@ -82,7 +82,6 @@ def friction_parts(
     """Compute the force against the motion of one coordinate at constant speed, while the others rest.
 
     Args:
-        i: Index of the coordinate.
         speed: Speeds, m/s or rad/s, not zero, shape (n,).
         leader: Index of a coordinate whose position varies; None if none does.
         position: Positions of this coordinate, m or rad, shape (n,).

@@ -19,7 +19,6 @@ class Gain(NamedTuple):
     """One number of a controller.
 
     Attributes:
-        controller: Name of the controller.
         output: What the gain produces: the force along an axis, or the voltage of a drive.
         input: What it is multiplied by.
         gain: Name of the gain.

@@ -99,11 +99,7 @@ class InputShaperExporter(MachineExporter):
     at: list[str] | None = option(None, "Tool position of the modes, as AXIS=METERS; repeat for more axes.")
 
     def notes(self) -> list[str]:
-        """Describe what the settings are for.
-
-        Returns:
-            Lines for a comment.
-        """
+        """Describe what the settings are for, in lines for a comment."""
         return [
             "For the first mode of the carriage along each axis, with the motors held at their "
             "commanded positions as the",
@@ -113,10 +109,7 @@ class InputShaperExporter(MachineExporter):
         ]
 
     def axis_modes(self, machine: Machine) -> list[AxisMode]:
-        """Compute the first mode of each axis.
-
-        Returns:
-            One mode per axis of the tool.
+        """Compute the first mode of each axis of the tool.
 
         Raises:
             InputError: If an axis has no mode between motors and carriage, or is overdamped.
@@ -146,14 +139,7 @@ class InputShaperExporter(MachineExporter):
 
 
 def impulse_table(found: list[AxisMode]) -> str:
-    """Write the impulses of all shapers for all axes as CSV.
-
-    Args:
-        found: First mode of each axis.
-
-    Returns:
-        Text with one line per impulse.
-    """
+    """Write the impulses of all shapers for the first modes of all axes as CSV, one line per impulse."""
     lines = ["axis,shaper,time_s,amplitude"]
     for mode in found:
         for shaper in SHAPERS:

@@ -37,11 +37,7 @@ _MEMORY = {"z", "i", "drive"}  # arguments of hooks that the motion alone does n
 class InverseDynamics:
     """Inverse dynamics of one machine.
 
-    Args:
-        machine: Machine with one drive per axis of its tool.
-
     Attributes:
-        machine: Machine with the effects that the formulas contain.
         axes: Names of the tool's axes.
         rigid: Belt travel of every coordinate per travel of each axis, m/m, shape (coordinates, axes).
         left_out: Labels of effects that the formulas do not contain: those with a memory, on belts and sensors, delays,
@@ -108,15 +104,7 @@ class InverseDynamics:
         return total, friction
 
     def motor_voltages(self, values: Values, forces: Sequence[Any]) -> list[Any]:
-        """Convert forces of the coordinates to voltages at the motors.
-
-        Args:
-            values: Parameter values by full name, SI; None: those of the machine.
-            forces: Force that each coordinate needs, N, one value per coordinate.
-
-        Returns:
-            Voltages, V, one value per drive.
-        """
+        """Convert forces of the coordinates, N, to voltages at the motors, V."""
         equations = Equations(self.machine, values)
         on_axes = [_sum_of(self.rigid[:, k], forces) for k in range(len(self.axes))]
         return [
@@ -125,28 +113,16 @@ class InverseDynamics:
         ]
 
     def amplifier(self, values: Values, j: int, command: Any) -> Any:
-        """Compute the voltage that a command gives at the motor.
-
-        Args:
-            values: Parameter values by full name, SI; None: those of the machine.
-            j: Index of the drive.
-            command: Commanded voltage, V: float or expression.
-
-        Returns:
-            Voltage at the motor, V, like the command.
-        """
+        """Compute the voltage, V, that a command of drive j, V, gives at the motor."""
         commands = [command if k == j else 0.0 for k in range(len(self.machine.drives))]
         return Equations(self.machine, values).motor_voltages(commands)[j]
 
     def commands(self, motor_voltages: Sequence[Any], invert: Callable[[int, Any], Any]) -> list[Any]:
-        """Convert voltages at the motors to commands.
+        """Convert voltages at the motors, V, to commands, V.
 
         Args:
             motor_voltages: Voltages, V, one value per drive.
             invert: Function (drive, voltage) that inverts an amplifier, for drives that have effects on the voltage.
-
-        Returns:
-            Commands, V, one value per drive.
         """
         return [
             invert(j, u) if has else u
@@ -154,16 +130,9 @@ class InverseDynamics:
         ]
 
     def command(self, j: int, voltage: float) -> float:
-        """Invert the amplifier of a drive by bisection: the smallest command in magnitude that gives the voltage.
+        """Invert the amplifier of drive j by bisection: the smallest command, V, that gives the `voltage`, V.
 
         In the jump of a dead band, which no command reaches, it is the command that gives the next larger voltage.
-
-        Args:
-            j: Index of the drive.
-            voltage: Voltage at the motor, V.
-
-        Returns:
-            Command, within the limits of the drive, V.
         """
         low, high = 0.0, float(self.limits[j])
         at_rest = self.amplifier(None, j, 0.0)
@@ -179,15 +148,12 @@ class InverseDynamics:
         return side * high
 
     def motor_reference(self, values: Values, position: Sequence[Any], forces: Sequence[Any]) -> list[Any]:
-        """Compute the motor positions at which the belts transmit the forces that the tool needs.
+        """Compute each drive's position, rad or m, at which the belts transmit the forces that the tool needs.
 
         Args:
             values: Parameter values by full name, SI; None: those of the machine.
             position: Tool position, m, one value per axis.
             forces: Force that each coordinate needs, N, one value per coordinate.
-
-        Returns:
-            Position of the coordinate of each drive, rad or m, one value per drive.
         """
         equations = Equations(dataclasses.replace(self.machine, effects=(), ties={}), values)
         travel = self._along(position)

@@ -63,11 +63,7 @@ class MotionFormulas:
     without_pid: str
 
     def statements(self) -> list[str]:
-        """Describe what the formulas contain.
-
-        Returns:
-            Lines for a comment.
-        """
+        """Describe what the formulas contain, in lines for a comment."""
         axes = ", ".join(self.dynamics.axes)
         drives = ", ".join(f"{d.name} ({d.channel})" for d in self.dynamics.machine.drives)
         lines = [
@@ -82,15 +78,9 @@ class MotionFormulas:
         return [plain(line) for line in lines]
 
     def vectors(self, formula: Formula, count: int, seed: int) -> Vectors:
-        """Compute test vectors of a formula with the equations of motion, or with the controller itself.
+        """Compute test vectors of a formula with the equations or the controller itself, shape (count, entries).
 
-        Args:
-            formula: One of `formulas`.
-            count: Number of vectors.
-            seed: Seed of the random motion.
-
-        Returns:
-            Inputs and outputs, shape (count, entries) each; for `pid`, successive steps from an integral of zero.
+        For `pid` they are successive steps from an integral of zero, for the others a random motion.
         """
         rng = np.random.default_rng(seed)
         time, position, velocity, acceleration = self._random_motion(rng, count)
@@ -136,14 +126,10 @@ class MotionFormulas:
 
 
 def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
-    """Trace the formulas of a machine.
+    """Trace the formulas of a machine with one drive per axis of its tool, with the PID of a control period.
 
     Args:
-        machine: Machine with one drive per axis of its tool.
         period: Control period of the PID, s.
-
-    Returns:
-        The formulas.
 
     Raises:
         InputError: If the machine has no inverse dynamics, or the period is invalid.
@@ -299,13 +285,7 @@ def _floats(values: Sequence[Any]) -> list[float]:
 
 
 def check_prefix(prefix: str) -> str:
-    """Check the prefix of exported names.
-
-    Args:
-        prefix: Value of the option --prefix.
-
-    Returns:
-        The same prefix.
+    """Return the value of the option --prefix after checking that it is an identifier of C and of Structured Text.
 
     Raises:
         InputError: If it is no identifier of C and of Structured Text.

@@ -129,9 +129,6 @@ def model_xml(
 def tool_coordinates(machine: Machine) -> list[Coordinate]:
     """Return the coordinates of the tool axes of a machine that consists of a tool and pulleys.
 
-    Returns:
-        One or two coordinates, in the order of the tool's axes.
-
     Raises:
         InputError: If there are other linear coordinates, coordinates that a spring holds, or no tool.
     """
@@ -163,13 +160,10 @@ def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordin
 
 
 def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:
-    """Compute the stiffness of the belts at an operating point, without effects.
+    """Compute the stiffness of each belt at an operating point, N/m, without effects.
 
     Args:
         position: Position of every coordinate, m or rad, shape (coordinates,); None: all zero.
-
-    Returns:
-        Stiffness of each belt, N/m.
     """
     if position is None:
         return [b.EA / b.rest_length for b in machine.belts]

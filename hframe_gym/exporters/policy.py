@@ -55,13 +55,7 @@ class PolicyExporter(Exporter):
             log(f"wrote {out / name}")
 
     def files(self, log: Callable[[str], None] = lambda line: None) -> dict[str, bytes]:
-        """Convert the agent.
-
-        Args:
-            log: Called with a line that says why a file is missing.
-
-        Returns:
-            Content by file name.
+        """Convert the agent to the content of each file; the log gets a line that says why a file is missing.
 
         Raises:
             InputError: If there is no such agent, or its actions need more than a network.

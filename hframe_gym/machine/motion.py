@@ -45,7 +45,6 @@ class Simulator(Protocol):
         """Simulate a machine, as `Machine.simulate` does; arrays of the result have the shape (N, ...).
 
         Args:
-            machine: Machine.
             time_s: Times of N samples, s, strictly increasing, shape (N,).
             inputs: Drive voltages, V, each held from its sample until the next, shape (N, drives).
             initial: State at the first sample, shape (2 * coordinates,). Default: at rest at the origin.
@@ -76,7 +75,6 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     extensions is minimal. Coordinates that a spring holds, such as the yaw of a bridge, are zero.
 
     Args:
-        machine: Machine.
         position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
             value applies to all of them. Default: zeros.
 

@@ -84,7 +84,6 @@ def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Ma
     EA of the belts is unchanged; the rest lengths become EA / stiffness.
 
     Args:
-        machine: Machine to copy.
         stiffness: Stiffness of every belt of the machine by belt name, N/m.
 
     Raises:

@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import gzip
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,10 +22,11 @@ import numpy as np
 from hframe_gym.recordings import Recording
 from tests.reference_simulator import Array, Rig, Stage
 from tests.reference_simulator.sensors import Sensors, noisy
-from tests.rigs.hidden_effects import CHANNELS, random_rig
+from tests.rigs.hidden_effects import random_rig
 from tests.rigs.machine_programs import PROGRAMS, follow
 from tests.rigs.outside_effects import FAMILIES, OutsideEffect
 from tests.rigs.random_excitation import STARTS, Plant, draw_start, play
+from tests.rigs.session_files import write_session
 
 COUNT = 20
 RUNS, UNSEEN_RUNS = 8, 3
@@ -117,20 +116,8 @@ class OutsideSession:
     truth: dict[str, Array]
 
     def write(self, folder: Path) -> None:
-        """Write the runs as a user would have them, and the truth beside them.
-
-        Args:
-            folder: Folder for `runs`, `unseen` and `truth.json`.
-        """
-        for name, recordings in (("runs", self.recordings), ("unseen", self.unseen)):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-            for recording in recordings:
-                table = np.column_stack([recording.time_s, recording.inputs, recording.outputs])
-                lines = [",".join(("time_s", "v1_V", "v2_V", *CHANNELS))]
-                lines += [",".join(f"{value:.9g}" for value in row) for row in table]
-                data = gzip.compress(("\n".join(lines) + "\n").encode(), mtime=0)
-                (folder / name / f"{recording.name}.csv.gz").write_bytes(data)
-        (folder / "truth.json").write_text(json.dumps({"hidden": self.rig.describe()}, indent=1) + "\n")
+        """Write `runs`, `unseen` and `truth.json` to a folder."""
+        write_session(folder, self.recordings, self.unseen, {"hidden": self.rig.describe()})
 
 
 def drifting_clock(drift: float) -> Callable[[Array], Array]:

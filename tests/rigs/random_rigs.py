@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import gzip
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,14 +26,14 @@ from tests.euler_simulator import DEFAULT_STEP_S, EulerStage
 from tests.reference_simulator import COORDINATES, Array, Rig, Stage
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M, Sensors
 from tests.rigs.euler_rig import euler_parameters
-from tests.rigs.hidden_effects import change_site, random_rig
+from tests.rigs.hidden_effects import CHANNELS, change_site, random_rig
 from tests.rigs.random_effects import DrawnEffect, draw_effects, draw_off_form, draw_outside, log_uniform
 from tests.rigs.random_excitation import KINDS, STARTS, Plant, Played, draw_start, play
+from tests.rigs.session_files import write_session
 
 DURATION_S = 2.0
 UNSEEN_RUNS = 3
 RESIDUES = ("integrator", "missing force", "hysteresis", "colored noise", "clock jitter", "bad run")
-CHANNELS = ("phi1_rad", "phi2_rad", "x_m", "y_m")
 # Tolerances of the reference simulator that cost less than a nanometer per run.
 _RTOL, _ATOL = 1e-8, 1e-11
 Kind = Literal["library", "none", "outside", "off-form"]
@@ -211,25 +209,13 @@ class RandomSession:
     truth: dict[str, Array]
 
     def write(self, folder: Path) -> None:
-        """Write the runs as a user would have them, and the truth beside them.
-
-        Args:
-            folder: Folder for `runs`, `unseen` and `truth.json`.
-        """
-        for name, recordings in (("runs", self.recordings), ("unseen", self.unseen)):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-            for recording in recordings:
-                table = np.column_stack([recording.time_s, recording.inputs, recording.outputs])
-                lines = [",".join(("time_s", "v1_V", "v2_V", *CHANNELS))]
-                lines += [",".join(f"{value:.9g}" for value in row) for row in table]
-                data = gzip.compress(("\n".join(lines) + "\n").encode(), mtime=0)
-                (folder / name / f"{recording.name}.csv.gz").write_bytes(data)
+        """Write `runs`, `unseen` and `truth.json` to a folder."""
         truth = {
             "hidden": self.rig.describe(),
             "effects": {e.label: e.parameters for e in self.rig.hidden_effects},
             "residue": self.rig.residue.note,
         }
-        (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
+        write_session(folder, self.recordings, self.unseen, truth)
 
 
 def describe_effects(effects: Sequence[DrawnEffect]) -> str:

@@ -90,7 +90,6 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
     Machines that differ only in parameter values get the same functions. The compiled code is kept on disk.
 
     Args:
-        machine: Machine.
         forced: Whether the function that simulates a recording (`Kernel.rollout`) takes, besides the voltages, an
             external force on every coordinate.
     """

@@ -33,9 +33,6 @@ _MAX_SHARED_KERNELS = 8
 class _SharedKernel:
     """Kernel of a machine with additive effects, which also simulates the machine without some of them.
 
-    Args:
-        machine: Machine with all the effects.
-
     Attributes:
         kernel: Its compiled functions, with external forces.
     """

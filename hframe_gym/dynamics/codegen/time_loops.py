@@ -88,8 +88,6 @@ def start_block(block: int, coordinates: int, start_time: float, parameters, sta
     Columns without a machine repeat the first machine of the block.
 
     Args:
-        block: Index of the block.
-        coordinates: Number of coordinates.
         start_time: Time of the first sample, s.
         parameters: Parameters of all machines, SI, shape (B, parameters).
         start: States of all machines without their time, SI, shape (B, rows of the state - 1).
@@ -113,8 +111,6 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
     """Copy values of a block to one sample of a table over all samples.
 
     Args:
-        block: Index of the block.
-        i: Index of the sample.
         rows: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k rows are copied.
         table: Output for B machines and n samples, in the unit of the rows, shape (B, n, k); if empty, nothing is done.
     """
@@ -131,7 +127,6 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 
     Args:
         time: Sample times, s, shape (n,).
-        i: Index of the sample.
         sensor_delays: Delay of each sensor, s, shape (sensors, LANES), one machine per column.
         past_readings: Readings without delay, m or rad, shape (n, sensors, LANES), up to sample i - 1; row i is added.
         reading: Readings of sample i, m or rad, shape (sensors, LANES): without delay on entry, delayed on return.
@@ -158,8 +153,6 @@ def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, 
     The correction gains @ (measured - reading) is added to the state (output injection).
 
     Args:
-        block: Index of the block.
-        i: Index of the sample.
         machines: Number of machines B.
         measured: Measurements, m or rad, shape (1 or B, n, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
@@ -197,7 +190,6 @@ def hold_inputs(
         delayed: Whether a drive has a delay.
         forced: Whether an external force acts on the coordinates.
         time: Sample times, s, shape (n,).
-        i: Index of the sample.
         steps: Number of steps until the next sample.
         h: Length of a step, s.
         inputs: Voltages, V, shape (1 or B, n, drives).
@@ -260,8 +252,6 @@ def rollout(
         gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * coordinates, sensors).
         extra: External forces, N, held until the next sample, shape (1 or B, n, coordinates); used if they act.
         longest_step: Largest step of the integrator, s.
-        first: Index of the first block.
-        last: Index after the last block.
         out: Output, first k rows of the state (travel, m; its rate, m/s) at the samples, shape (B, n, k), or empty.
         readings: Output, sensor readings, m or rad, shape (B, n, sensors); empty if not needed.
     """
@@ -326,8 +316,6 @@ def prepare_blocks(prepare: int, parameters, h: float, first: int, last: int, de
         prepare: Address of the kernel's function.
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         h: Step of the integrator, s.
-        first: Index of the first block.
-        last: Index after the last block.
         derived: Output: derived constants, SI, shape (blocks, constants, LANES).
     """
     for block in range(first, last):
@@ -351,7 +339,6 @@ def advance_blocks(
 
     Args:
         advance: Address of the kernel's function.
-        coordinates: Number of coordinates.
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         derived: Constants that `prepare_blocks` computes from parameters and h, shape (blocks, constants, LANES).
@@ -359,8 +346,6 @@ def advance_blocks(
             (blocks, steps * drives, LANES).
         h: Step of the integrator, s.
         steps: Number of steps.
-        first: Index of the first block.
-        last: Index after the last block.
     """
     no_forces = np.zeros((coordinates, LANES))
     for block in range(first, last):
@@ -375,8 +360,6 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
         read_sensors: Address of the kernel's function.
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
-        first: Index of the first block.
-        last: Index after the last block.
         readings: Output, readings without delay, m or rad, shape (blocks, sensors, LANES).
     """
     for block in range(first, last):
@@ -390,8 +373,6 @@ def delay_blocks(delays: int, parameters, first: int, last: int, out) -> None:
     Args:
         delays: Address of the kernel's function.
         parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).
-        first: Index of the first block.
-        last: Index after the last block.
         out: Output, delays, s, shape (blocks, drives or sensors, LANES).
     """
     for block in range(first, last):

@@ -34,7 +34,6 @@ class BeltEquations(ParameterizedMachine):
     """Equations of the belts of one machine.
 
     Args:
-        machine: Machine with its effects.
         values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "left.EA"; other
             parameters keep the machine's values.
     """
@@ -119,7 +118,6 @@ class BeltEquations(ParameterizedMachine):
         Here p is the belt travel, s the extension, k the stiffness, T the tension, and G = ds/dp.
 
         Args:
-            point: Belt travel and its rate.
             belts: The result of `belt_states(point)`.
         """
         forces = []

@@ -54,7 +54,6 @@ class Equations(BeltEquations, SignalEquations):
     All forces act along the belt travel of a coordinate: N on a carriage, torque / radius (N) on a pulley.
 
     Args:
-        machine: Machine with its effects.
         values: Parameter values (floats, arrays or symbolic expressions) by full name, for example "x.mass"; other
             parameters keep the machine's values.
     """
@@ -105,7 +104,6 @@ class Equations(BeltEquations, SignalEquations):
         Back-EMF counts as viscous friction and is in none of the forces.
 
         Args:
-            point: Belt travel and its rate, and the states of the effects.
             motor_voltages: Voltage at the terminals of each motor, V.
             forces: Sum of the forces of belts and drives on each coordinate, N.
         """
@@ -215,7 +213,6 @@ class Equations(BeltEquations, SignalEquations):
         """Return the sum of belt, drive and effect forces on each coordinate, and the Coulomb friction force.
 
         Args:
-            point: Belt travel and its rate, and the states of the effects.
             voltages: Commanded voltage of each drive, V, after its delay.
         """
         motor_voltages = self.motor_voltages(voltages)
@@ -228,7 +225,6 @@ class Equations(BeltEquations, SignalEquations):
         """Return the sum of all forces on each coordinate, N, with effects, viscous and Coulomb friction.
 
         Args:
-            point: Belt travel and its rate, and the states of the effects.
             voltages: Commanded voltage of each drive, V, after its delay.
             direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
                 optimization a smooth function such as tanh(v / v0) with a small speed v0.

@@ -71,7 +71,6 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     step, exact to rounding (Squire and Trapp 1998). `StateSpace` states the shape of each matrix.
 
     Args:
-        machine: Machine to linearize.
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
             Default: zeros.
 

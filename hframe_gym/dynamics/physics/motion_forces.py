@@ -63,11 +63,8 @@ def net_forces(
     Coulomb friction is F sign(v), thus zero at zero speed, where static friction is unknown.
 
     Args:
-        machine: Machine with its effects.
-        time_s: Sample times.
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
-        inputs: Commanded voltages.
         values: Parameter values by full name ("x.mass"), SI, that replace the machine's. An array of shape (variants,
             1) gives one value for each of several variants of the machine; otherwise a float.
 
@@ -97,10 +94,8 @@ def effect_forces(
     Args:
         machine: Machine. If `effects` is given, it must not have these effects; any other effect that it has acts in
             both cases. If `effects` is not given, all effects of the machine are evaluated.
-        time_s: Sample times.
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
-        inputs: Commanded voltages.
         effects: Effects to evaluate together. A parameter is a float, or an array of shape (variants, 1) with one value
             for each of several variants. Default: the effects of the machine, which is compared with no effect.
 
@@ -123,7 +118,6 @@ def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
     Delay, noise and rounding are left out.
 
     Args:
-        machine: Machine.
         positions: Positions, m or rad, shape (..., coordinates).
     """
     q = np.asarray(positions, float)
@@ -165,8 +159,6 @@ def effect_states(
     """Integrate the states of effects (bristle deflection, motor current, ...) along a motion, from zero at its start.
 
     Args:
-        equations: Equations of the machine with its effects.
-        time_s: Sample times.
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
         voltages: Voltage of each drive after its delay, V, arrays of shape (N,), or (variants, N) for several variants

@@ -43,11 +43,9 @@ class ParameterizedMachine:
     """A machine whose parameters are floats, arrays or symbolic expressions (all typed `Value`).
 
     Args:
-        machine: Machine with its effects.
         values: Parameter values by full name, SI; other parameters keep the machine's values.
 
     Attributes:
-        machine: As given.
         extension_rows: For each belt, extension per belt travel, m/m, by index of the coordinate.
         length_rows: For each belt, change of length per belt travel, m/m, by index of the coordinate.
         drive_coordinates: For each drive, index of the coordinate that it moves.
@@ -119,7 +117,6 @@ class ParameterizedMachine:
         The back-EMF of the drives and the effects on friction are included.
 
         Args:
-            i: Index of the coordinate.
             direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between blends the
                 coefficients of both directions, which differ only by effects.
         """
@@ -198,7 +195,6 @@ class ParameterizedMachine:
 
         Args:
             k: Index of the effect in `instances`.
-            point: Belt travel and its rate, and the states of the effects.
             **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for an effect
                 that replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes
                 the current of a drive. No input for any other effect.

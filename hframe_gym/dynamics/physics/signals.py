@@ -14,7 +14,6 @@ class SignalEquations(ParameterizedMachine):
     """Equations of the amplifiers and sensors of one machine.
 
     Args:
-        machine: Machine with its effects.
         values: Parameter values (floats, arrays or symbolic expressions) by full name, for example
             "sensor_scale@x_m.g"; other parameters keep the machine's values.
     """

@@ -43,7 +43,6 @@ class FormulaEffect:
         name: Name of the new effect, a Python identifier.
         formula: The formula with its fitted parameters.
         table: The table at its site.
-        machine: Machine with the table.
         notes: Sentences about the origin and the accuracy, for the docstring of the file.
     """
 

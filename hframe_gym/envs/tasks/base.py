@@ -74,7 +74,6 @@ class Task(ABC):
         """Choose start positions and plans of k episodes.
 
         Args:
-            workspace: Workspace of the machine.
             uniforms: Uniform random numbers in (0, 1), shape (k, draws).
             parameters: Values in the k episodes of all parameters that the attribute `parameters` declares, SI, by
                 name, shape (k,) each. Default: nominal values.
@@ -89,7 +88,6 @@ class Task(ABC):
         """Compute the goals of k episodes, m, at one time, shape (k, axes), or at m times each, shape (k, m, axes).
 
         Args:
-            plan: Plans.
             elapsed_s: Times since the reset, s, not negative, shape (k,) or (k, m).
         """
 
@@ -106,8 +104,6 @@ class Task(ABC):
         This default calls `goal`; a task may override it with a faster method.
 
         Args:
-            plan: Plans.
-            elapsed_s: Present times.
             ahead_s: Times from the present to the m future goals in the observation, s, shape (m,), as the property
                 `ahead_s` of the task.
             goals: Output, present goals, m, shape (k, axes).
@@ -134,7 +130,6 @@ class Task(ABC):
         None for a task without a path, which is the default.
 
         Args:
-            plan: Plans of k episodes.
             points: One tool position per episode, m, shape (k, axes).
             elapsed_s: Times since the reset. The nearest point is searched around the goals of these times,
                 because a path may cross itself.
@@ -170,7 +165,6 @@ def check_point(label: str, points: Array, workspace: Workspace) -> None:
     Args:
         label: Name of the option whose value the points are, for the error message.
         points: Points, m, shape (axes,) or (k, axes).
-        workspace: Workspace of the machine.
 
     Raises:
         InputError: If a point is not finite, lies outside the workspace, or does not have one coordinate per axis.
@@ -285,7 +279,6 @@ class ReferenceTrajectories:
         """Compute the contour errors of k environments, m, shape (k,); None for a task without a path.
 
         Args:
-            index: The environments, or a slice of them.
             tools: Their tool positions, m, shape (k, axes).
         """
         if self._task.metrics != "track":
