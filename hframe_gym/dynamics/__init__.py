@@ -4,7 +4,6 @@ from ..cache_folder import cache_folder
 from .codegen.blocks import in_blocks
 from .codegen.kernel import Kernel, kernel_for, kernel_source_text
 from .codegen.machine_code import LANES
-from .codegen.shared_kernels import share_kernel
 from .derivatives import DifferentiableMotion, Friction, Gradients, Motions
 from .physics.belts import BeltState
 from .physics.effect_instances import instances_with_state
@@ -60,7 +59,6 @@ __all__ = [
     "resolved_step",
     "rollout",
     "sensor_readings",
-    "share_kernel",
     "simulate",
     "simulate_batch",
     "stiffness_matrix",

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike
 from ..arrays import Array, ParameterRows, Times
 from ..machine import Machine, Trajectory, rest_state
 from ..operating_system import cores
-from .codegen.kernel import Kernel
+from .codegen.kernel import Kernel, kernel_for
 from .codegen.machine_code import LANES
-from .codegen.shared_kernels import rollout_kernel
 from .physics.effect_instances import instances_with_state
 
 MOST_STEPS = 1_000_000_000  # of one simulation; it takes minutes
@@ -132,7 +131,7 @@ def simulate_batch(
     count, radii = len(machine.coordinates), machine.travel_per_unit
     start = _with_effect_states(machine, np.atleast_2d(rest_state(machine) if start is None else start))
     start[:, : 2 * count] *= np.tile(radii, 2)
-    kernel, parameters, start = rollout_kernel(machine, parameters, start, forced=extra_force is not None)
+    kernel = kernel_for(machine, forced=extra_force is not None)
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
     parameters = _rows(parameters, batch)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import dataclasses
 import os
 import tempfile
-from collections import deque
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from hframe_gym.dynamics import (
     LANES,
@@ -18,17 +16,11 @@ from hframe_gym.dynamics import (
     in_blocks,
     kernel_for,
     kernel_source_text,
-    share_kernel,
     simulate,
-    simulate_batch,
 )
-from hframe_gym.dynamics.codegen import kernel, machine_code, shared_kernels
-from hframe_gym.dynamics.codegen.shared_kernels import rollout_kernel
-from hframe_gym.dynamics.physics.effect_instances import instances_with_state
-from hframe_gym.dynamics.simulation import parameter_batch
+from hframe_gym.dynamics.codegen import kernel, machine_code
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from tests.effects.one_of_each import CASES
 
 pytestmark = pytest.mark.unit
 
@@ -126,45 +118,16 @@ def test_blocks_repeat_the_last_machine_in_spare_lanes() -> None:
     np.testing.assert_array_equal(blocks[1, :, LANES - 1], values[-1])
 
 
-def test_shared_kernel_simulates_each_effect_to_the_bit(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    time_s = np.arange(300) * 1e-3
-    voltages = np.stack([6.0 * np.sin(40 * time_s), 5.0 * np.sign(np.sin(25 * time_s))], axis=1)
-    effects = [case.effect for case in CASES.values()]
-
-    def readings(machine: Machine) -> NDArray[np.float64]:
-        return simulate_batch(machine, time_s, voltages).readings
-
-    machines = [hframe, *(hframe.with_effects(e) for e in effects)]
-    alone = [readings(machine) for machine in machines]
-    monkeypatch.setattr(kernel, "_KERNELS", {})
-    monkeypatch.setattr(shared_kernels, "_SHARED", deque())
-    share_kernel(hframe, effects)
-    shared_kernel = shared_kernels._SHARED[0]
-    shared = [machine for machine in machines if shared_kernel.simulates(machine)]
-    assert len(shared) > 12
-    for machine, expected in zip(machines, alone, strict=True):
-        if machine in shared:  # the others have effects that do more than add a term
-            start = np.zeros((1, 2 * len(machine.coordinates) + len(instances_with_state(machine))))
-            used = rollout_kernel(machine, parameter_batch(machine), start, forced=False)[0]
-            assert used is shared_kernel.kernel
-            assert np.array_equal(readings(machine), expected), machine.effects[-1:]
-
-
-def test_states_of_effects_at_the_start(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kernel of several effects takes the states of the one that the machine has; they decay over the distance L."""
-    dahl, bristle = EFFECTS["dahl_hysteresis"].at("y", F=3.0, L=0.01), CASES["presliding"].effect
-    machine = hframe.with_effects(dahl)
+def test_states_of_effects_at_the_start(hframe: Machine) -> None:
+    """The state of an effect follows positions and velocities; it decays over the distance L."""
+    machine = hframe.with_effects(EFFECTS["dahl_hysteresis"].at("y", F=3.0, L=0.01))
     time_s, start = np.arange(400) * 1e-3, np.zeros(9)
     voltages = np.full((400, 2), 4.0)
     start[8] = 0.7
-    alone = simulate(machine, time_s, voltages, start)
+    moved = simulate(machine, time_s, voltages, start)
     zero = simulate(machine, time_s, voltages)
     # Until y has moved by L the force differs by 0.7 * 3 N, which delays the motion.
-    assert not np.allclose(alone.positions, zero.positions, atol=1e-4)
-    monkeypatch.setattr(kernel, "_KERNELS", {})
-    monkeypatch.setattr(shared_kernels, "_SHARED", deque())
-    share_kernel(hframe, [EFFECTS["bouc_wen_hysteresis"].at("x", F=2.0, L=0.01), dahl, bristle])
-    np.testing.assert_array_equal(simulate(machine, time_s, voltages, start).positions, alone.positions)
+    assert not np.allclose(moved.positions, zero.positions, atol=1e-4)
     with pytest.raises(ValueError, match="initial has shape"):
         simulate(machine, time_s, voltages, np.zeros(10))
 
@@ -178,18 +141,6 @@ def test_every_effect_of_a_coordinate_has_a_kernel_on_a_single_axis() -> None:
         values = {p.name: min(max(0.5, p.lower), p.upper) for p in effect.parameters}
         text = kernel_source_text(axis.with_effects(effect.at("x", **values)))
         assert "def " in text, effect.name
-
-
-def test_two_shapes_of_one_effect_act_once(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search shares one kernel among several periods of a candidate; its force must not be counted once for each."""
-    cogging = EFFECTS["cogging"]
-    machine, other = (hframe.with_effects(cogging.at("motor1", A=0.02, n=n, p=0.0)) for n in (10.0, 24.0))
-    time_s, voltages = np.arange(400) * 1e-3, np.full((400, 2), 4.0)
-    alone = simulate(machine, time_s, voltages).positions
-    monkeypatch.setattr(kernel, "_KERNELS", {})
-    monkeypatch.setattr(shared_kernels, "_SHARED", deque())
-    share_kernel(hframe, [*machine.effects, *other.effects])
-    np.testing.assert_array_equal(simulate(machine, time_s, voltages).positions, alone)
 
 
 def test_a_machine_has_an_effect_only_once_at_a_site(hframe: Machine) -> None:

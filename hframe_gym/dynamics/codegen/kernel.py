@@ -120,8 +120,3 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
             forced=forced,
         )
     return _KERNELS[key]
-
-
-def is_generated(machine: Machine, *, forced: bool) -> bool:
-    """Return whether `kernel_for` can return the functions of a machine without generating source code."""
-    return (machine.shape, forced) in _KERNELS

@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...dynamics import share_kernel
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..budget import spend
@@ -82,7 +81,6 @@ def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, cri
     scales, ranked = _ranked_candidates(start, data)
     best_promise, explaining = 0.0, ""  # largest linearized gain of a candidate that explains the data, and its effect
     promising = _promising(start, ranked, data, enough, criteria)
-    share_kernel(start.machine, [scored.candidate.applied(scored.amounts) for scored in promising])
     for i, scored in enumerate(promising):
         # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
         # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
@@ -205,7 +203,6 @@ def replacement_fit(
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
     if best is None or not judge.may_replace(best.gain, reduced.cost - current.cost, criteria):
         return None
-    share_kernel(reduced.machine, [best.candidate.applied(best.amounts)])
     return converge(fit_with_candidate(reduced, best, scales, data), data, thorough=False)
 
 
