@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, rigid_motions
+from ..preparation.motion_windows import motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
-from .force_balance import EXPLAINED, Balance, force_balance, motion_windows
+from .force_balance import EXPLAINED, Balance, force_balance
 
 Array = NDArray[np.float64]
 

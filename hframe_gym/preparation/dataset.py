@@ -29,6 +29,7 @@ from ..recordings import (
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .initial_rest import without_moving_start
 from .initial_state import measured_initial_state, model_initial_states
+from .input_noise import without_input_noise
 from .rest_measurement import InitialState, behind_belts, estimate_initial_state
 from .sensor_properties import (
     clock_jitter,
@@ -281,7 +282,8 @@ def clean_recording(recording: Recording, machine: Machine, log: Callable[[str],
     """Remove unusable measurements from a recording, unwrap its angles and counters, and log what was done.
 
     Unusable are repetitions of the last measurement by a sensor that is slower than the log, outliers, and the
-    measurements before the machine comes to rest, if it still moves when the run begins.
+    measurements before the machine comes to rest, if it still moves when the run begins. Inputs that were measured with
+    much noise are averaged (`without_input_noise`).
 
     Args:
         recording: Run (times, voltages, measurements, SI).
@@ -294,7 +296,7 @@ def clean_recording(recording: Recording, machine: Machine, log: Callable[[str],
     for channel, wrap in wraps_of(recording, machine).items():
         unit = machine.coordinate(machine.sensor(channel).coordinate).unit("position")
         log(f"{recording.name}: {channel} {wrap.describe(unit)}")
-    recording = without_wraps(recording, machine)
+    recording = without_input_noise(without_wraps(recording, machine), machine, log)
     measured = without_repetitions(recording)
     inside = without_outliers(measured, machine)
     cleaned = without_moving_start(inside, machine)

@@ -21,6 +21,7 @@ from ...preparation.dataset import Dataset, PreparedRecording, prepare
 from ...preparation.encoder_zeros import EncoderZeros
 from ...preparation.initial_rest import count_resting_rows, without_moving_start
 from ...preparation.initial_state import measured_initial_state, model_initial_states, refine_encoder_zeros
+from ...preparation.input_noise import without_input_noise
 from ...preparation.rest_measurement import (
     InitialState,
     behind_belts,
@@ -224,7 +225,7 @@ def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
     """
-    usable = without_moving_start(only_measurements(recording, machine), machine)
+    usable = without_moving_start(only_measurements(without_input_noise(recording, machine), machine), machine)
     filled = fill_gaps(usable)
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled

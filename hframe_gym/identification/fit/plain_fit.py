@@ -1,0 +1,351 @@
+"""The plain fit: inertia, friction and a few constant terms from the recordings alone, whatever the machine file says.
+
+It is what an engineer does first. Inverse dynamics: along each rigid motion z, the force of the drives is
+
+    F = a (M z'') + b z' + c sign(z') + o   (+ s sin z + r cos z for an angle)
+
+with averages over windows in place of derivatives, so that no noise is differentiated, and a robust loss. No
+declared value enters, except for the directions of drives and sensors and the force per volt of the drives, which sets
+the unit of force. Then an output-error fit: the machine is simulated over the runs, without feedback of measurements,
+and its errors in meters or radians are minimized. All measurements of a sensor count alike, also those that the
+preparation holds for less accurate, because the result is compared with other machines by this error.
+
+The plain fit serves twice. Its values are starting values where the declared ones are wrong by a factor. And no machine
+that identification delivers may predict the held-out runs worse.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from ...effects import EFFECTS
+from ...machine import AppliedEffect, Machine
+from ...preparation.dataset import Dataset
+from ...preparation.motion_windows import MotionWindows, determined_motion, leading_motions, motion_windows
+from ...recordings import comparison_window
+from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force
+from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
+from .estimation import Fit, fit, prediction_cost
+
+Array = NDArray[np.float64]
+
+# Lengths of the windows, s. Short ones see fast motion, long ones suppress noise; the simulation decides between them.
+_SPANS = (0.02, 0.05, 0.1, 0.2, 0.4)
+_RESTING = 0.02  # fraction of the largest speed; below, static friction may have any value
+_ROWS_PER_COEFFICIENT = 5  # rows that a regression needs
+_REWEIGHTINGS = 10  # of the rows by their residuals
+_ROBUST = 1.5  # residuals beyond this multiple of the median count less
+# Shortest time constant, in windows: with less inertia, all of the motion follows the force within a window, and the
+# regression shows no inertia at all.
+_SHORTEST_TIME_CONSTANT = 0.1
+_LEAST_RATIO = 1e-3  # of friction to the declared one; a fit in logarithms needs a value above zero
+_WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a factor of 55
+_GUIDING_BANDWIDTH = 3.0  # rad/s, of an observer that leads an output-error fit to its solution
+_TERM_PRIOR = 10.0  # in typical sizes of a term
+# Fraction of the squared error that a term (offset, weight, delay) must remove beside inertia and friction.
+_LEAST_GAIN = 0.02
+_BETTER_PREDICTION = 0.9  # ratio of the costs of two refits, at the widest observer, ...
+_BETTER_SIMULATION = 0.5  # ... or in simulation, below which the plain values are the better start
+
+
+@dataclass(frozen=True)
+class PlainFit:
+    """Result of a plain fit.
+
+    Attributes:
+        start: The machine with the inertia and friction of the inverse dynamics, without further terms.
+        simulated: Output-error fit; its machine may have a constant force, a weight and an input delay as effects.
+    """
+
+    start: Machine
+    simulated: Fit
+
+    @property
+    def machine(self) -> Machine:
+        """Machine of the output-error fit."""
+        return self.simulated.machine
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Labels of the terms that it has beside inertia and friction."""
+        declared = {e.label for e in self.start.effects}
+        return tuple(e.label for e in self.machine.effects if e.label not in declared)
+
+
+def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
+    """Fit inertia, viscous and dry friction, and where it helps a constant force, a weight and an input delay.
+
+    Machines with belts are not refined in simulation: their rigid motion says nothing about belts.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit.
+
+    Returns:
+        The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
+    """
+    equal = equally_weighted(data)
+    starts = [(prediction_cost(m, equal, SIMULATION), m) for m in starting_values(machine, data)]
+    finite = [start for start in starts if math.isfinite(start[0])]
+    if not finite:
+        return None
+    cost, start = min(finite, key=lambda candidate: candidate[0])
+    free = wide_parameters(start)
+    best = Fit(start, free, np.zeros(len(free)), cost, equal.count, SIMULATION, np.zeros((len(free), len(free))))
+    if machine.belts:
+        return PlainFit(start, best)
+    # A simulation has local minima far from the solution, an observer has fewer; so it is also fitted by way of one.
+    guided = fit(start, free, equal, _GUIDING_BANDWIDTH)
+    fits = (fit(start, free, equal, SIMULATION, theta=theta) for theta in (best.theta, guided.theta))
+    best = min(best, *fits, key=_finite_cost)
+    for effect in _terms(start):
+        if effect.label in {e.label for e in best.machine.effects}:
+            continue
+        extended = best.machine.with_effects(effect)
+        trial = fit(extended, (*wide_parameters(best.machine), *_term_parameters(effect, machine)), equal, SIMULATION)
+        if trial.cost < (1.0 - _LEAST_GAIN) * best.cost:
+            best = trial
+    return PlainFit(start, best)
+
+
+def _finite_cost(fitted: Fit) -> float:
+    return fitted.cost if math.isfinite(fitted.cost) else math.inf
+
+
+def equally_weighted(data: Dataset) -> Dataset:
+    """Copy a data set so that all measurements of a sensor have the same weight and noise.
+
+    Args:
+        data: Runs to fit.
+
+    Returns:
+        Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise.
+    """
+    runs = (
+        dataclasses.replace(
+            run,
+            noise=np.broadcast_to(data.noise, run.noise.shape),
+            weights=np.where(np.isfinite(run.outputs), 1.0, 0.0),
+        )
+        for run in data.runs
+    )
+    return dataclasses.replace(data, runs=tuple(runs))
+
+
+def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
+    """Return the parameters that identification refits, with priors so wide that the data alone determine them.
+
+    Args:
+        machine: Machine with the starting values.
+
+    Returns:
+        Free parameters, centered on the machine's values.
+    """
+
+    def widened(parameter: FreeParameter) -> FreeParameter:
+        if parameter.of_effect:
+            return dataclasses.replace(parameter, prior=_TERM_PRIOR)
+        if parameter.scale is None:
+            return dataclasses.replace(parameter, prior=_WIDE_PRIOR)
+        return dataclasses.replace(parameter, prior=_TERM_PRIOR, lower=0.0, upper=math.inf)
+
+    return tuple(map(widened, default_free_parameters(machine)))
+
+
+def _terms(machine: Machine) -> Iterable[AppliedEffect]:
+    """Yield what a plain fit may need beside inertia and friction: offsets, weights, and a delay of the inputs."""
+    for c in machine.coordinates:
+        yield EFFECTS["constant_force"].at(c.name, size=0.0)
+    for c in machine.coordinates:
+        if c.kind == "rotary":
+            yield EFFECTS["unbalance"].at(c.name, A=0.0, p=0.0)
+    yield EFFECTS["input_delay"].at("drives", d=0.0)
+
+
+def _term_parameters(effect: AppliedEffect, machine: Machine) -> tuple[FreeParameter, ...]:
+    """Return the parameters of a term, as linear ones; a weight A sin(q + p) starts at a phase of zero."""
+    force = typical_force(machine)
+    free = []
+    for p in effect.definition.parameters:
+        name, value = f"{effect.label}.{p.name}", effect.parameters[p.name]
+        size = p.scale
+        if p.unit == "force":
+            size *= force * machine.coordinate(effect.site).travel_per_unit
+        if p.role != "fixed":
+            free.append(FreeParameter(name, value, _TERM_PRIOR, scale=size, lower=p.lower, upper=p.upper))
+    return tuple(free)
+
+
+def starting_values(machine: Machine, data: Dataset) -> tuple[Machine, ...]:
+    """Determine inertia and friction from the balance of forces, once for each length of the windows.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs.
+
+    Returns:
+        Machines with these values in place of the declared ones; none if the runs determine no motion.
+    """
+    R = leading_motions(machine)
+    found = []
+    for span in _SPANS if len(R) else ():
+        windows = [motion_windows(r, comparison_window(r.outputs, r.time_s, span)) for r in data.runs]
+        coefficients = _balance(machine, R, windows, span)
+        if coefficients:
+            found.append(_with_coefficients(machine, R, coefficients))
+    return tuple(found)
+
+
+def _balance(
+    machine: Machine, R: Array, windows: Sequence[MotionWindows], span: float
+) -> dict[int, tuple[float, float, float]]:
+    """Return inertia over the declared one, viscous and dry friction, SI, by the index of the motion."""
+    motion = determined_motion(windows, machine, R, np.eye(len(machine.sensors)))
+    if motion is None:
+        return {}
+    determined, position, velocity, acceleration = motion
+    gains = np.column_stack([R @ machine.coefficients({d.coordinate: d.gain}) for d in machine.drives])
+    force = np.concatenate([w.inputs for w in windows]) @ gains.T
+    mass = np.array([c.mass for c in machine.coordinates])
+    declared = R @ (mass[:, None] * R.T)
+    inertial = np.nan_to_num(acceleration) @ declared
+    finite = np.isfinite(acceleration).all(axis=1)
+    found = {}
+    for k in determined:
+        rows = finite & (np.abs(np.nan_to_num(velocity[:, k])) > 0.0)
+        fastest = float(np.abs(velocity[rows, k]).max(initial=0.0))
+        rows &= np.abs(np.nan_to_num(velocity[:, k])) > _RESTING * fastest
+        F, z, dz = force[rows, k], position[rows, k], velocity[rows, k]
+        free = [np.ones(len(z))]
+        if machine.coordinates[int(np.argmax(np.abs(R[k]) > 0.0))].kind == "rotary":
+            free += [np.sin(z), np.cos(z)]
+        # A coefficient of either sign is the difference of two positive ones.
+        signed = [sign * column for column in free for sign in (1.0, -1.0)]
+        columns = np.column_stack([inertial[rows, k], dz, np.sign(dz), *signed])
+        if len(z) < _ROWS_PER_COEFFICIENT * columns.shape[1] or not F.any():
+            continue
+        inertia, viscous, dry = _robust_nonnegative(columns, F)[:3]
+        least = _SHORTEST_TIME_CONSTANT * span * viscous / declared[k, k]
+        if max(inertia, least) > 0.0:
+            found[int(k)] = (max(inertia, least), viscous, dry)
+    return found
+
+
+def _robust_nonnegative(columns: Array, values: Array) -> Array:
+    """Solve columns @ x = values for x >= 0 by least squares in which large residuals count less (Huber)."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    weights = np.ones(len(values))
+    solution = np.zeros(columns.shape[1])
+    for _ in range(_REWEIGHTINGS):
+        solution, _ = nnls(columns / scale * weights[:, None], values * weights)
+        residual = np.abs(values - columns / scale @ solution)
+        limit = max(_ROBUST * float(np.median(residual)), np.finfo(float).tiny)
+        weights = 1.0 / np.sqrt(np.maximum(1.0, residual / limit))
+    return np.asarray(solution / scale)
+
+
+def _with_coefficients(machine: Machine, R: Array, found: dict[int, tuple[float, float, float]]) -> Machine:
+    """Return a machine whose inertia and friction along rigid motions are those of the balance.
+
+    The parameters of each coordinate keep their ratio to those of other coordinates of the same motion.
+    """
+    names = machine.coordinate_names
+    mass = np.array([c.mass for c in machine.coordinates])
+    dry = np.array([c.coulomb for c in machine.coordinates])
+    back_emf = np.sum([machine.coefficients({d.coordinate: d.back_emf}) for d in machine.drives], axis=0)
+    damping = np.array([c.viscous for c in machine.coordinates]) + back_emf
+    motions, inertias, dampings, frictions = R[list(found)], *np.array(list(found.values())).T
+    masses = mass * _ratios(motions**2 * mass, inertias)
+    of_damping = _ratios(motions**2 * damping, dampings / np.maximum(motions**2 @ damping, np.finfo(float).tiny))
+    of_friction = _ratios(
+        np.abs(motions) * dry, frictions / np.maximum(np.abs(motions) @ dry, np.finfo(float).tiny)
+    )
+    values: dict[str, float] = {}
+    for i, (name, c) in enumerate(zip(names, machine.coordinates, strict=True)):
+        values |= {
+            f"{name}.mass": float(masses[i]),
+            f"{name}.viscous": float(c.viscous * of_damping[i]),
+            f"{name}.coulomb": float(c.coulomb * of_friction[i]),
+        }
+    for motion, viscous, friction in zip(motions, dampings, frictions, strict=True):
+        leading = int(np.argmax(np.abs(motion) > 0.0))  # a motion without declared friction: all at its first coordinate
+        if not (motion**2 @ damping) > 0.0:
+            values[f"{names[leading]}.viscous"] = float(viscous)
+        if not (np.abs(motion) @ dry) > 0.0:
+            values[f"{names[leading]}.coulomb"] = float(friction)
+    for drive in machine.drives:
+        values[f"{drive.name}.Ke"] = float(drive.Ke * of_damping[names.index(drive.coordinate)])
+    return machine.replace({n: v for n, v in values.items() if n in machine.parameters and n not in machine.ties})
+
+
+def _ratios(shares: Array, ratios: Array) -> Array:
+    """Return a factor for each coordinate: the mean ratio of the motions, weighted by its share in each of them.
+
+    Args:
+        shares: Shares of the coordinates in the motions, shape (motions, coordinates).
+        ratios: Ratio of fitted to declared value of each motion, shape (motions,).
+    """
+    total = shares.sum(axis=0)
+    logarithms = np.log(np.maximum(ratios, _LEAST_RATIO)) @ shares
+    return np.exp(np.divide(logarithms, total, out=np.zeros_like(total), where=total > 0.0))
+
+
+def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Machine:
+    """Return the machine from which a refit starts: as declared, or with the values of the plain fit.
+
+    A refit keeps each parameter within a range around the start. The plain values are used if one of them lies outside
+    the range around the declared values, the refit from the declared values ends at a limit, and the refit from the
+    plain ones predicts or simulates the runs clearly better.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit.
+        plain: Plain fit to these runs, if there is one.
+
+    Returns:
+        `machine` or `plain.start`.
+    """
+    if plain is None or not outside_limits(machine, plain.start):
+        return machine
+    refits = [fit(m, default_free_parameters(m), data, SEARCH_BANDWIDTH) for m in (machine, plain.start)]
+    declared, other = refits
+    if not math.isfinite(other.cost):
+        return machine
+    if math.isfinite(declared.cost) and not any(map(FreeParameter.at_limit, declared.free, declared.theta)):
+        return machine
+    equal = equally_weighted(data)
+    simulated = [prediction_cost(f.machine, equal, SIMULATION) for f in refits]
+    predicted = other.cost < _BETTER_PREDICTION * declared.cost
+    better = other.cost < declared.cost and simulated[1] < _BETTER_SIMULATION * simulated[0]
+    return plain.start if predicted or better or not math.isfinite(declared.cost) else machine
+
+
+def outside_limits(declared: Machine, machine: Machine) -> tuple[str, ...]:
+    """Return the parameters whose value lies outside the range that a refit from the declared values may reach.
+
+    Args:
+        declared: Machine as declared.
+        machine: Machine with other values.
+
+    Returns:
+        Full names of the parameters; friction that is smaller than the range permits does not count, because it is
+        small in any case.
+    """
+    names = []
+    for parameter in default_free_parameters(declared):
+        value = machine.parameters.get(parameter.name, 0.0)
+        low, high = parameter.theta_limits
+        if parameter.name.endswith((".viscous", ".coulomb")):
+            low = -math.inf
+        if parameter.scale is None and value <= 0.0:
+            continue
+        if not low <= parameter.theta(value) <= high:
+            names.append(parameter.name)
+    return tuple(names)

@@ -1,0 +1,137 @@
+"""Average measured motion and inputs over windows, so that forces and motion can be compared without a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..machine import Machine, rigid_motions
+from ..recordings import bridge_blanks
+from .belt_stretch import rigid_basis
+from .dataset import PreparedRecording
+
+Array = NDArray[np.float64]
+_OVERLAP = 2  # grid points of the balance per window
+
+
+class MotionWindows(NamedTuple):
+    """Measured motion and inputs of one run, averaged over windows.
+
+    Attributes:
+        position: Mean measurements, m or rad, NaN where not measured, shape (rows, sensors).
+        velocity: Their velocities, m/s or rad/s, shape (rows, sensors).
+        acceleration: Their accelerations, m/s^2 or rad/s^2, shape (rows, sensors).
+        inputs: Means of the inputs with the weights that an acceleration has, V, shape (rows, drives).
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    inputs: Array
+
+
+def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
+    """Average a run over windows and differentiate it.
+
+    A second difference of positions is the mean acceleration with triangular weights. The inputs are averaged with the
+    same weights, so that both sides of the balance agree exactly, however fast the inputs change.
+
+    Args:
+        run: Prepared run.
+        span: Length of a window, s.
+
+    Returns:
+        Means and derivatives, m or rad, shape (rows, sensors), with two rows per window; no rows for a run that is
+        shorter than three windows.
+    """
+    time_s = run.time_s - run.time_s[0]
+    grid = np.arange(span / 2, time_s[-1] - span / 2, span / _OVERLAP)
+    if len(grid) <= 2 * _OVERLAP:
+        empty = np.zeros((0, run.outputs.shape[1]))
+        return MotionWindows(empty, empty, empty, np.zeros((0, run.inputs.shape[1])))
+    bridged = bridge_blanks(run.outputs, time_s, 1.01 * span)
+    steps = np.diff(time_s)[:, None]
+    first = _cumulated(run.inputs[:-1] * steps)  # integral of the inputs, which are held from row to row
+    second = _cumulated((first[:-1] + first[1:]) / 2 * steps)
+
+    def mean(values: Array) -> Array:
+        """Return the mean over a window around each grid point."""
+        integral = _cumulated((values[:-1] + values[1:]) / 2 * steps)
+        before, after = (_at(grid + side * span / 2, time_s, integral) for side in (-1.0, 1.0))
+        return (after - before) / span
+
+    outputs = mean(np.where(np.isfinite(bridged), bridged, 0.0))
+    outputs[mean(np.isnan(bridged).astype(float)) > 0.0] = np.nan
+    twice = mean(second)
+
+    def shifted(rows: int) -> Array:
+        """Return the mean outputs that many grid points later, from the third grid point to the third last one."""
+        return outputs[_OVERLAP + rows : len(outputs) - _OVERLAP + rows]
+
+    # Weights that spread as far in time as those of the accelerations, so that fast motion falsifies no coefficient.
+    position = (shifted(-1) + shifted(0) + shifted(1)) / 3
+    velocity = (shifted(2) - shifted(-2)) / (6 * span) + (shifted(1) - shifted(-1)) * 2 / (3 * span)
+    acceleration = (shifted(2) - 2 * shifted(0) + shifted(-2)) / span**2
+    inputs = (twice[2 * _OVERLAP :] - 2 * twice[_OVERLAP:-_OVERLAP] + twice[: -2 * _OVERLAP]) / span**2
+    return MotionWindows(position, velocity, acceleration, inputs)
+
+
+def _cumulated(increments: Array) -> Array:
+    """Return the sums of increments up to each row, beginning with 0."""
+    return np.vstack([np.zeros(increments.shape[1]), np.cumsum(increments, axis=0)])
+
+
+def _at(times: Array, time_s: Array, values: Array) -> Array:
+    """Return columns of values interpolated at other times."""
+    return np.column_stack([np.interp(times, time_s, column) for column in values.T])
+
+
+def leading_motions(machine: Machine) -> Array:
+    """Return the rigid motions of a machine, each with 1 at the coordinate that leads it.
+
+    Returns:
+        Motions, shape (motions, coordinates); no rows if there is none.
+    """
+    named = rigid_motions(machine)
+    if named:
+        return np.array(list(named.values()))
+    basis = rigid_basis(machine).T  # a machine of pulleys only has no leading carriage
+    return np.array([motion / motion[int(np.argmax(np.abs(motion)))] for motion in basis])
+
+
+def determined_motion(
+    windows: Sequence[MotionWindows], machine: Machine, R: Array, correction: Array
+) -> tuple[NDArray[np.int_], Array, Array, Array] | None:
+    """Return which rigid motions corrected sensors determine, and all motions with their derivatives.
+
+    Args:
+        windows: Motion of each run.
+        machine: Declared machine.
+        R: Rigid motions, see `leading_motions`, shape (motions, coordinates).
+        correction: Matrix that multiplies the measurements, shape (sensors, sensors).
+
+    Returns:
+        Indices of the motions that the sensors determine; positions, velocities and accelerations of all motions,
+        shape (rows, motions) each. None if the sensors determine no motion.
+    """
+    measured = np.isfinite(np.concatenate([w.position for w in windows])).any(axis=0)
+    usable = np.abs(correction) @ (~measured).astype(float) == 0.0
+    of_motion = (machine.sensor_matrix @ R.T)[usable]  # (usable sensors, motions)
+    size = np.linalg.norm(of_motion, axis=1)
+    size[size == 0.0] = 1.0
+    scaled = of_motion / size[:, None]  # lengths and angles become comparable
+    inverse = np.linalg.pinv(scaled)
+    determined = np.flatnonzero(np.isclose(np.diag(inverse @ scaled), 1.0))
+    if not len(determined):
+        return None
+
+    def motion(measurements: Array) -> Array:
+        missing = np.isnan(measurements).astype(float) @ np.abs(correction).T > 0.0
+        corrected = np.where(missing, np.nan, np.nan_to_num(measurements) @ correction.T)
+        return np.asarray((corrected[:, usable] / size) @ inverse.T)
+
+    position, velocity, acceleration = (motion(np.concatenate([w[i] for w in windows])) for i in range(3))
+    return determined, position, velocity, acceleration
