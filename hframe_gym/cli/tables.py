@@ -31,11 +31,12 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
         channels: Names of the machine's output channels (sensors).
 
     Returns:
-        Table (rich) with one row per channel and three columns: errors of the machine as declared, with refitted
-        parameters, and with the identified effects as well. An error is the root mean square and, in parentheses, as a
-        multiple of the sensor noise and in percent of the motion; or the words "diverges" or "not measured". If the
-        report contains it, a last row has the root mean square error of the drives' force divided by the root mean
-        square of this force, %. Below the table: the force that the machines lack.
+        Table (rich) with one row per channel and a column for each machine: as declared, with refitted parameters, with
+        the identified effects as well, and, if there is one, the plain fit of inertia and friction. An error is the
+        root mean square and, in parentheses, as a multiple of the sensor noise and in percent of the motion; or the
+        words "diverges" or "not measured". If the report contains it, a last row has the root mean square error of the
+        drives' force divided by the root mean square of this force, %. Below the table: the force that the machines
+        lack.
     """
     title = "simulation error on held-out recordings: rms (x: multiple of the sensor noise, % of the motion)"
     lacking = [report[stage].get("missing_force_percent") for stage in ("declared", "before", "after")]
@@ -47,14 +48,22 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     for column in ("declared", "before\n(refitted)", "after\n(with effects)"):
         table.add_column(column, justify="right")
     errors = [report[stage]["held_out"] for stage in ("declared", "before", "after")]
+    if plain := report.get("plain"):
+        table.add_column("plain fit", justify="right")
+        errors.append(plain["held_out"])
     for channel in channels:
         cells = [e[channel] for e in errors]
         absent = "diverges" if any(cell["rmse"] is not None for cell in cells) else "not measured"
         texts = [absent if cell["rmse"] is None else _error_cell(channel, cell) for cell in cells]
         table.add_row(escape(channel), *texts)
     if "force_error" in errors[0]:
-        table.add_row("force, relative", *(f"{100 * e['force_error']:.2f} %" for e in errors))
+        table.add_row("force, relative", *(_force_cell(e) for e in errors))
     return table
+
+
+def _force_cell(errors: Mapping[str, Any]) -> str:
+    """Return the relative error of the drives' force in percent, "" if there is none."""
+    return f"{100 * errors['force_error']:.2f} %" if "force_error" in errors else ""
 
 
 def _error_cell(channel: str, error: Mapping[str, Any]) -> str:

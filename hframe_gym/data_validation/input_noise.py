@@ -11,6 +11,7 @@ from ..preparation.input_noise import is_noisy, noise_of_input
 from ..recordings import Recording
 from .findings import Finding, channel_unit
 
+
 def noisy_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report inputs that change from row to row like noise, where the input is a current, a torque or a force.
 

@@ -41,6 +41,7 @@ from .fit.covariance import with_uncertainty
 from .fit.estimation import Fit, prediction_cost
 from .fit.force_sizes import drive_force, effect_force
 from .fit.lost_voltages import with_lost_voltages
+from .fit.plain_fit import PlainFit, better_start, plain_fit, refined_equally
 from .fit.residual import Dependence, errors_by_channel, white_sensors
 from .fit.run_differences import describe_run_differences
 from .fit.start_estimation import refine_dataset
@@ -59,8 +60,8 @@ from .predict.prediction import POLISH_STEP
 from .propose.dependences import are_causes, rank_dependences
 from .propose.trial_fits import without_effect
 from .report.experiment_design import design_discriminating_experiment
-from .report.recording_simulation import ModelEvaluation, PredictionErrors, evaluate_held_out
-from .report.result import Hint, IdentificationResult, RejectedEffect, Unfinished
+from .report.recording_simulation import ModelEvaluation, PredictionErrors, error_ratio, evaluate_held_out
+from .report.result import Hint, IdentificationResult, PlainResult, RejectedEffect, Unfinished
 from .search.input_timing import with_input_timing
 from .search.search_effects import SearchOutcome, search_effects
 
@@ -80,6 +81,16 @@ _HINT = (
 _UNEXCITED = (
     "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
     "other runs with --hold-out for an independent test."
+)
+_AS_GOOD_AS_PLAIN = 1.01  # ratio of errors on the held-out runs; smaller differences are chance
+_REFINED = (
+    "The parameters were fitted again in simulation, because the plain fit of inertia and friction predicted the "
+    "held-out runs better."
+)
+_WORSE_THAN_PLAIN = "predicts the held-out runs worse than a plain fit of inertia and friction"
+_PLAIN_DELIVERED = (
+    "The machine that is delivered is the plain fit of inertia and friction, because that of the search has {:.3g} "
+    "times its error on the held-out runs; terms beside them: {}."
 )
 _MAX_NEAREST = 3  # Effects that a hint lists as the nearest of the library.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
@@ -154,13 +165,18 @@ def identify(
         outcome = _without_names(outcome, reason)
         evaluated = _evaluated(outcome, machine, ranges, evaluated.validation, recordings, criteria)
         reason = _contradiction(evaluated, checked.differing, criteria) or reason
+    plain, evaluated, delivered = _at_least_plain(evaluated, checked.plain, machine, ranges, recordings, criteria, log)
+    if outcome.selected and not evaluated.outcome.selected:
+        reason = delivered
+    messages += (delivered,) if delivered and delivered != reason else ()
+    outcome = evaluated.outcome
     if reason:
         outcome = outcome._replace(verdict="unexplained")
     if messages or outcome.verdict == "unexplained":
         messages += describe_run_differences(outcome.after, _comparable_runs(checked, all_runs), criteria)
     result = _result(evaluated._replace(outcome=outcome), criteria)
     unfinished = Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
-    result = dataclasses.replace(result, reason=reason, hint=_hint(result), unfinished=unfinished)
+    result = dataclasses.replace(result, reason=reason, hint=_hint(result), unfinished=unfinished, plain=plain)
     messages += _unexcited(result, outcome.after.bandwidth)
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
@@ -177,12 +193,14 @@ class _CheckedOutcome(NamedTuple):
         held_out: Runs that were not fitted.
         differing: Names of those that contradict the machine which explains the fitted runs.
         messages: What the user should know about the division of the runs, one sentence each.
+        plain: Plain fit to the fitted runs, if there is one.
     """
 
     outcome: SearchOutcome
     held_out: Dataset
     differing: tuple[str, ...]
     messages: tuple[str, ...]
+    plain: PlainFit | None = None
 
 
 def _search(
@@ -201,6 +219,8 @@ def _search(
     names = ", ".join(run.name for run in held_out.runs)
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
     data, held_out = with_lost_voltages(machine, data, held_out, log)
+    plain = plain_fit(machine, data)
+    machine = _start(machine, data, plain, log)
 
     def confirmed(outcome: SearchOutcome) -> bool:
         differing = _contradicting_held_out_runs(outcome, held_out)
@@ -210,7 +230,59 @@ def _search(
 
     outcome = search_effects(machine, data, criteria, log, confirmed=confirmed, budget=budget)
     differing = _contradicting_held_out_runs(outcome, held_out)
-    return _CheckedOutcome(outcome, held_out, differing, (*unused, *excluded))
+    return _CheckedOutcome(outcome, held_out, differing, (*unused, *excluded), plain)
+
+
+def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: Log) -> Machine:
+    """Return the machine from which the refit starts: as declared, or with inertia and friction of the plain fit."""
+    start = better_start(machine, data, plain)
+    if start is not machine:
+        values, declared = start.parameters, machine.parameters
+        changed = ", ".join(f"{n} {v / declared[n]:.2g}" for n, v in values.items() if declared.get(n) not in (0.0, v))
+        log(f"the fit starts from values that follow from the motion; times the declared ones: {changed}")
+    return start
+
+
+def _at_least_plain(
+    evaluated: _Evaluated,
+    plain: PlainFit | None,
+    machine: Machine,
+    ranges: dict[str, Range],
+    recordings: Sequence[Recording],
+    criteria: SelectionCriteria,
+    log: Log,
+) -> tuple[PlainResult | None, _Evaluated, str]:
+    """Compare the outcome with the plain fit on the held-out runs, and deliver no machine that predicts them worse.
+
+    Returns:
+        The plain fit with its errors, the outcome that is delivered, and a sentence about what replaced the machine of
+        the search; "" if that predicts the held-out runs at least as well.
+    """
+    if plain is None:
+        return None, evaluated, ""
+    outcome, validation = evaluated.outcome, evaluated.validation
+
+    def errors_of(candidate: Machine) -> ModelEvaluation:
+        return evaluate_held_out(candidate, outcome.data, validation, recordings, criteria)
+
+    reference = errors_of(plain.machine.replace(name=f"{machine.name}-plain"))
+    result = PlainResult(reference, plain.terms)
+    log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
+    if not error_ratio(evaluated.after, reference) > _AS_GOOD_AS_PLAIN:
+        return result, evaluated, ""
+    if outcome.selected:  # their parameters were fitted to short predictions
+        after = refined_equally(outcome.after, outcome.data)
+        selected = tuple(s.with_values(after.machine) for s in outcome.selected)
+        refined = outcome._replace(after=after, selected=selected)
+        again = _evaluated(refined, machine, ranges, validation, recordings, criteria)
+        if error_ratio(again.after, reference) <= _AS_GOOD_AS_PLAIN:
+            return result, again, _REFINED
+    sentence = _PLAIN_DELIVERED.format(error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none")
+    log(sentence)
+    outcome = _without_names(outcome, _WORSE_THAN_PLAIN) if outcome.selected else outcome
+    outcome = outcome._replace(before=plain.simulated, after=plain.simulated)
+    delivered = _evaluated(outcome, machine, ranges, validation, recordings, criteria)
+    return dataclasses.replace(result, delivered=True), delivered, sentence
 
 
 def _comparable_runs(checked: _CheckedOutcome, all_runs: Dataset) -> Dataset:

@@ -259,6 +259,11 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
                 f"the recordings do not determine {parameter.name}: the fit ends at {ratio} +- "
                 f"{std / abs(parameter.center):.2g} times its declared value, which may be the better one"
             )
+        elif parameter.beyond_limit(parameter.theta(value)):
+            described[parameter.name] = (
+                f"{parameter.name} is {ratio} times its declared value, as the motion determines it: correct the "
+                "machine file (mass, Kt, resistance, gear ratio) or the units of the recordings"
+            )
         elif _is_known(parameter.name):
             described[parameter.name] = (
                 f"{parameter.name} ends at the limit of the fit, {ratio} times its declared "

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,27 +92,37 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
         The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
     """
     equal = equally_weighted(data)
-    starts = [(prediction_cost(m, equal, SIMULATION), m) for m in starting_values(machine, data)]
-    finite = [start for start in starts if math.isfinite(start[0])]
-    if not finite:
+    starts = starting_values(machine, data)
+    costs = [
+        min(prediction_cost(m, equal, SIMULATION) for m in (start, start.with_effects(*offsets)))
+        for start, offsets in starts
+    ]
+    if not costs or not math.isfinite(min(costs)):
         return None
-    cost, start = min(finite, key=lambda candidate: candidate[0])
+    start, offsets = starts[int(np.argmin(costs))]
+    cost = prediction_cost(start, equal, SIMULATION)
     free = wide_parameters(start)
     best = Fit(start, free, np.zeros(len(free)), cost, equal.count, SIMULATION, np.zeros((len(free), len(free))))
     if machine.belts:
         return PlainFit(start, best)
-    # A simulation has local minima far from the solution, an observer has fewer; so it is also fitted by way of one.
-    guided = fit(start, free, equal, _GUIDING_BANDWIDTH)
-    fits = (fit(start, free, equal, SIMULATION, theta=theta) for theta in (best.theta, guided.theta))
-    best = min(best, *fits, key=_finite_cost)
-    for effect in _terms(start):
-        if effect.label in {e.label for e in best.machine.effects}:
-            continue
-        extended = best.machine.with_effects(effect)
-        trial = fit(extended, (*wide_parameters(best.machine), *_term_parameters(effect, machine)), equal, SIMULATION)
+    best = min((best, *_output_error_fits(start, free, equal)), key=_finite_cost)
+    present = {e.label for e in machine.effects}
+    for effect in (e for e in _terms(start, offsets) if e.label not in present):
+        terms = _term_parameters(effect, machine)
+        trials = [fit(best.machine.with_effects(effect), (*wide_parameters(best.machine), *terms), equal, SIMULATION)]
+        if not effect.definition.delay and best.machine.effects == start.effects:
+            # Without the term, friction took its place, so that the way back from the best fit may be barred.
+            trials += _output_error_fits(start.with_effects(effect), (*free, *terms), equal)
+        trial = min(trials, key=_finite_cost)
         if trial.cost < (1.0 - _LEAST_GAIN) * best.cost:
             best = trial
     return PlainFit(start, best)
+
+
+def _output_error_fits(machine: Machine, free: Sequence[FreeParameter], data: Dataset) -> list[Fit]:
+    """Fit in simulation from a machine, and from where an observer leads: a simulation has more local minima."""
+    guided = fit(machine, free, data, _GUIDING_BANDWIDTH)
+    return [fit(machine, free, data, SIMULATION, theta=theta) for theta in (np.zeros(len(free)), guided.theta)]
 
 
 def _finite_cost(fitted: Fit) -> float:
@@ -126,7 +136,8 @@ def equally_weighted(data: Dataset) -> Dataset:
         data: Runs to fit.
 
     Returns:
-        Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise.
+        Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise. Its
+        runs have equal weights and noise, m or rad, shape (n, sensors).
     """
     runs = (
         dataclasses.replace(
@@ -137,6 +148,21 @@ def equally_weighted(data: Dataset) -> Dataset:
         for run in data.runs
     )
     return dataclasses.replace(data, runs=tuple(runs))
+
+
+def refined_equally(fitted: Fit, data: Dataset) -> Fit:
+    """Fit the parameters again in simulation, with equal weights of all measurements, as in a plain fit.
+
+    Args:
+        fitted: Fit with any observer and any effects.
+        data: Runs to fit.
+
+    Returns:
+        Fit of the same k parameters (theta, shape (k,)); `fitted` itself if it has the smaller error.
+    """
+    equal = equally_weighted(data)
+    refined = fit(fitted.machine, fitted.free, equal, SIMULATION, theta=fitted.theta)
+    return refined if refined.cost < prediction_cost(fitted.machine, equal, SIMULATION) else fitted
 
 
 def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
@@ -159,10 +185,9 @@ def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
     return tuple(map(widened, default_free_parameters(machine)))
 
 
-def _terms(machine: Machine) -> Iterable[AppliedEffect]:
+def _terms(machine: Machine, offsets: Sequence[AppliedEffect]) -> Iterable[AppliedEffect]:
     """Yield what a plain fit may need beside inertia and friction: offsets, weights, and a delay of the inputs."""
-    for c in machine.coordinates:
-        yield EFFECTS["constant_force"].at(c.name, size=0.0)
+    yield from offsets
     for c in machine.coordinates:
         if c.kind == "rotary":
             yield EFFECTS["unbalance"].at(c.name, A=0.0, p=0.0)
@@ -183,7 +208,7 @@ def _term_parameters(effect: AppliedEffect, machine: Machine) -> tuple[FreeParam
     return tuple(free)
 
 
-def starting_values(machine: Machine, data: Dataset) -> tuple[Machine, ...]:
+def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tuple[AppliedEffect, ...]]]:
     """Determine inertia and friction from the balance of forces, once for each length of the windows.
 
     Args:
@@ -191,22 +216,29 @@ def starting_values(machine: Machine, data: Dataset) -> tuple[Machine, ...]:
         data: Runs.
 
     Returns:
-        Machines with these values in place of the declared ones; none if the runs determine no motion.
+        Machines with these values in place of the declared ones, and for each the constant forces of its balance; none
+        if the runs determine no motion.
     """
     R = leading_motions(machine)
-    found = []
+    found: list[tuple[Machine, tuple[AppliedEffect, ...]]] = []
     for span in _SPANS if len(R) else ():
         windows = [motion_windows(r, comparison_window(r.outputs, r.time_s, span)) for r in data.runs]
         coefficients = _balance(machine, R, windows, span)
         if coefficients:
-            found.append(_with_coefficients(machine, R, coefficients))
-    return tuple(found)
+            names = {k: machine.coordinate_names[int(np.argmax(np.abs(R[k]) > 0.0))] for k in coefficients}
+            offsets = {names[k]: -offset for k, (*_, offset) in coefficients.items()}
+            known = {k: values[:3] for k, values in coefficients.items()}
+            forces = tuple(EFFECTS["constant_force"].at(name, size=size) for name, size in offsets.items())
+            present = {e.label for e in machine.effects}
+            added = tuple(e for e in forces if e.label not in present)
+            found.append((_with_coefficients(machine, R, known), added))
+    return found
 
 
 def _balance(
     machine: Machine, R: Array, windows: Sequence[MotionWindows], span: float
-) -> dict[int, tuple[float, float, float]]:
-    """Return inertia over the declared one, viscous and dry friction, SI, by the index of the motion."""
+) -> dict[int, tuple[float, float, float, float]]:
+    """Return inertia over the declared one, viscous and dry friction and offset, SI, by the index of the motion."""
     motion = determined_motion(windows, machine, R, np.eye(len(machine.sensors)))
     if motion is None:
         return {}
@@ -231,10 +263,10 @@ def _balance(
         columns = np.column_stack([inertial[rows, k], dz, np.sign(dz), *signed])
         if len(z) < _ROWS_PER_COEFFICIENT * columns.shape[1] or not F.any():
             continue
-        inertia, viscous, dry = _robust_nonnegative(columns, F)[:3]
+        inertia, viscous, dry, above, below = map(float, _robust_nonnegative(columns, F)[:5])
         least = _SHORTEST_TIME_CONSTANT * span * viscous / declared[k, k]
         if max(inertia, least) > 0.0:
-            found[int(k)] = (max(inertia, least), viscous, dry)
+            found[int(k)] = (max(inertia, least), viscous, dry, above - below)
     return found
 
 
@@ -251,7 +283,7 @@ def _robust_nonnegative(columns: Array, values: Array) -> Array:
     return np.asarray(solution / scale)
 
 
-def _with_coefficients(machine: Machine, R: Array, found: dict[int, tuple[float, float, float]]) -> Machine:
+def _with_coefficients(machine: Machine, R: Array, found: Mapping[int, tuple[float, ...]]) -> Machine:
     """Return a machine whose inertia and friction along rigid motions are those of the balance.
 
     The parameters of each coordinate keep their ratio to those of other coordinates of the same motion.
@@ -264,9 +296,7 @@ def _with_coefficients(machine: Machine, R: Array, found: dict[int, tuple[float,
     motions, inertias, dampings, frictions = R[list(found)], *np.array(list(found.values())).T
     masses = mass * _ratios(motions**2 * mass, inertias)
     of_damping = _ratios(motions**2 * damping, dampings / np.maximum(motions**2 @ damping, np.finfo(float).tiny))
-    of_friction = _ratios(
-        np.abs(motions) * dry, frictions / np.maximum(np.abs(motions) @ dry, np.finfo(float).tiny)
-    )
+    of_friction = _ratios(np.abs(motions) * dry, frictions / np.maximum(np.abs(motions) @ dry, np.finfo(float).tiny))
     values: dict[str, float] = {}
     for i, (name, c) in enumerate(zip(names, machine.coordinates, strict=True)):
         values |= {
@@ -275,7 +305,7 @@ def _with_coefficients(machine: Machine, R: Array, found: dict[int, tuple[float,
             f"{name}.coulomb": float(c.coulomb * of_friction[i]),
         }
     for motion, viscous, friction in zip(motions, dampings, frictions, strict=True):
-        leading = int(np.argmax(np.abs(motion) > 0.0))  # a motion without declared friction: all at its first coordinate
+        leading = int(np.argmax(np.abs(motion) > 0.0))  # it takes all friction where none is declared
         if not (motion**2 @ damping) > 0.0:
             values[f"{names[leading]}.viscous"] = float(viscous)
         if not (np.abs(motion) @ dry) > 0.0:

@@ -91,6 +91,18 @@ class FreeParameter:
         low, high = ((1.0 - _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
         return theta < low < 0.0 or 0.0 < high < theta
 
+    def beyond_limit(self, theta: float) -> bool:
+        """Return whether a value is outside the range that a fit from this center can reach.
+
+        Args:
+            theta: Dimensionless optimizer variable of a value that another fit found.
+
+        Returns:
+            True beyond 101 % of the way from 0 to its smallest or largest permitted value (`theta_limits`).
+        """
+        low, high = ((1.0 + _LIMIT_TOLERANCE) * limit for limit in self.theta_limits)
+        return theta < low < 0.0 or 0.0 < high < theta
+
     def value(self, theta: Array) -> Array:
         """Convert theta to the parameter's value, clipped to its bounds.
 

@@ -70,6 +70,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "tiles": _tiles(report, channels),
         "channels": [_channel_row(report, c) for c in channels],
         "force": _force_row(report),
+        "plain": _plain_sentence(report),
         "runs": [_run_row(report, curves, channels, run) for run in report["runs"]["held_out"]],
         "effects": effects,
         "parameters": _parameter_rows(machine, saved.declared),
@@ -227,7 +228,7 @@ def _largest_position_error(errors: Mapping[str, Any]) -> str:
 def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
     """Return the errors of one channel for each machine, in one readable unit and in multiples of the noise."""
     row: dict[str, Any] = {"name": channel}
-    errors = {stage: report[stage]["held_out"][channel] for stage in STAGES}
+    errors = {stage: report[stage]["held_out"][channel] for stage in _machines(report)}
     factor, unit = readable_unit(channel, errors["before"]["rmse"] or 0.0)
     absent = "diverges" if any(error["rmse"] is not None for error in errors.values()) else "not measured"
     for stage, error in errors.items():
@@ -250,7 +251,23 @@ def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:
     """Return the relative force error of each machine, None where there is none."""
     if "force_error" not in report["after"]["held_out"]:
         return None
-    return {s: f"{100 * report[s]['held_out']['force_error']:.2f} %" for s in STAGES}
+    errors = {s: report[s]["held_out"].get("force_error") for s in _machines(report)}
+    return {s: "" if error is None else f"{100 * error:.2f} %" for s, error in errors.items()}
+
+
+def _machines(report: Mapping[str, Any]) -> list[str]:
+    """Return the keys of the machines in a report, with the plain fit if there is one."""
+    return [*STAGES, *(["plain"] if report.get("plain") else [])]
+
+
+def _plain_sentence(report: Mapping[str, Any]) -> str:
+    """Describe the plain fit, which stands beside the other machines."""
+    if not (plain := report.get("plain")):
+        return ""
+    terms = ", ".join(term.replace("_", " ").replace("@", " at ") for term in plain["terms"])
+    beside = f", with {terms}" if terms else ""
+    delivered = " It is the machine that is delivered, because it predicts best." if plain["delivered"] else ""
+    return f"The plain fit has inertia and friction from the recordings alone{beside}, and no effects.{delivered}"
 
 
 def _run_row(report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str], run: str) -> dict[str, Any]:

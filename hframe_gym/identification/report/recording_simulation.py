@@ -7,6 +7,7 @@ function with the machine that identification wrote, so both have the same error
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -130,6 +131,27 @@ class ModelEvaluation:
             return clear and bool(motions) and all(is_refuted(channel, motion) for motion in motions)
 
         return tuple(filter(deviates, rmse))
+
+
+def error_ratio(evaluation: ModelEvaluation, reference: ModelEvaluation) -> float:
+    """Return the simulation error of a machine over that of another one on the same runs.
+
+    Args:
+        evaluation: Machine to compare.
+        reference: Machine to compare with.
+
+    Returns:
+        Geometric mean of the ratio over the measured channels. 0 if only the reference diverges, or nothing is
+        measured; infinite if only the machine diverges; 1 if both do.
+    """
+    if evaluation.diverged or reference.diverged:
+        return 1.0 if evaluation.diverged and reference.diverged else math.inf if evaluation.diverged else 0.0
+    ratios = []
+    for channel, error in evaluation.held_out.channels.items():
+        other = reference.held_out.channels[channel]
+        if error.rmse and other.rmse:
+            ratios.append(math.log(error.rmse / other.rmse))
+    return math.exp(sum(ratios) / len(ratios)) if ratios else 0.0
 
 
 class SimulatedRecording(NamedTuple):

@@ -132,6 +132,35 @@ class Unfinished(NamedTuple):
 
 
 @dataclass(frozen=True)
+class PlainResult:
+    """The plain fit of inertia and friction, which uses no declared value of them, as a machine for comparison.
+
+    Attributes:
+        evaluation: The machine with its errors on the held-out runs.
+        terms: Labels of what it has beside inertia and friction: constant force, weight, input delay.
+        delivered: Whether it is the machine that identification delivers, because that of the search predicts worse.
+    """
+
+    evaluation: ModelEvaluation
+    terms: tuple[str, ...] = ()
+    delivered: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entry "plain" of report.json.
+
+        Returns:
+            "held_out", errors as those of the other machines; "missing_force_percent"; "terms"; "delivered".
+        """
+        lacking = self.evaluation.held_out.lacking
+        return {
+            "held_out": self.evaluation.held_out.as_json(),
+            "missing_force_percent": None if lacking is None else _finite_or_none(100.0 * lacking),
+            "terms": list(self.terms),
+            "delivered": self.delivered,
+        }
+
+
+@dataclass(frozen=True)
 class IdentificationResult:
     """Result of `identify`.
 
@@ -160,6 +189,7 @@ class IdentificationResult:
             search itself found no explanation, or one was found.
         hint: What the missing force depends on, if no effect is named and it depends on something.
         unfinished: What the search was doing when its budget ended; None if it is complete.
+        plain: Plain fit of inertia and friction, for comparison; None if the runs permit none.
     """
 
     verdict: Verdict
@@ -182,6 +212,7 @@ class IdentificationResult:
     reason: str = ""
     hint: Hint | None = None
     unfinished: Unfinished | None = None
+    plain: PlainResult | None = None
 
     @property
     def explained(self) -> float:
@@ -245,6 +276,7 @@ class IdentificationResult:
             "unfinished": self.unfinished.as_json() if self.unfinished else None,
             "contradicting": list(self.contradicting),
             **{stage: {"held_out": error} | self._missing_force(stage) for stage, error in errors.items()},
+            "plain": self.plain.as_json() if self.plain else None,
             "effects": [self._effect(selected) for selected in self.effects],
             "residual": {
                 "depends_on": [
@@ -302,7 +334,8 @@ def write_result(
     """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
 
     The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted, and with
-    effects); evidence.npz (`plot_data`); next_experiment.csv, if a run is proposed. They appear together or not at all.
+    effects); plain.json (that of the plain fit); evidence.npz (`plot_data`); next_experiment.csv, if a run is
+    proposed. They appear together or not at all.
 
     Args:
         result: Result of an identification: machines, selected effects and fitted runs.
@@ -323,6 +356,10 @@ def write_result(
         save_machine(result.declared.machine, folder / "declared.json")
         save_machine(result.before.machine, folder / "before.json")
         save_machine(result.after.machine, folder / "machine.json")
+        if result.plain:
+            save_machine(result.plain.evaluation.machine, folder / "plain.json")
+        else:
+            remove_file(folder / "plain.json")
         with atomic_file(folder / "evidence.npz") as file:
             np.savez_compressed(file, **arrays)
         if result.experiment:

@@ -1,0 +1,88 @@
+"""The plain fit needs no data sheet, and no machine is delivered that predicts worse."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import identify, prepare
+from hframe_gym.identification.fit.plain_fit import better_start, outside_limits, plain_fit
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.recordings import Recording
+
+NOISE = 1e-5  # m
+TRUE = {"x.mass": 3.0, "x.viscous": 15.0, "x.coulomb": 3.0, "motor.Ke": 0.03}
+
+
+def axis(values: Mapping[str, float] | None = None) -> Machine:
+    machine = BUILTIN_MACHINES["axis"]()
+    machine = machine.replace(effects=())
+    return machine.replace({name: value for name, value in (values or {}).items() if name in machine.parameters})
+
+
+def damping(machine: Machine) -> float:
+    return machine.coordinates[0].viscous + machine.drives[0].back_emf
+
+
+def measure(machine: Machine, runs: int = 3, seconds: float = 4.0) -> list[Recording]:
+    """Simulate a machine under random steps of voltage, with rest at the start, and add noise."""
+    time_s = np.arange(0.0, seconds, 2e-3)
+    recordings = []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        volts = np.repeat(rng.uniform(-8.0, 8.0, len(time_s) // 100 + 1), 100)[: len(time_s), None]
+        volts[:100] = 0.0
+        motion = machine.simulate(time_s, volts)
+        outputs = motion.outputs + NOISE * rng.normal(size=motion.outputs.shape)
+        recordings.append(Recording(f"run_{seed + 1:02d}", time_s, volts, outputs))
+    return recordings
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_inertia_and_friction_follow_from_the_motion_whatever_is_declared(factor: float) -> None:
+    true = axis(TRUE)
+    declared = axis({name: factor * value for name, value in TRUE.items()})
+    data = prepare(measure(true), declared)
+    plain = plain_fit(declared, data)
+    assert plain is not None
+    assert plain.terms == ()
+    assert plain.machine.parameters["x.mass"] == pytest.approx(true.parameters["x.mass"], rel=0.01)
+    assert plain.machine.parameters["x.coulomb"] == pytest.approx(true.parameters["x.coulomb"], rel=0.03)
+    assert damping(plain.machine) == pytest.approx(damping(true), rel=0.02)
+    start = better_start(declared, data, plain)
+    assert (start is declared) == (factor == 1.0)
+
+
+def test_a_constant_force_is_a_term_of_the_plain_fit() -> None:
+    true = axis(TRUE).with_effects(EFFECTS["constant_force"].at("x", size=1.5))
+    plain = plain_fit(axis(TRUE), prepare(measure(true), axis(TRUE)))
+    assert plain is not None
+    assert plain.terms == ("constant_force@x",)
+    assert plain.machine.parameters["constant_force@x.size"] == pytest.approx(1.5, rel=0.05)
+
+
+def test_runs_without_motion_have_no_plain_fit() -> None:
+    machine = axis(TRUE)
+    time_s = np.arange(0.0, 1.0, 2e-3)
+    outputs = NOISE * np.random.default_rng(0).normal(size=(len(time_s), len(machine.sensors)))
+    still = Recording("run_01", time_s, np.zeros((len(time_s), 1)), outputs)
+    assert plain_fit(machine, prepare([still], machine)) is None
+
+
+def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_factor() -> None:
+    """Kt, Ke and mass are guesses; the refit reaches the true machine, and the report names what the file has wrong."""
+    true = axis(TRUE)
+    declared = axis({"x.mass": 0.2, "x.viscous": 2.0, "x.coulomb": 0.2, "motor.Ke": 0.003})
+    assert outside_limits(declared, true)
+    lines: list[str] = []
+    result = identify(measure(true, runs=4), declared, budget=0.0, log=lines.append)
+    assert any("starts from values that follow from the motion" in line for line in lines)
+    assert result.after.held_out.noise_ratio < 1.2
+    assert result.plain is not None
+    assert not result.plain.delivered
+    assert any(warning.startswith("x.mass is") for warning in result.limit_warnings)
+    report = result.as_json()
+    assert set(report["plain"]) == {"held_out", "missing_force_percent", "terms", "delivered"}
