@@ -129,23 +129,30 @@ class LogConverter:
         if not has_time.all():
             count = int(np.sum(~has_time))
             remarks.append(f"{count} row{'s' if count > 1 else ''} without a time left out")
-        rows = has_time if not has_time.all() else slice(None)
+        own = [s for s in sources if s.time is not None and s.time.column is time.column and s.column is not None]
+        repeated = _repeated_rows(time_s, [by_header[s.column.header] for s in own if s.column is not None])
+        if repeated.any():
+            count = int(np.sum(repeated))
+            verb = "s left out that repeat" if count > 1 else " left out that repeats"
+            remarks.append(f"{count} row{verb} the row before and its time")
+        kept = has_time & ~repeated
+        rows = kept if not kept.all() else slice(None)
         time_s = time_s[rows]
         try:
             refuse_decreasing_times(log.place, time_s)
         except InputError as error:
             raise InputError(f"{error}{repair_of_times(time_s)}") from None
         channels = {}
-        for source in sources:
-            if source.time is not None and source.time.column is time.column and source.column is not None:
-                values = by_header[source.column.header]
-                if source.channel in self.machine.output_channels and not source.integrate:
-                    values, remark = self._without_wrap(source.channel, values)
-                    remarks += [remark] * bool(remark)
-                if source.column.unit == "%" and not source.set_by_user and _is_fraction(values):
-                    remarks.append(f"{source.channel}: never exceeds 1 %; if 1 is full, add --unit {source.channel}=pu")
-                values = source.conversion.apply(values)[rows]
-                channels[source.channel] = _integrate(time_s, values) if source.integrate else values
+        for source in own:
+            assert source.column is not None
+            values = by_header[source.column.header]
+            if source.channel in self.machine.output_channels and not source.integrate:
+                values, remark = self._without_wrap(source.channel, values)
+                remarks += [remark] * bool(remark)
+            if source.column.unit == "%" and not source.set_by_user and _is_fraction(values):
+                remarks.append(f"{source.channel}: never exceeds 1 %; if 1 is full, add --unit {source.channel}=pu")
+            values = source.conversion.apply(values)[rows]
+            channels[source.channel] = _integrate(time_s, values) if source.integrate else values
         return time_s, channels
 
     def _without_wrap(self, channel: str, values: Array) -> tuple[Array, str]:
@@ -186,6 +193,18 @@ class LogConverter:
                 f"seconds; state its unit by --unit {TIME}={unit} (rows at {factor / step:.4g} Hz), or ms, us, ns, s"
             )
         return time_s
+
+
+def _repeated_rows(time_s: Array, columns: Sequence[Array]) -> Mask:
+    """Return the rows that equal the row before in time and all values; none if a row repeats only the time."""
+    repeated = np.zeros(len(time_s), np.bool_)
+    rows = np.flatnonzero(np.diff(time_s) == 0.0) + 1
+    for values in columns:
+        now, before = values[rows], values[rows - 1]
+        if not np.all((now == before) | (np.isnan(now) & np.isnan(before))):
+            return repeated
+    repeated[rows] = len(columns) > 0
+    return repeated
 
 
 def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str:

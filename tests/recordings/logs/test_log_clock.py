@@ -104,6 +104,17 @@ def test_stamps_that_repeat_name_the_rate_that_repairs_them(axis: Machine, tmp_p
     np.testing.assert_allclose(run.time_s, np.arange(2000) / 2000)
 
 
+def test_rows_that_repeat_completely_are_left_out(axis: Machine, tmp_path: Path) -> None:
+    rows = [f"{0.001 * k:.3f};{0.01 * k:.2f};{1e-4 * k:.4f};" for k in range(50)]
+    doubled = [rows[0], *(row for row in rows for _ in range(2)), rows[-1]]
+    (tmp_path / "log.csv").write_text("\n".join(["t_s;v_V;x_m;note", *(f"{row}{k}" for k, row in enumerate(doubled))]))
+    lines: list[str] = []
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, log=lines.append)
+    (run,) = load_recordings(tmp_path / "runs", axis)
+    np.testing.assert_allclose(run.outputs[:, 0], 1e-4 * np.arange(50), atol=1e-12)
+    assert "  52 rows left out that repeat the row before and its time" in lines
+
+
 def test_a_single_repeated_row_may_be_deleted(axis: Machine, tmp_path: Path) -> None:
     times = [str(k if k < 50 else k - 1) for k in range(100)]
     with pytest.raises(InputError, match=r"row 51, .*repeats row 50; .*delete one of the two rows or, if all rows are"):

@@ -118,7 +118,7 @@ def test_other_json_is_refused(content: str | dict[str, Any], message: str, axis
 
 
 def test_an_error_names_the_test(axis: Machine, tmp_path: Path) -> None:
-    rows = [[0.0, 0, 0, 0], [0.1, 0, 0, 0], [0.1, 0, 0, 0]]
+    rows = [[0.0, 0, 0, 0], [0.1, 0, 0, 0], [0.1, 1, 0, 0]]
     (tmp_path / "drive.json").write_text(json.dumps(sysid_file(4, **{"fast-forward": rows})))
     with pytest.raises(InputError, match=r"drive.json, fast-forward, row 3, column time_s: 0.1 repeats row 2"):
         import_logs(tmp_path / "drive.json", tmp_path / "runs", axis, settings(v_V="voltage", x_m="position"))
