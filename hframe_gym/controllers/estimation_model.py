@@ -38,13 +38,10 @@ class ParameterRatios:
         self._declared = np.array(list(machine.parameters.values()))
 
     def parameters(self, logarithms: Array) -> ParameterRows:
-        """Compute parameter values from the logarithms of their ratios to the declared values.
+        """Compute parameter values from logarithms of their ratios to the declared values, which others keep.
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k).
-
-        Returns:
-            All parameters; those that are not estimated keep their declared values.
         """
         values = np.tile(self._declared, (len(logarithms), 1))
         values[:, self._columns] *= np.exp(logarithms)

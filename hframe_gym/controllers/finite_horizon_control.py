@@ -58,14 +58,10 @@ HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 
 
 def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
-    """Estimate the time of the longest point-to-point motion in the workspace, an upper limit of planned durations.
+    """Estimate the time of the longest point-to-point motion in the workspace, s, an upper limit of planned durations.
 
-    Args:
-        grid: Operating points (tool positions), which span the workspace.
-
-    Returns:
-        1.3 (`LONGEST_MARGIN`) times the time along both sides of the workspace at top speed, s; 10 s (`MAX_TRANSFER_S`)
-        if the drives cannot overcome Coulomb friction along an axis.
+    It is 1.3 (`LONGEST_MARGIN`) times the time along both sides of the workspace at top speed, or 10 s
+    (`MAX_TRANSFER_S`) if the drives cannot overcome Coulomb friction along an axis.
     """
     top_speed = model.top_speed()
     return float(LONGEST_MARGIN * np.sum(grid.span / top_speed)) if top_speed.min() > 0.0 else MAX_TRANSFER_S
@@ -94,7 +90,7 @@ class MinimumEnergyTransfers:
         longest: Number of periods of the longest transfer.
         gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape (points,
             longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n). Third axis: first period of the transfer,
-            then its last CHECKED_FINAL_PERIODS periods. State: belt travel (position or radius * angle), its velocity.
+            then its last CHECKED_FINAL_PERIODS periods.
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
@@ -135,14 +131,13 @@ class MinimumEnergyTransfers:
         """Select for each machine the shortest motion to rest at its goal whose voltages stay within the limits.
 
         The limits are checked in the first period and in the last 7 periods of a motion. Where no motion
-        stays within them, the longest one is selected, which exceeds them.
+        stays within them, the longest one is selected, which exceeds them. The shape is (B,) or (B, drives).
 
         Args:
+            error: State minus goal state.
+            goal: Tool position at the goal.
             limits: Lowest voltages and highest voltages, V, shape (B, drives) each.
             at_least: Minimum number of control periods until rest, from `shortest` to `longest`, shape (B,).
-
-        Returns:
-            Number of control periods until rest, shape (B,), and voltages of the first period, V, shape (B, drives).
         """
         points = self.grid.nearest(goal)
         lowest, highest = limits
@@ -270,12 +265,9 @@ class PreviewTracker:
     def update_disturbance(self, before: TravelStates, after: TravelStates, volts: Volts, starts: Mask) -> None:
         """Update the estimated disturbance with the states before and after the last period.
 
-        The disturbance is the force on each coordinate, in addition to the modeled forces, that explains the measured
-        state `after`. It is low-pass filtered (time constant 28 ms). `command` compensates it, which replaces an
-        integrator.
-
-        Args:
-            starts: Machines whose episode starts with `after`; their estimate is set to zero.
+        The disturbance is the force on each coordinate, in addition to the modeled forces, that explains the
+        measured state `after`. It is low-pass filtered (time constant 28 ms), and zero where an episode
+        starts with `after`. `command` compensates it, which replaces an integrator.
         """
         if len(self._disturbance) != len(after):
             self._planned_force = self._disturbance = np.zeros((len(after), len(self.model.mass)))

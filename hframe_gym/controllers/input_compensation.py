@@ -96,8 +96,8 @@ class DeadTime:
             goals: Tool goals now and at the ends of the next P - 1 periods, m, shape (B, P, axes).
 
         Returns:
-            Goals at the dead time T from now and at the ends of the next Q - 1 periods after it, m, shape (B, Q, axes),
-            interpolated between `goals`. Q <= P is the number of these times within the preview.
+            Goals at the dead time from now and at the ends of the periods after it within the preview, m, interpolated
+            between `goals`, shape (B, at most P, axes).
 
         Raises:
             InputError: If fewer than two of these times are within the preview.

@@ -91,8 +91,9 @@ class LinearMotion:
     ) -> CoordinateForces:
         """Predict the Coulomb friction during the motion to the goal, as one constant force per coordinate.
 
-        Constant forces allow a plan with a linear model. At speeds far above 20 mm/s, the force opposes the present
-        motion. At speeds far below, it opposes the motion towards the goal, and is smaller within about 1 mm of it.
+        Constant forces allow a plan with a linear model. At speeds far above 20 mm/s, the force opposes the
+        present motion. At speeds far below, it opposes the motion towards the goal, and is smaller within
+        about 1 mm of it. `error` is the state minus the goal state.
         """
         n = len(self._model.mass)
         level = self._force_of_unit * (parameters[:, self._coulomb_columns] / self._coulomb_unit)
@@ -116,15 +117,10 @@ def _exponential(matrices: Array) -> Array:
 
 
 def state_scale(states: int) -> Array:
-    """Return the units that condition the reachability Gramian well: 1 m for travel, 100 m/s for velocity.
+    """Return the units of 2 n states that condition the reachability Gramian well, m and m/s, shape (2 n,).
 
-    Scaled state = state / units. In a scaled state an error of 1 mm is as large as one of 0.1 m/s.
-
-    Args:
-        states: Number of states, 2 n.
-
-    Returns:
-        Units, m and m/s, shape (2 n,).
+    They are 1 m for belt travel and 100 m/s for velocity: in a scaled state (state / units) an error of 1 mm
+    is as large as one of 0.1 m/s.
     """
     return np.repeat([1.0, 1.0 / VELOCITY_SCALE_S], states // 2)
 
@@ -211,14 +207,8 @@ class SimulatedTransfers:
     ) -> PlannedTransfers:
         """Plan motions from the present states to rest at the goals, one for each of the planner's K durations.
 
-        Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their effects.
-
-        Args:
-            last_volts: Voltages of the previous period. They still act during the dead time of the drives.
-
-        Returns:
-            volts: Voltages of the first period of each motion, V, not limited, shape (B, K, drives).
-            gains: Derivatives of `volts` with respect to the state, V/m and Vs/m, shape (B, K, drives, 2 n).
+        Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their
+        effects. The last voltages still act during the dead time of the drives. `PlannedTransfers` states the shapes.
         """
         scale = self._scale
         error = state - self._model.goal_state(goal)

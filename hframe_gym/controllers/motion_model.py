@@ -123,11 +123,7 @@ class MotionModel:
         return values[:, self._order] * self._scale
 
     def observation(self, state: TravelStates) -> Array:
-        """Convert states to full-state observations, the inverse of the method `state`.
-
-        Returns:
-            Positions in the order of `observed`, then their velocities, m, rad, m/s and rad/s, shape (B, 2 n).
-        """
+        """Convert states to full-state observations, shape (B, 2 n), the inverse of the method `state`."""
         return (state / self._scale)[:, np.argsort(self._order)]
 
     def goal_state(self, goal: NDArray[Any]) -> TravelStates:
@@ -148,13 +144,10 @@ class MotionModel:
         return travel[:, self.tool]
 
     def elastic_travel(self, travel: Array) -> Array:
-        """Compute how much belt stretch displaces each coordinate from its position with unstretched belts.
+        """Compute the belt travel beyond that of unstretched belts, m, shape (B, n); 0 for tool axes.
 
         Args:
             travel: Belt travel, m, shape (B, n), or states, shape (B, 2 n).
-
-        Returns:
-            Belt travel minus its value with unstretched belts at this tool position, m, shape (B, n); 0 for tool axes.
         """
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
@@ -166,9 +159,8 @@ class MotionModel:
             period: Control period, s.
 
         Returns:
-            A: System matrix of the state (`TravelStates`), shape (2 n, 2 n).
-            B: Input matrix of the voltages, m/V and m/(Vs), shape (2 n, drives).
-            E: Input matrix of a force on each coordinate, m/N and m/(Ns), shape (2 n, n).
+            System matrix of the state, shape (2 n, 2 n), input matrix of the voltages, (2 n, drives), and of
+            a force on each coordinate, (2 n, n), SI.
         """
         space = linearize(self.machine, self.rigid @ goal / self.machine.travel_per_unit)
         A, B = space.A * self._scale[:, None] / self._scale, space.B * self._scale[:, None]
@@ -222,14 +214,9 @@ class MotionModel:
         return np.tanh(state[:, len(self.mass) :] / FRICTION_COMPENSATION_SPEED)
 
     def static_stretch(self, force: CoordinateForces, goal: ToolPositions) -> Array:
-        """Compute how far the motors must turn to stretch the belts until they balance a force on the resting tool.
+        """Compute how far the motors must turn to stretch the belts until they balance the force on the resting tool.
 
-        Args:
-            force: Force on each coordinate; only those on the tool are used.
-            goal: Tool positions.
-
-        Returns:
-            Belt travel of the motors beyond unstretched belts, m, shape (B, n); 0 for the tool axes.
+        The result is belt travel, m, shape (B, n); it is 0 for the tool axes. Forces on other coordinates are not used.
         """
         tool = self.tool
         motors = [i for i in range(len(self.mass)) if i not in tool]
@@ -253,15 +240,11 @@ class MotionModel:
         return force @ self._volts_per_force.T
 
     def disturbance_force(self, before: TravelStates, after: TravelStates, volts: Volts, period: float) -> Array:
-        """Compute the mean disturbance force over a period from the momentum balance of the rigid motion.
+        """Compute the mean disturbance force along the axes from the momentum balance of the rigid motion.
 
-        Force = change of momentum / period + viscous friction - drive force. Belt forces are internal and cancel.
-
-        Args:
-            period: Control period, s.
-
-        Returns:
-            Disturbance forces on the machine along the axes, Coulomb friction included, N, shape (B, axes).
+        Force = change of momentum / period + viscous friction - drive force, N, shape (B, axes); Coulomb
+        friction is part of it. Belt forces are internal and cancel. States are those at the start and at the
+        end of the `period`, s.
         """
         n = len(self.mass)
         viscous_impulse = self.viscous * (after[:, :n] - before[:, :n])  # Ns

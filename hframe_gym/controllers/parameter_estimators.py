@@ -110,13 +110,9 @@ class ParameterEstimator(ABC):
         self._restart(starts)
 
     def parameters(self, estimates: Array) -> ParameterRows:
-        """Convert estimates to the values of all parameters of the machines, with which they can be simulated.
+        """Convert `estimates` to the values of all parameters; those that are not estimated keep their declared values.
 
-        Args:
-            estimates: Values as in the attribute `estimates`, shape (B, size); missing voltages are ignored.
-
-        Returns:
-            All parameters; those that are not estimated keep their declared values.
+        The shape is that of the attribute `estimates`, shape (B, size); missing voltages are ignored.
         """
         return self._ratios.parameters(estimates[:, : self._offsets.start])
 

@@ -43,7 +43,8 @@ class ArrivalPlan(NamedTuple):
     Attributes:
         volts: Motor voltages of the control periods from now on, V, shape (B, periods, drives), where periods is the
             length of the longest plan that the planner can make; zero after the end of a shorter plan.
-        error: Largest predicted distance of the tool to its goal from its arrival on, m, shape (B,).
+        error: Largest predicted distance of the tool to its goal from its arrival on, m, shape (B,). A large distance
+            means that the tool cannot arrive so early.
     """
 
     volts: Array
@@ -98,10 +99,7 @@ class ArrivalPlanner:
             arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
 
         Returns:
-            volts: Motor voltages within the rated ones, V, shape (B, longest + H, drives), where `longest` is the
-                argument of the planner's constructor. They are zero after the K + H periods of a machine's plan.
-            error: Largest predicted distance of the tool from its goal at the ends of periods K to K + H - 1, m, shape
-                (B,). A large distance means that the tool cannot arrive so early.
+            Plans; arrays have the shape (B, ...).
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].

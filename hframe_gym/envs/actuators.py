@@ -127,15 +127,9 @@ def action_space(machine: Machine) -> spaces.Box:
 
 
 def check_actions(actions: Any, shape: tuple[int, int], machine: Machine) -> NDArray[Any]:
-    """Check that actions have the right shape and are finite; convert them to a contiguous float array.
+    """Check that actions have the required shape (environments, drives) and are finite; convert them to floats.
 
-    Args:
-        actions: Voltages as fractions of the rated voltages. They may exceed [-1, 1]; the actuators limit them.
-        shape: Required shape, (environments, drives).
-        machine: Machine, for the message.
-
-    Returns:
-        Actions, float32 if they were float32, else float64, of the required shape.
+    They may exceed [-1, 1]; the actuators limit them. float32 stays float32, all others become float64.
 
     Raises:
         ValueError: If actions are not numbers, have another shape, or an entry is not finite.

@@ -196,12 +196,9 @@ class BatchedSimulator:
     def advance(self, actions: NDArray[Any], clipped: EnvironmentCounts, first: int, last: int) -> None:
         """Advance the machines in blocks first to last - 1 by the control period that `begin_period` began.
 
-        Calls for different blocks may run in several threads at once.
-
-        Args:
-            actions: Voltages as fractions of the rated voltages, finite, shape (count, drives); limited to
-                [-1, 1] here.
-            clipped: Number of action entries outside [-1, 1] since the reset; increased here.
+        Calls for different blocks may run in several threads at once. `clipped` counts the entries of
+        `actions`, voltages as fractions of the rated ones, shape (count, drives), outside [-1, 1], to which
+        they are limited.
         """
         self.actuators.command(actions, first, last, clipped)
         if self._delay_line is not None:

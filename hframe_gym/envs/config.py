@@ -133,12 +133,7 @@ class EnvConfig:
 
 
 def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)) -> None:
-    """Check that every keyword given to an environment is an option of `EnvConfig`.
-
-    Args:
-        constructor: Name of the environment's class, for the error message.
-        options: Keyword arguments of the constructor, except those in `others`.
-        others: Keywords that the constructor accepts besides the options; the message lists them too.
+    """Check that every keyword given to an environment is an option of `EnvConfig` or one of `others`.
 
     Raises:
         TypeError: If a keyword is unknown; the message suggests a similar one and lists all valid keywords.

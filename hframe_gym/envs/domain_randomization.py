@@ -49,14 +49,14 @@ class Distribution(Protocol):
     def quantile(self, u: Array) -> Array:
         """Compute the quantiles of the probabilities u: a sample is below quantile i with the probability u[i].
 
-        If u are uniform random numbers, the quantiles are random samples of the distribution.
+        If u are uniform random numbers, the quantiles are random samples. Entry i must depend on u[i] only, so that an
+        environment gets exactly the same sample in a batch of any size.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
 
         Returns:
-            Quantiles, in the unit of the distribution's arguments, shape (k,). Entry i must depend on u[i] only, not on
-            k or other entries, so that an environment gets exactly the same sample in a batch of any size.
+            Quantiles, in the unit of the distribution's arguments, shape (k,).
         """
 
 
@@ -190,15 +190,7 @@ class RandomizeParameter:
             )
 
     def quantile(self, u: Array) -> Array:
-        """Compute the quantiles of the rule's distribution for the probabilities u.
-
-        Args:
-            u: Probabilities in (0, 1), shape (k,).
-
-        Returns:
-            Quantiles, which `apply` takes as samples, shape (k,), dimensionless if `how` is "scale", else in
-            the parameter's SI unit.
-        """
+        """Compute the quantiles of the distribution for the probabilities `u`, shape (k,); `apply` takes them."""
         return self._distribution.quantile(u)
 
     @property
@@ -212,13 +204,9 @@ class RandomizeParameter:
         return cast("Distribution", self.distribution)
 
     def apply(self, value: Array, sample: Array) -> Array:
-        """Change a parameter by samples of the distribution, as the attribute `how` says.
+        """Change parameters (SI) by samples of the distribution, as the attribute `how` says, shape (k,) each.
 
-        The result is value * sample for "scale", value + sample for "add", and the sample itself for "set", shape (k,).
-
-        Args:
-            value: Parameter before the change, SI, shape (k,).
-            sample: Samples of the distribution, shape (k,). Dimensionless if `how` is "scale", else SI.
+        The result is `value` * `sample` for "scale", `value` + `sample` for "add", and the sample itself for "set".
         """
         if self.how == "scale":
             return value * sample

@@ -177,13 +177,7 @@ class EnvironmentBatch:
     # -- step ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Check that `reset` was called and that actions have the right shape and are finite; convert them to floats.
-
-        Args:
-            actions: Voltages as fractions of the rated voltages, shape (count, drives).
-
-        Returns:
-            Actions, float32 if they were float32, else float64, shape (count, drives).
+        """Check that `reset` was called, and check and convert actions, shape (count, drives).
 
         Raises:
             ValueError: If actions are not numbers, have another shape, or an entry is not finite.

@@ -260,13 +260,11 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             action: Voltages as fractions of the rated voltages, shape (drives,); limited to [-1, 1].
 
         Returns:
-            observation: Arrays by key (`observation`, `achieved_goal`, `desired_goal`, ...), shape (entries of the
-                key,), as Observation Space of the class describes them.
-            reward: Reward, dimensionless, by the option `reward`; "dense", the default without `normalize`, is -1 to 0,
-                and 0 at the goal.
+            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
+            reward: Reward, dimensionless, see Rewards of the class.
             terminated: Whether `achieved_goal` is outside the workspace; always False unless `ends` is "terminate".
             truncated: Always False; `gym.make` adds the limit of 150 steps.
-            info: `distance_m` to the goal, m, `is_success` and others, which Episode End of the class describes.
+            info: See Episode End of the class.
 
         Raises:
             ValueError: If the action has another shape or an entry is not finite.

@@ -307,14 +307,11 @@ class MachineSampler:
     def sample(self, index: Index, task_draws: int) -> tuple[Keys, Array, Array]:
         """Sample the parameters of k new episodes, and the random numbers that their task needs.
 
-        Args:
-            index: The environments. One that was never seeded is now seeded at random.
-            task_draws: Number n of uniform random numbers per episode that the task needs for start and goal.
+        An environment that was never seeded is now seeded at random.
 
         Returns:
-            keys: Keys of the episodes (`EpisodeKeys`), shape (k,).
-            uniforms: Uniform random numbers in (0, 1) for the task, shape (k, n).
-            values: Parameters (`EnvironmentParameters`), SI, shape (k, N).
+            Keys of the episodes (`EpisodeKeys`), uniform random numbers in (0, 1), shape (k, task_draws), and
+            parameters (`EnvironmentParameters`), shape (k, N).
 
         Raises:
             InputError: If an unbounded distribution yields a value outside the limits of a parameter.

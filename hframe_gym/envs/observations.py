@@ -136,10 +136,8 @@ class ObservationBuilder:
     ) -> None:
         """Begin new episodes of k environments: store the randomized parameters and take the first measurements.
 
-        Parameters are stored for the array `privileged`, measurements if sensors are observed.
-
-        Args:
-            sampler: Sampler that returned `keys` and `values`.
+        Parameters are stored for the array `privileged`, measurements if sensors are observed. The sampler is
+        the one that returned keys and values.
         """
         if self.privileged:
             self._parameters[index] = sampler.normalized(values)

@@ -87,16 +87,10 @@ def _log(x: float) -> float:
 
 @compiled
 def cos_sin_of_turns(u: Any) -> Any:
-    """Compute cosine and sine of an angle, each with an error below 1e-15.
+    """Compute cosine and sine of an angle in turns (1 turn is 2 pi rad), each with an error below 1e-15.
 
-    Unlike results of the C library, they have the same bits on every system.
-
-    Args:
-        u: Angle in turns (1 turn is 2 pi rad), any finite number; in compiled code also a SIMD register of angles.
-
-    Returns:
-        cosine: cos(2 pi u), dimensionless.
-        sine: sin(2 pi u), dimensionless.
+    Unlike results of the C library, they have the same bits on every system. In compiled code the angle may be a SIMD
+    register.
     """
     quarter = np.floor(4.0 * u + 0.5)  # nearest multiple of a quarter turn
     r = (4.0 * u - quarter) * 1.5707963267948966  # rest of the angle, rad, -pi/4 to pi/4
@@ -129,12 +123,7 @@ def normal_pair(key: Any, step: Any, channel: Any) -> tuple[float, float]:
 def normal_pairs(keys: Any, steps: Any, channel: Any, first: Any, second: Any) -> None:
     """Generate two independent normal random numbers for each of k episodes, as `normal_pair` does for one.
 
-    Args:
-        keys: Keys of the episodes, uint64, shape (k,).
-        steps: Number of the control period since the reset of each episode, int64, shape (k,).
-        channel: Index of the first of two random numbers within the step, integer, the same for all episodes.
-        first: Output, first number of each pair, dimensionless, shape (k,).
-        second: Output, second number of each pair, dimensionless, shape (k,).
+    Keys, uint64, steps, int64, and the outputs `first` and `second` have the shape (k,); the channel is common.
     """
     for i in range(len(keys)):
         first[i] = uniform(keys[i], steps[i], channel)
@@ -240,14 +229,12 @@ class CorrelatedSampler:
         self.reach: Array = np.abs(self._factor).sum(axis=1) * _LARGEST_NORMAL
 
     def deviations(self, uniforms: Array) -> Array:
-        """Convert uniform random numbers to deviations of k parameters from their nominal values, see the class.
+        """Convert uniform random numbers to deviations of k parameters from their nominal values, SI, shape (n, k).
+
+        A parameter can still exceed its limits if it depends on several of the numbers z.
 
         Args:
             uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.
-
-        Returns:
-            Deviations from the nominal values, SI, shape (n, k). A parameter can still exceed its limits if it depends
-            on several of the numbers z.
         """
         probabilities = self._lowest + uniforms * (self._highest - self._lowest)
         normals = np.clip(ndtri(probabilities), -_LARGEST_NORMAL, _LARGEST_NORMAL)

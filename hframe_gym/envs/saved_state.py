@@ -53,11 +53,7 @@ def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | N
 
 
 def check_state(state: Any, kind: str, batch: Any) -> None:
-    """Check that a saved state belongs to environments like these.
-
-    Args:
-        state: Argument of `set_state`.
-        kind: Class of the environment, "single" or "vector".
+    """Check that the argument of `set_state` belongs to environments of this kind, options and number.
 
     Raises:
         InputError: If it is no saved state, or one of another kind, number, machine or options.

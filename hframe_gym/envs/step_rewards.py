@@ -211,17 +211,14 @@ class StepRewards:
     def compute(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:
         """Compute rewards from achieved and desired goals, for example after hindsight relabeling.
 
-        For the goals that `step` returned, the result equals the rewards of `step` bit by bit.
+        For the goals that `step` returned, the result equals the rewards of `step` bit by bit. It is a float
+        if both goals have the shape (axes,), else an array of shape (n,).
 
         Args:
             achieved_goal: Achieved goals as observed (m, or normalized), shape (axes,) or (n, axes).
-            desired_goal: Desired goals as observed, shape (axes,) or (n, axes). A single achieved or desired goal,
-                shape (axes,) or (1, axes), is combined with each of n goals of the other argument.
+            desired_goal: Desired goals, likewise. A single goal is combined with each of n goals of the other argument.
             info: Info of the step, or one info per row. Only the reward "progress" uses it: `previous_achieved_goal`
                 and, if goals move, `previous_desired_goal`.
-
-        Returns:
-            Reward, dimensionless: a float if both goals have the shape (axes,), else n rewards, shape (n,).
 
         Raises:
             InputError: If the shapes of the goals do not fit together. For the reward "progress" also if an info lacks

@@ -125,22 +125,16 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         Args:
             seed: Seed s, which gives environment i the seed s + i, or one seed per environment. None: the present
                 sequences of random numbers continue.
-            options: Optional keys: `start` and `target`, tool and goal positions, m, shape (axes,) or one row for each
-                environment that is reset; `parameters`, values by full name ("x.mass"), SI, one or one for each
-                environment that is reset, in place of the sampled ones until its next reset; `state`, positions of the
-                machine's n coordinates, then their velocities, in their units, shape (2 n,) or one row for each, in
-                place of `start` and rest; `reset_mask`, the environments to reset, bool, shape (num_envs,).
+            options: The keys of `HFrameEnv.reset`, with one value for all or one row for each environment
+                that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
         Returns:
             observation: Arrays by key of all environments, shape (num_envs, entries of the key).
-            info: Arrays by key, `distance_m` to the goal, m, `is_success` and others (Episode End of `HFrameEnv`
-                describes them), shape (num_envs,); zero for environments that are not reset. As usual in Gymnasium, for
-                each key the mask "_" + key tells which environments have a value.
+            info: Arrays by key (see Episode End of `HFrameEnv`), shape (num_envs,); zero for environments that are not
+                reset. As usual in Gymnasium, for each key the mask "_" + key tells which environments have a value.
 
         Raises:
-            InputError: If an option or a parameter is unknown, a value has another shape, is not finite or outside its
-                limits, a position is outside the workspace, `target` is given for a task without one, such as "track",
-                or an unbounded distribution yields an impossible parameter.
+            InputError: As `HFrameEnv.reset`.
             TypeError: If the mask is not an array of bool.
             ValueError: If the mask has another shape or selects nothing, or the number of seeds is wrong.
         """
@@ -184,20 +178,11 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         """Advance all environments by one control period; begin new episodes where they are due.
 
         With `autoreset_mode` "NextStep" a new episode begins in the step after its predecessor's end, which ignores the
-        action and has reward 0; with "SameStep" in the last step; with "Disabled" only by `reset`.
+        action and has reward 0; with "SameStep" in the last step; with "Disabled" only by `reset`. Results are those of
+        `HFrameEnv.step` with a first axis of num_envs; `info` has masks as in `reset`.
 
         Args:
             actions: Voltages as fractions of the rated voltages, limited to [-1, 1], shape (num_envs, drives).
-
-        Returns:
-            observation: Arrays by key, shape (num_envs, entries of the key), in the units of the observation space.
-            reward: Rewards, dimensionless, shape (num_envs,).
-            terminated: Whether `achieved_goal` is outside the workspace, shape (num_envs,); always False unless `ends`
-                is "terminate".
-            truncated: Whether the episode reached `max_episode_steps`, shape (num_envs,).
-            info: Arrays by key, `distance_m` to the goal, m, `is_success` and others (Episode End of `HFrameEnv`
-                describes them), shape (num_envs,). As usual in Gymnasium, for each key the mask "_" + key tells which
-                environments have a value.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
@@ -352,11 +337,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return (self._shared(name),) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute, which all environments share.
-
-        Args:
-            name: Name of an attribute of this vector environment.
-            values: Value, or a list or tuple with one value per environment, which must be equal.
+        """Set an attribute, which all environments share; a list or tuple has one value per environment.
 
         Raises:
             ValueError: If a list or tuple has another length.

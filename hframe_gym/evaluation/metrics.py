@@ -169,14 +169,13 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
 
 
 def overshoot(position: Array, goal: Array) -> Array:
-    """Compute the largest distance by which the tool passes its goal, along the line from start to goal.
+    """Compute the largest distance by which the tool passes its goal, along the line from start to goal, m, shape (B,).
+
+    If start and goal coincide, it is the largest distance from them.
 
     Args:
         position: Tool positions at n samples of B episodes, m, shape (B, n, axes).
         goal: Fixed tool goals, m, shape (B, axes).
-
-    Returns:
-        Overshoot, m, shape (B,), not negative. If start and goal coincide: the largest distance from them.
     """
     way = goal - position[:, 0]  # from start to goal, m, (B, axes)
     length = np.linalg.norm(way, axis=1)
@@ -198,14 +197,10 @@ def tracking_delay(episodes: Episodes) -> Array:
 
 
 def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
-    """Compute a mean over B episodes and its 95 % confidence interval (percentile bootstrap).
+    """Compute `mean` and `ci95` of the `values`, one per episode, in any unit, shape (B,).
 
-    Args:
-        values: One value per episode, any unit, shape (B,).
-        seed: Seed of the bootstrap resampling.
-
-    Returns:
-        `mean`; `ci95`: [lower, upper limit], unit of the values; both limits are the mean if all values are equal.
+    The interval [lower, upper limit] has 95 % confidence (percentile bootstrap); both are the mean if all
+    values are equal.
     """
     from scipy.stats import bootstrap  # SciPy's statistics take long to import
 
@@ -247,15 +242,12 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
 
 
 def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
-    """Compute the ratio of the mean settling time to the mean time-optimal bound.
+    """Compute `mean` and `ci95` of the ratio of the mean settling time to the mean time-optimal bound, dimensionless.
 
     Args:
         times: Settling times in B episodes, s, shape (B,), or of S agents, (S, B); the bootstrap resamples both.
         bound: Shortest possible settling times of the same B episodes, s, shape (B,), all known.
         seed: Seed of the bootstrap resampling.
-
-    Returns:
-        `mean`: the ratio, dimensionless; `ci95`: [lower, upper limit] of its 95 % confidence interval (bootstrap).
     """
     rng = np.random.default_rng(seed)
     index = rng.integers(len(bound), size=(BOOTSTRAP_RESAMPLES, len(bound)))

@@ -116,13 +116,8 @@ class Machine:
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
         """Return the coordinate on which an effect acts: its site, what the drive moves or the sensor measures.
 
-        Args:
-            site: Site of the effect: name of a coordinate, drive or output channel, or "drives", "belts", "machine".
-            kind: Kind of the site (`Effect.site`). It is needed because different components may have the same name.
-
-        Returns:
-            Name of the coordinate. None for a belt, for "drives", "belts" and "machine" (several coordinates), and for
-            unknown sites.
+        It is None for a belt, for "drives", "belts" and "machine" (several coordinates), and for unknown
+        sites. The kind (`Effect.site`) is needed because different components may have the same name.
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
@@ -263,14 +258,13 @@ class Machine:
     def simulate(self, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
         """Simulate the machine over a voltage history; inputs are held from each sample until the next.
 
+        `Trajectory` states the shape of each array of the result.
+
         Args:
             time_s: Times of N samples, s, strictly increasing, shape (N,).
             inputs: Drive voltages, V, shape (N, drives).
             initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,).
                 Default: at rest at the origin with unstretched belts.
-
-        Returns:
-            Motion at every sample, SI: arrays of N rows, shape (N, coordinates) or (N, sensors).
 
         Raises:
             ValueError: If the shapes do not fit the machine, times do not increase, or a value is not finite.

@@ -42,12 +42,9 @@ class Simulator(Protocol):
     def __call__(
         self, machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
     ) -> Trajectory:
-        """Simulate a machine, as `Machine.simulate` does; arrays of the result have the shape (N, ...).
+        """Simulate a machine over a voltage history.
 
-        Args:
-            time_s: Times of N samples, s, strictly increasing, shape (N,).
-            inputs: Drive voltages, V, each held from its sample until the next, shape (N, drives).
-            initial: State at the first sample, shape (2 * coordinates,). Default: at rest at the origin.
+        `time_s`, `inputs`, `initial` and the result are those of `Machine.simulate`, with their shapes: shape (N, ...).
         """
 
 
