@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..recordings import Interval
-from ..web_page import COLORS
-from .log_columns import Curve
+from ..web_page import COLORS, SERIES
+from .log_columns import Curve, thinned
 
 _PLOT, _GAP, _TOP, _BOTTOM = 72, 34, 26, 62  # pixels
 _LEFT, _RIGHT = 62, 14
@@ -43,7 +43,6 @@ def curves_chart(
     *,
     dark: bool,
     x_name: str,
-    used: Sequence[bool],
     intervals: Sequence[Interval] = (),
     window: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
@@ -53,7 +52,6 @@ def curves_chart(
         curves: Curves, at least one.
         dark: Whether the display is dark.
         x_name: Name of the common axis.
-        used: For each curve, whether it is used; the others are drawn in gray.
         intervals: Intervals to mark.
         window: Times to draw, s; None: all.
 
@@ -76,7 +74,11 @@ def curves_chart(
                 "padding": 2,
                 "textStyle": {
                     "rich": {
-                        "name": {"fontSize": 13, "fontWeight": 600, "color": ink("ink" if used[k] else "muted", dark)},
+                        "name": {
+                            "fontSize": 13,
+                            "fontWeight": 600,
+                            "color": ink("ink" if curve.used else "muted", dark),
+                        },
                         "note": {"fontSize": 12, "fontWeight": "normal", "color": muted},
                     }
                 },
@@ -115,24 +117,28 @@ def curves_chart(
                 "splitLine": {"lineStyle": {"color": line}},
             }
         )
-        options["series"].append(
-            {
+        lines = {"": curve.values, **curve.others}
+        for number, (name, values) in enumerate(lines.items()):
+            role = SERIES[number] if curve.used else "declared"
+            series: dict[str, Any] = {
                 "type": "line",
-                "name": curve.name,
+                "name": f"{curve.name} {name}".strip(),
                 "xAxisIndex": k,
                 "yAxisIndex": k,
-                "data": curve.points(first, last),
+                "data": thinned(curve.time, values, first, last),
                 "showSymbol": False,
                 "step": "end" if curve.held else False,
                 "lineStyle": {"width": 1.2},
-                "color": ink("after" if used[k] else "declared", dark),
-                "markArea": {
+                "color": ink(role, dark),
+                "z": 3 - number,
+            }
+            if number == 0:
+                series["markArea"] = {
                     "silent": True,
                     "data": marks,
                     "itemStyle": {"color": ink("good", dark), "opacity": 0.16},
-                },
-            }
-        )
+                }
+            options["series"].append(series)
     return options
 
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import json
+from pathlib import Path
 from typing import Any
 
-from nicegui import ui
+from nicegui import run, ui
 
 from ..data_validation import Finding, group_findings
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import run_name
 from .charts import curves_chart, height_of
-from .log_columns import Curve, run_curves
+from .log_columns import Curve, run_curves, simulated_outputs
 from .session import FINDINGS, check_command
 from .stage import Stage, State, banner, heading, table
 
 _TONES = {"fault": ("warning", "Fault"), "advice": ("neutral", "Advice"), "note": ("good", "Note")}
+_LEGEND = "measured (blue), declared machine simulated (orange)"
 _MOST_CHARTS = 12  # findings that are drawn at once; the others on request
 
 
@@ -34,6 +37,7 @@ class CheckStage(Stage):
         """Create the stage."""
         super().__init__(page)
         self._run = ""
+        self._charts: list[tuple[Any, Path, list[Curve]]] = []
 
     def missing(self) -> tuple[str, str] | None:
         """Return that runs must come first."""
@@ -60,6 +64,7 @@ class CheckStage(Stage):
     def show(self) -> None:
         """Build the stage."""
         self.command_box()
+        self._charts = []
         findings = self._findings()
         machine = self.session.machine
         if findings is None or machine is None:
@@ -67,7 +72,10 @@ class CheckStage(Stage):
         groups = group_findings(findings)
         faults = sum(finding.severity == "fault" for finding in groups)
         if faults:
-            text = "Correct what they name, in the logs or in the choices of the stage Logs, and check again."
+            text = (
+                "Correct what they name, in the logs or by the menus of the stage Logs (a wrong sign by the factor -1), "
+                "and check again."
+            )
             banner("warning", f"{faults} fault{'s' if faults > 1 else ''}.", text)
         else:
             banner("good", "No faults.", "The runs can be fitted.")
@@ -78,9 +86,12 @@ class CheckStage(Stage):
         notes = [finding for finding in groups if finding.severity == "note"]
         if notes:
             heading("Properties of the runs")
-            table(("run", "of", "note"), [(note.run or "all", note.channel, note.message) for note in notes])
+            named = any(note.run for note in notes)  # otherwise all are about all runs
+            rows = [(*([note.run or "all"] if named else []), note.channel, note.message) for note in notes]
+            table((*(["run"] if named else []), "of", "note"), rows)
         heading("The runs")
         self._show_run(machine)
+        ui.timer(0.1, self._simulate, once=True)
 
     def _show_run(self, machine: Machine) -> None:
         """Show all channels of a run that the user chooses."""
@@ -94,10 +105,14 @@ class CheckStage(Stage):
             self._run = choice.value
             place.clear()
             with place:
-                self._chart(run_curves(paths[self._run], machine))
+                self._chart(run_curves(paths[self._run], machine), paths[self._run])
+
+        async def choose() -> None:
+            draw()
+            await self._simulate()
 
         draw()
-        choice.on_value_change(lambda _: draw())
+        choice.on_value_change(choose)
 
     def _show_finding(self, finding: Finding, machine: Machine, *, draw: bool) -> None:
         """Show a finding and the curves of the run and channel that it names."""
@@ -106,12 +121,12 @@ class CheckStage(Stage):
         with ui.element("article").classes(f"hf-finding hf-{tone}"):
             title = f"<b>{word}</b> {html.escape(subject)}"
             ui.html(f"{title}<br>{html.escape(finding.message)}", sanitize=False)
-            curves = self._curves(finding, machine) if draw else []
-            if curves:
-                self._chart(curves)
+            curves, path = self._curves(finding, machine) if draw else ([], None)
+            if curves and path is not None:
+                self._chart(curves, path)
 
-    def _curves(self, finding: Finding, machine: Machine) -> list[Curve]:
-        """Return the curves that show a finding: its channel in its run, with the inputs for a wrong wiring."""
+    def _curves(self, finding: Finding, machine: Machine) -> tuple[list[Curve], Path | None]:
+        """Return the curves that show a finding, its channel with the inputs, and the file of the run."""
         by_name = {run_name(path): path for path in self.session.runs}
         name = finding.run.split(" and ")[0].split(",")[0].strip()
         run = by_name.get(name)
@@ -123,18 +138,41 @@ class CheckStage(Stage):
         if run is None and named:
             run = next(iter(by_name.values()), None)
         if run is None or not named:
-            return []
+            return [], None
         try:
             curves = run_curves(run, machine)
         except InputError:
-            return []
+            return [], None
         outputs = set(named) & set(machine.output_channels)
         wanted = set(named) | (set(machine.input_channels) if outputs else set())
-        return [Curve(c.name, run_name(run), c.time, c.values, c.held) for c in curves if c.name in wanted]
+        return [dataclasses.replace(c, note=run_name(run)) for c in curves if c.name in wanted], run
 
-    def _chart(self, curves: list[Curve]) -> None:
-        """Draw curves."""
-        options: dict[str, Any] = curves_chart(curves, dark=self.page.dark, x_name="time, s", used=[True] * len(curves))
+    def _chart(self, curves: list[Curve], path: Path) -> None:
+        """Draw curves of a run; `_simulate` adds what the declared machine would have measured."""
+        options = curves_chart(curves, dark=self.page.dark, x_name="time, s")
         names = ", ".join(curve.name for curve in curves)
         chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves)) - 24}px")
         chart.props(f'role=img aria-label="Curves of {html.escape(names)}"')
+        self._charts.append((chart, path, curves))
+
+    async def _simulate(self) -> None:
+        """Add to the charts what the declared machine would have measured."""
+        machine = self.session.machine
+        charts, self._charts = self._charts, []
+        for chart, path, curves in charts:
+            if machine is None or chart.is_deleted or not path.exists():
+                continue
+            simulated = await run.io_bound(simulated_outputs, path, machine)
+            if not simulated or chart.is_deleted:
+                continue
+            both = [
+                dataclasses.replace(
+                    c, note=f"{c.note} {_LEGEND}".strip(), others={"declared machine": simulated[c.name]}
+                )
+                if c.name in simulated
+                else c
+                for c in curves
+            ]
+            chart.options.clear()
+            chart.options.update(curves_chart(both, dark=self.page.dark, x_name="time, s"))
+            chart.update()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from nicegui import events, ui
 
 from ..agents import shipped_agent_names
@@ -14,12 +16,14 @@ from ..envs import TASKS
 from ..evaluation import BANDS, period_concern
 from ..recordings import load_machine
 from ..web_page import number
+from .charts import curves_chart, height_of
+from .log_columns import Curve
 from .machine_stage import StageView
 from .session import CONTROL, evaluate_command
 from .stage import Stage, State, banner, heading, table
 from .stage_drawing import drawing_of, read_motions
 
-_PERIODS = (0.01, 0.005, 0.002, 0.001, 0.0005)  # s, control periods that are offered
+_COLOR_NAMES = ("blue", "orange", "green", "purple", "ocher", "red")  # of the curves, `hframe_gym.web_page.SERIES`
 
 
 class ControlStage(Stage):
@@ -166,11 +170,20 @@ class ControlStage(Stage):
         choice = ui.toggle({k: f"episode {k + 1}" for k in range(count)}, value=self._episode)
         choice.props("no-caps unelevated")
         view = StageView(drawing, _of_episode(motions, self._episode))
+        inputs = machine.input_channels
+        curves = _curves(_of_episode(motions, self._episode), inputs)
+        options = curves_chart(curves, dark=self.page.dark, x_name="time, s")
+        chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves)) - 24}px")
+        chart.props('role=img aria-label="Distance to the goal and voltages over time"')
 
         def select(event: events.ValueChangeEventArguments[Any]) -> None:
             self._episode = int(event.value)
             view.props["motions"] = _of_episode(motions, self._episode)
             view.update()
+            chart.options.clear()
+            shown = _curves(_of_episode(motions, self._episode), inputs)
+            chart.options.update(curves_chart(shown, dark=self.page.dark, x_name="time, s"))
+            chart.update()
 
         choice.on_value_change(select)
 
@@ -178,3 +191,35 @@ class ControlStage(Stage):
 def _of_episode(motions: dict[str, list[dict[str, Any]]], episode: int) -> list[dict[str, Any]]:
     """Return name and motion of each controller in an episode."""
     return [{"name": name, "motion": episodes[episode]} for name, episodes in motions.items()]
+
+
+def _curves(motions: list[dict[str, Any]], inputs: Sequence[str]) -> list[Curve]:
+    """Return distance to the goal, mm, and voltages of the controllers of an episode, over time."""
+    names = [motion["name"] for motion in motions]
+    colors = ", ".join(f"{name} ({color})" for name, color in zip(names, _COLOR_NAMES, strict=False))
+    longest = max(len(motion["motion"]["tool"]) for motion in motions)
+    time = motions[0]["motion"]["frame_s"] * np.arange(longest)
+
+    def padded(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        return np.pad(values, (0, longest - len(values)), constant_values=np.nan)
+
+    distances = [
+        padded(1e3 * np.linalg.norm(np.subtract(m["motion"]["tool"], m["motion"]["goal"]), axis=1)) for m in motions
+    ]
+    curves = [_together("distance to the goal, mm", colors, time, names, distances)]
+    for k, channel in enumerate(inputs):
+        volts = [padded(np.array(m["motion"]["volts"])[:, k]) for m in motions]
+        curves.append(_together(channel, "", time, names, volts, held=True))
+    return curves
+
+
+def _together(
+    name: str,
+    note: str,
+    time: np.ndarray[Any, Any],
+    names: list[str],
+    values: list[np.ndarray[Any, Any]],
+    held: bool = False,
+) -> Curve:
+    """Return a curve with the values of all controllers."""
+    return Curve(name, note, time, values[0], held, others=dict(zip(names[1:], values[1:], strict=True)))

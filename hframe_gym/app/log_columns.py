@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import NotFiniteError
 from ..errors import InputError
+from ..identification import simulate_recording
 from ..machine import Machine
 from ..recordings import TIME, ChannelSource, Log, MappingOptions, Recording, load_recording, map_columns, open_logs
 
@@ -20,6 +22,7 @@ Array = NDArray[np.float64]
 POINTS = 1600  # of a curve: two for each of 800 pixels
 _FILES_KEPT = 4  # logs whose values stay in memory
 _RUNS_KEPT = 64
+_MOST_SIMULATED = 200_000  # rows of a run that is simulated while somebody waits; a second of processor time
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class Curve:
         time: Times, s, or row numbers, shape (n,).
         values: Values, in the unit that the note or name states, shape (n,); NaN where there is none.
         held: Whether each value holds until the next, as that of an input.
+        used: Whether the column is used.
+        others: Further values by name, shape (n,), such as those that a machine would have measured.
     """
 
     name: str
@@ -39,19 +44,8 @@ class Curve:
     time: Array
     values: Array
     held: bool = False
-
-    def points(self, first: float = -math.inf, last: float = math.inf, count: int = POINTS) -> list[list[float | None]]:
-        """Return so many points that a drawing shows the same as all values would.
-
-        Args:
-            first: First time to draw, in the unit of the times.
-            last: Last time to draw, in the unit of the times.
-            count: Largest number of points.
-
-        Returns:
-            Pairs of time and value; the value is None in a gap.
-        """
-        return thinned(self.time, self.values, first, last, count)
+    used: bool = True
+    others: Mapping[str, Array] = field(default_factory=dict)
 
 
 def thinned(
@@ -144,12 +138,12 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
         raw = values[column.header]
         if source is None:
             unit = f", {column.unit}" if column.unit else ""
-            curves.append(Curve(column.header, f"not used{unit}", time, raw))
+            curves.append(Curve(column.header, f"not used{unit}", time, raw, used=False))
             continue
         remark = f" ({source.remark})" if source.remark else ""
         held = source.channel in machine.input_channels
         drawn = raw if source.integrate else source.conversion.apply(raw)
-        curves.append(Curve(column.header, f"{source.channel}{remark}", time, drawn, held))
+        curves.append(Curve(column.header, f"\u2192 {source.channel}{remark}", time, drawn, held))
     return LogView(log, curves, sources, problem, has_time)
 
 
@@ -225,6 +219,26 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
     names = [*machine.input_channels, *machine.output_channels]
     held = [True] * len(machine.input_channels) + [False] * len(machine.output_channels)
     return [Curve(n, "", run.time_s, c, h) for n, c, h in zip(names, columns, held, strict=True)]
+
+
+def simulated_outputs(path: Path, machine: Machine) -> dict[str, Array]:
+    """Simulate a machine over an imported run, as `hframe simulate` does.
+
+    Args:
+        path: File of the run.
+        machine: Machine that was recorded, as declared.
+
+    Returns:
+        Simulated measurements by output channel, m or rad, shape (n,); empty if the run is long or the motion diverges.
+    """
+    run = _run(path, path.stat().st_mtime_ns, _Recorded(machine))
+    if len(run.time_s) > _MOST_SIMULATED:
+        return {}
+    try:
+        trajectory = simulate_recording(machine, run).trajectory
+    except (InputError, NotFiniteError):
+        return {}
+    return dict(zip(trajectory.channels, trajectory.outputs.T, strict=True))
 
 
 class _Recorded:

@@ -17,12 +17,12 @@ from ..recordings import (
     MappingOptions,
     ProposedColumns,
     accepted_units,
-    log_name,
     parse_factor,
     propose_columns,
+    run_of,
 )
 from .charts import curves_chart, height_of, with_selection, with_zoom
-from .log_columns import LogView, open_log, run_curves, view_log
+from .log_columns import LogView, open_log, run_curves, thinned, view_log
 from .session import CONTROL, EXPORTS, FINDINGS, RESULT, RUNS, ImportChoices, import_command
 from .stage import Stage, State, banner, heading, table
 
@@ -60,6 +60,7 @@ class LogsStage(Stage):
         self._view: LogView | None = None
         self._chart: Any = None
         self._notes: dict[str, Any] = {}
+        self._units: dict[str, Any] = {}
         self._problem: Any = None
         self._cuts: Any = None
         self._span: tuple[Any, Any] | None = None
@@ -129,6 +130,10 @@ class LogsStage(Stage):
         """Return the file of the log that is drawn."""
         return next(path for path in self.session.logs if path.name == self._shown)
 
+    def _run_name(self) -> str:
+        """Return the name of the run that the log which is drawn becomes, before it is cut."""
+        return "" if self._view is None else run_of(self._view.log)
+
     def _list(self, logs: list[Path]) -> None:
         """List the logs, each with a button that removes it."""
         with ui.element("ul").classes("hf-list"):
@@ -161,7 +166,7 @@ class LogsStage(Stage):
 
     def _mapping(self, machine: Machine, headers: list[str], proposals: ProposedColumns) -> None:
         """Build the menus of each channel: column, unit, factor."""
-        self._notes = {}
+        self._notes, self._units = {}, {}
         with ui.element("div").classes("hf-map"):
             for channel in (TIME, *machine.input_channels, *machine.output_channels):
                 chosen = self._choices.columns.get(channel) or proposals.named.get(channel)
@@ -179,6 +184,7 @@ class LogsStage(Stage):
                 unit = ui.select(units, value=self._choices.units.get(channel, _AS_LOGGED), label="unit")
                 unit.props(f'dense outlined options-dense data-unit="{channel}"')
                 unit.on_value_change(lambda e, c=channel: self._set_unit(c, e.value))
+                self._units[channel] = unit
                 if channel == TIME:
                     rate = ui.input("rate", value=self._rate).props("dense outlined")
                     rate.on_value_change(lambda e: self._set_rate(e.value or ""))
@@ -211,10 +217,17 @@ class LogsStage(Stage):
         ui.timer(0.01, self._update, once=True)
 
     def _set_factor(self, channel: str, factor: str) -> None:
-        """Choose the factor of a channel."""
+        """Choose the factor of a channel.
+
+        A factor alone would replace the unit of the log, so that unit is stated as well.
+        """
         self._choices.scales.pop(channel, None)
         if factor.strip():
             self._choices.scales[channel] = factor.strip()
+            source = next((s for s in (self._view.sources if self._view else ()) if s.channel == channel), None)
+            stated = source.column.unit if source is not None and source.column is not None else ""
+            if stated in self._units[channel].options and not self._choices.units.get(channel):
+                self._units[channel].set_value(stated)
         ui.timer(0.01, self._update, once=True)
 
     def _draw(self, name: str) -> None:
@@ -262,14 +275,12 @@ class LogsStage(Stage):
         curves = view.curves[:_MOST_CURVES]
         if not curves:
             return
-        used = [not curve.note.startswith("not used") for curve in curves]
-        name = log_name(view.log.path)
+        name = self._run_name()
         intervals = [i for i in self._choices.intervals if self._split == "cuts" and i.log in ("", name)]
         options = curves_chart(
             curves,
             dark=self.page.dark,
             x_name="time, s" if view.has_time else "row",
-            used=used,
             intervals=intervals,
             window=self._window,
         )
@@ -304,7 +315,8 @@ class LogsStage(Stage):
         first, last = min(c.time[0] for c in curves), max(c.time[-1] for c in curves)
         span = last - first
         begin, end = first + zoom["start"] / 100 * span, first + zoom["end"] / 100 * span
-        series = [{"data": curve.points(begin - 0.5 * (end - begin), end + 0.5 * (end - begin))} for curve in curves]
+        margin = 0.5 * (end - begin)
+        series = [{"data": thinned(c.time, c.values, begin - margin, end + margin)} for c in curves]
         chart.run_chart_method("setOption", {"series": series})
         await asyncio.sleep(0)
 
@@ -357,7 +369,7 @@ class LogsStage(Stage):
         if not begin < end:
             ui.notify("The end must be after the beginning", type="warning")
             return
-        self._choices.intervals.append(Interval(log_name(self._path()), begin, end))
+        self._choices.intervals.append(Interval(self._run_name(), begin, end))
         self._list_cuts()
         self._show_chart()
         self.update_command()

@@ -139,43 +139,47 @@ def _show_machine(machine: Machine) -> None:
             ui.label("Compare with what you know. A value ten or a thousand times off shows a wrong unit.").classes(
                 "hf-muted"
             )
-            table(("at rated voltage", "value", "unit"), plausibility(machine), numbers=(1,))
+            limits, others = plausibility(machine)
+            if limits:
+                axes = list(motion_limits(machine))
+                head = ["at rated voltage", *(f"along {name}" for name in axes), "unit"]
+                table(head, limits, numbers=range(1, len(axes) + 1))
+            table(("", "value", "unit"), others, numbers=(1,))
     for field, doubt in doubts:
         banner("warning", field, doubt)
     with ui.expansion(f"All values ({MACHINE})").classes("w-full"):
         table(("parameter", "value", "unit"), parameter_rows(machine), numbers=(1,))
 
 
-def plausibility(machine: Machine) -> list[tuple[str, str, str]]:
-    """List what a machine can do, by which its values can be judged.
+def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str, str]]]:
+    """List what a machine can do, by which its values can be compared with what one knows.
 
     Args:
         machine: Machine.
 
     Returns:
-        Rows of quantity, value and unit.
+        Limits of the motion, one row for each with the values along each axis and the unit; then rows of quantity,
+        value and unit: vibrations on the belts, noise and resolution of the sensors.
     """
-    rows = []
-    for name, limit in motion_limits(machine).items():
-        c = machine.coordinate(name)
-        rows += [
-            (f"moved along {name}, with the rotors", number(limit.inertia), c.unit("mass")),
-            (f"force at rest along {name}", number(limit.force), c.unit("force")),
-            (
-                f"acceleration along {name}",
-                number(limit.force / limit.inertia),
-                f"{c.unit('speed')}/s".replace("/s/s", "/s²"),
-            ),
-            (f"top speed along {name}", number(limit.speed), c.unit("speed")),
+    moves = [(machine.coordinate(name), limit) for name, limit in motion_limits(machine).items()]
+    limits = []
+    if moves:
+        units = {c.unit("speed") for c, _ in moves}
+        speed = "/".join(sorted(units))
+        limits = [
+            ["moved mass, with the rotors", *(number(m.inertia) for _, m in moves), moves[0][0].unit("mass")],
+            ["force at rest", *(number(m.force) for _, m in moves), moves[0][0].unit("force")],
+            ["acceleration", *(number(m.force / m.inertia) for _, m in moves), speed.replace("/s", "/s²")],
+            ["top speed", *(number(m.speed) for _, m in moves), speed],
         ]
     modes = [frequency for frequency in mode_frequencies(machine).tolist() if frequency > 0.0]
-    rows += [(f"vibration {k} on the belts", number(f), "Hz") for k, f in enumerate(modes[:_MODES], start=1)]
+    others = [(f"vibration {k} on the belts", number(f), "Hz") for k, f in enumerate(modes[:_MODES], start=1)]
     for sensor in machine.sensors:
         for name in ("noise", "resolution"):
             if value := getattr(sensor, name, 0.0):
                 factor, unit = readable_unit(sensor.channel, value)
-                rows.append((f"{name} of {sensor.channel}", number(factor * value), unit))
-    return rows
+                others.append((f"{name} of {sensor.channel}", number(factor * value), unit))
+    return limits, others
 
 
 def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:

@@ -131,4 +131,9 @@ def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], N
     if open_browser:
         webbrowser.open(address)
     server = uvicorn.Server(uvicorn.Config(application, log_level="warning", timeout_graceful_shutdown=1))
-    server.run(sockets=[listener])
+    try:
+        server.run(sockets=[listener])
+    finally:
+        for job in window.jobs.values():
+            if job.running:
+                job.stop()

@@ -32,6 +32,7 @@ from .logs import (
     parse_interval,
     propose_columns,
     read_mapping_file,
+    run_of,
 )
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_reader import implausible_values
@@ -95,6 +96,7 @@ __all__ = [
     "recording_files",
     "repetitions",
     "run_name",
+    "run_of",
     "save_machine",
     "table_summary",
     "template_value",

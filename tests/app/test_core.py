@@ -141,7 +141,7 @@ def test_columns_of_a_log_are_shown_as_what_the_import_takes_them_for(tmp_path: 
     assert not incomplete.has_time
     view = view_log(path, machine, MappingOptions({"v_V": "Sollspannung", "x_m": "Weg"}))
     notes = {curve.name: curve.note for curve in view.curves}
-    assert notes == {"Sollspannung [V]": "v_V", "Weg [mm]": "x_m (mm to m)", "Temperatur [°C]": "not used, degC"}
+    assert notes == {"Sollspannung [V]": "→ v_V", "Weg [mm]": "→ x_m (mm to m)", "Temperatur [°C]": "not used, degC"}
     position = next(curve for curve in view.curves if curve.name == "Weg [mm]")
     assert view.has_time
     assert position.time[-1] == pytest.approx(1.499)

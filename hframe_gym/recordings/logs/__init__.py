@@ -5,7 +5,7 @@ A file format is one class in `formats`, which registers itself in `LOG_FORMATS`
 
 from .formats import LOG_FORMATS, LogFormat
 from .log import Log, LogColumn, log_columns
-from .log_files import find_logs, log_name, open_logs
+from .log_files import find_logs, log_name, open_logs, run_of
 from .log_import import (
     ImportSettings,
     Interval,
@@ -39,4 +39,5 @@ __all__ = [
     "parse_interval",
     "propose_columns",
     "read_mapping_file",
+    "run_of",
 ]

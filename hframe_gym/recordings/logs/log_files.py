@@ -93,6 +93,18 @@ def log_name(path: Path) -> str:
     return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
 
 
+def run_of(log: Log) -> str:
+    """Return the name of the run to which a log is converted, before it is cut.
+
+    Args:
+        log: Opened log.
+
+    Returns:
+        The name.
+    """
+    return log.run or "_".join(filter(None, (log_name(log.path), log.part)))
+
+
 def log_size(path: Path) -> int:
     """Return the size of a log, for the display of progress.
 

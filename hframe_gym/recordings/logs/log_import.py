@@ -24,7 +24,7 @@ from ..table_file import SUFFIXES, Array
 from ..text_reader import Progress, cumulative
 from .log import Log, headers_text
 from .log_conversion import LogConverter, split_at_rests
-from .log_files import find_logs, log_name, log_size, open_logs
+from .log_files import find_logs, log_size, open_logs, run_of
 from .log_mapping import ChannelSource, MappingOptions, map_columns
 from .measurement_units import channel_dimension
 
@@ -231,9 +231,7 @@ class _Importer:
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._log_mapping(log, sources)
         recording, remarks = self._converter.convert(log, sources, self._progress)
-        recording = dataclasses.replace(
-            recording, name=log.run or "_".join(filter(None, (log_name(log.path), log.part)))
-        )
+        recording = dataclasses.replace(recording, name=run_of(log))
         self._bytes_per_row = size / len(recording.time_s)
         remarks += _clock_remarks(recording.time_s)
         runs = [recording]
