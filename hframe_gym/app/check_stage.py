@@ -28,6 +28,7 @@ class CheckStage(Stage):
     """Check the runs before anything is fitted."""
 
     key, title, action = "check", "Check", "Check the runs"
+    expected_codes = (0, 1)  # 1: there are faults, which the stage shows
     purpose = (
         "Before a fit: clock, sensors, wiring, excitation, and which parameters these runs can determine. A fault "
         "makes a fit meaningless; advice is worth a look."
@@ -73,8 +74,7 @@ class CheckStage(Stage):
         faults = sum(finding.severity == "fault" for finding in groups)
         if faults:
             text = (
-                "Correct what they name, in the logs or by the menus of the stage Logs (a wrong sign by the factor -1), "
-                "and check again."
+                "Correct what they name, in the logs or in the stage Logs (a wrong sign by the factor -1); check again."
             )
             banner("warning", f"{faults} fault{'s' if faults > 1 else ''}.", text)
         else:

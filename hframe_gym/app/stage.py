@@ -33,6 +33,7 @@ class Stage(ABC):
     title: ClassVar[str]
     purpose: ClassVar[str]
     action: ClassVar[str] = ""  # text of the button that runs the commands
+    expected_codes: ClassVar[tuple[int, ...]] = (0,)  # exit codes after which the output need not be read
 
     container: Any
 
@@ -201,7 +202,7 @@ class Stage(ABC):
         self._output.set_content(html.escape("\n".join(lines)))
         self._summary.set_text(f"Output: {last}")
         # An output is of interest while it appears, and if something went wrong.
-        if job.exit_code == 0:
+        if job.exit_code in self.expected_codes:
             self._details.props(remove="open")
         else:
             self._details.props("open")

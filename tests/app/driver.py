@@ -122,11 +122,11 @@ class Visitor:
         """Return the text of a stage."""
         return str(self.driver.execute_script(f"return document.querySelector('main[data-stage={key}]').innerText"))
 
-    def drop(self, files: dict[str, bytes]) -> None:
-        """Drop files on the stage Logs."""
+    def drop(self, files: dict[str, bytes], selector: str = "main[data-stage=logs] .q-uploader") -> None:
+        """Drop files on an element, by default on the stage Logs."""
         contents = [[name, base64.b64encode(content).decode()] for name, content in files.items()]
         self.driver.set_script_timeout(60)
-        self.driver.execute_async_script(_DROP, "main[data-stage=logs] .q-uploader", contents)
+        self.driver.execute_async_script(_DROP, selector, contents)
 
     def click(self, selector: str) -> None:
         """Click an element."""
@@ -158,6 +158,26 @@ class Visitor:
         )
         assert found, f"{selector} has no entry {text}"
         self.until("document.querySelectorAll('.q-menu .q-item').length === 0", 5.0)
+
+    def tab_to(self, condition: str, *, back: bool = False) -> None:
+        """Press Tab until an expression of JavaScript about the focused element, `e`, is true."""
+        from selenium.webdriver.common.action_chains import ActionChains
+        from selenium.webdriver.common.keys import Keys
+
+        for _ in range(80):
+            if self.driver.execute_script(f"const e = document.activeElement; return !!({condition})"):
+                return
+            chain = ActionChains(self.driver)
+            (
+                chain.key_down(Keys.SHIFT).send_keys(Keys.TAB).key_up(Keys.SHIFT) if back else chain.send_keys(Keys.TAB)
+            ).perform()
+        raise AssertionError(f"the keyboard does not reach: {condition}")
+
+    def press(self, key: str) -> None:
+        """Press a key."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        ActionChains(self.driver).send_keys(key).perform()
 
     def fill(self, selector: str, text: str) -> None:
         """Type a text into a field."""

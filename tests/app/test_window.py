@@ -13,7 +13,8 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from hframe_gym.recordings import load_machine
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.recordings import load_machine, save_machine
 from tests.app.driver import STAGES, Visitor, foreign_logs, newcomers_session, served
 from tests.browser import SCHEMES, WIDTHS, chromium
 
@@ -119,6 +120,39 @@ def test_an_identification_that_is_stopped_keeps_the_best_machine(tmp_path: Path
     report = json.loads((session / "result" / "report.json").read_text())
     assert report["unfinished"]["reason"].startswith("interrupted")
     assert (session / "result" / "report.html").exists()
+
+
+def test_stages_are_reached_and_commands_run_by_keyboard_alone(tmp_path: Path) -> None:
+    keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
+    with served(tmp_path / "session") as address, chromium() as driver:
+        visitor = Visitor(driver, address)
+        visitor.look(1280, "light")
+        visitor.tab_to("e.innerText?.startsWith('One axis')")
+        visitor.press(keys.SPACE)
+        visitor.until("document.querySelector('main[data-stage=machine]').innerText.includes('--like axis')", 10.0)
+        visitor.tab_to("e.closest('[data-option=travel]') || e.matches('[data-option=travel]')")
+        visitor.press("0.4")
+        visitor.tab_to("e.dataset.run === 'machine'")
+        visitor.press(keys.ENTER)
+        visitor.until("/done in/.test(document.querySelector('main[data-stage=machine] summary')?.innerText)", 60.0)
+        visitor.tab_to("e.matches('.q-tab')")
+        visitor.press(keys.ARROW_RIGHT)
+        visitor.press(keys.ENTER)
+        visitor.until("document.querySelector('main[data-stage=logs]')?.offsetParent", 10.0)
+    assert load_machine(tmp_path / "session" / "machine.json").coordinate("x").range == pytest.approx((-0.2, 0.2))
+
+
+def test_a_dropped_machine_replaces_the_machine_and_a_faulty_one_is_explained(tmp_path: Path) -> None:
+    good = tmp_path / "own.json"
+    save_machine(BUILTIN_MACHINES["corexy"](), good)
+    with served(tmp_path / "session") as address, chromium() as driver:
+        visitor = Visitor(driver, address)
+        visitor.look(390, "light")
+        visitor.drop({"faulty.json": b'{"schema": 1}'}, "main[data-stage=machine] .q-uploader")
+        visitor.until("document.querySelector('.q-notification')?.innerText.includes('machine.json')", 10.0)
+        visitor.drop({"own.json": good.read_bytes()}, "main[data-stage=machine] .q-uploader")
+        visitor.until("document.querySelectorAll('main[data-stage=machine] .sv-motor').length === 2", 20.0)
+    assert load_machine(tmp_path / "session" / "machine.json").name == "corexy"
 
 
 def test_a_log_of_a_million_rows_is_drawn_with_its_peak(tmp_path: Path) -> None:
