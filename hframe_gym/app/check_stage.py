@@ -20,7 +20,7 @@ from .session import FINDINGS, check_command
 from .stage import Stage, State, banner, heading, table
 
 _TONES = {"fault": ("warning", "Fault"), "advice": ("neutral", "Advice"), "note": ("good", "Note")}
-_LEGEND = "measured (blue), declared machine simulated (orange)"
+_LEGEND = "Blue: measured. Orange: simulated from the inputs with the machine as declared."
 _MOST_CHARTS = 12  # findings that are drawn at once; the others on request
 
 
@@ -81,6 +81,8 @@ class CheckStage(Stage):
             banner("good", "No faults.", "The runs can be fitted.")
         order = list(_TONES)
         serious = sorted((f for f in groups if f.severity != "note"), key=lambda f: order.index(f.severity))
+        if serious:
+            ui.label(_LEGEND).classes("hf-muted")
         for k, finding in enumerate(serious):
             self._show_finding(finding, machine, draw=k < _MOST_CHARTS)
         notes = [finding for finding in groups if finding.severity == "note"]
@@ -90,6 +92,7 @@ class CheckStage(Stage):
             rows = [(*([note.run or "all"] if named else []), note.channel, note.message) for note in notes]
             table((*(["run"] if named else []), "of", "note"), rows)
         heading("The runs")
+        ui.label(_LEGEND).classes("hf-muted")
         self._show_run(machine)
         ui.timer(0.1, self._simulate, once=True)
 
@@ -166,11 +169,7 @@ class CheckStage(Stage):
             if not simulated or chart.is_deleted:
                 continue
             both = [
-                dataclasses.replace(
-                    c, note=f"{c.note} {_LEGEND}".strip(), others={"declared machine": simulated[c.name]}
-                )
-                if c.name in simulated
-                else c
+                dataclasses.replace(c, others={"declared machine": simulated[c.name]}) if c.name in simulated else c
                 for c in curves
             ]
             chart.options.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,7 @@ class Window:
         ui.add_head_html('<meta name="color-scheme" content="light dark">')
         with ui.element("div").classes("hf-head"):
             ui.html("<b>hframe</b>", sanitize=False)
-            ui.label(str(self.session.folder))
+            ui.label(self.session.folder.name).props(f'title="{html.escape(str(self.session.folder))}"')
         await ui.context.client.connected(timeout=20.0)
         dark, narrow = await ui.run_javascript(
             "[matchMedia('(prefers-color-scheme: dark)').matches, innerWidth < 700]", timeout=10.0
