@@ -6,6 +6,7 @@ needs an extra.
 
 from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike, action_space
 from .config import EnvConfig, EnvOptions, MachineLike, as_machine
+from .disturbances import DISTURBANCES, Disturbance
 from .domain_randomization import (
     DISTRIBUTIONS,
     RANDOMIZATION_PRESETS,
@@ -18,6 +19,7 @@ from .domain_randomization import (
     Uniform,
 )
 from .hframe_env import HFrameEnv, HFrameTrackEnv
+from .quantities import QUANTITIES, Quantity, StepRecord, quantity
 from .rewards import REWARDS, Reward, RewardLike
 from .sensors import (
     SENSOR_PRESETS,
@@ -32,18 +34,34 @@ from .sensors import (
 from .spaces import SignalSpec, observation_space
 from .tasks import TASKS, Reach, Task, TaskLike, Track, as_task
 from .vector_env import HFrameTrackVectorEnv, HFrameVectorEnv
+from .wrappers import (
+    CostWrapper,
+    DisturbanceWrapper,
+    ObserveQuantities,
+    PenaltyWrapper,
+    VectorCostWrapper,
+    VectorDisturbanceWrapper,
+    VectorObserveQuantities,
+    VectorPenaltyWrapper,
+    machine_for_disturbances,
+)
 
 __all__ = [
     "ACTUATOR_PRESETS",
     "DISTRIBUTIONS",
+    "DISTURBANCES",
+    "QUANTITIES",
     "RANDOMIZATION_PRESETS",
     "REWARDS",
     "SENSOR_PRESETS",
     "TASKS",
     "Actuators",
     "ActuatorsLike",
+    "CostWrapper",
     "DeclaredSensors",
     "Distribution",
+    "Disturbance",
+    "DisturbanceWrapper",
     "Encoders",
     "EnvConfig",
     "EnvOptions",
@@ -55,6 +73,9 @@ __all__ = [
     "LogUniform",
     "MachineLike",
     "Normal",
+    "ObserveQuantities",
+    "PenaltyWrapper",
+    "Quantity",
     "RandomizationLike",
     "RandomizeIdentified",
     "RandomizeParameter",
@@ -64,14 +85,21 @@ __all__ = [
     "Sensors",
     "SensorsLike",
     "SignalSpec",
+    "StepRecord",
     "Task",
     "TaskLike",
     "Track",
     "Uniform",
+    "VectorCostWrapper",
+    "VectorDisturbanceWrapper",
+    "VectorObserveQuantities",
+    "VectorPenaltyWrapper",
     "action_space",
     "as_machine",
     "as_sensors",
     "as_task",
+    "machine_for_disturbances",
     "observation_space",
     "observed_machine",
+    "quantity",
 ]

@@ -1,0 +1,461 @@
+"""Wrappers for rewards, costs and observations of quantities of a step, and for random forces on the tool.
+
+Each works on a single environment (`HFrameEnv`, also from `gym.make`) and, with the prefix `Vector`, on
+`HFrameVectorEnv`.
+An environment without them is as fast as before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+
+from ..arrays import Array
+from ..effects import EFFECTS
+from ..errors import InputError, is_number
+from ..machine import Machine
+from .disturbances import DISTURBANCES
+from .environment_batch import EnvironmentBatch
+from .quantities import QUANTITIES, Quantity, StepRecord
+
+KEY = "quantities"  # of the observation entry that `ObserveQuantities` adds
+_STREAM = 7_919  # distinguishes the random numbers of disturbances from those of the environment with the same seed
+
+
+class _Recorder:
+    """Makes the record of each step of a batch, and remembers the actions of the step before.
+
+    Args:
+        env: Environment whose `unwrapped` has a batch.
+        names: Names of the quantities.
+    """
+
+    def __init__(self, env: Any, names: Sequence[str]) -> None:
+        batch = getattr(env.unwrapped, "batch", None)
+        if not isinstance(batch, EnvironmentBatch):
+            raise InputError(f"{env} is no environment of this package, so that its quantities are not known")
+        if not names:
+            raise InputError(f"name at least one quantity of {', '.join(QUANTITIES)}")
+        self.batch: EnvironmentBatch = batch
+        self.quantities: dict[str, Quantity] = {name: QUANTITIES.get(name) for name in names}
+        self._last = np.zeros((batch.count, len(batch.machine.drives)))
+
+    def begin(self, mask: Any = slice(None)) -> None:
+        """Forget the actions of environments in which an episode begins."""
+        self._last[mask] = 0.0
+
+    def values(self, actions: Any) -> dict[str, Array]:
+        """Return the quantities of the step that these actions, (count, drives), caused, shape (count,) each."""
+        limited = np.clip(np.asarray(actions, dtype=np.float64).reshape(self._last.shape), -1.0, 1.0)
+        record = StepRecord(self.batch, limited, self._last.copy())
+        self._last = limited
+        return {name: np.asarray(q.function(record), np.float64) for name, q in self.quantities.items()}
+
+
+def _weights(values: Mapping[str, float], meaning: str) -> dict[str, float]:
+    """Check numbers by name of a quantity."""
+    for name, value in values.items():
+        if not is_number(value):
+            raise InputError(f"the {meaning} of {name!r} is {value!r}, it must be a finite number")
+    return dict(values)
+
+
+class PenaltyWrapper(gym.Wrapper):
+    """Subtract weighted quantities of the step from the reward.
+
+    `info` has each quantity as `quantity_NAME`. `compute_reward` does not know them: do not relabel goals with it.
+
+    Args:
+        env: Environment of this package.
+        weights: Weight of each quantity by its name in `QUANTITIES`, reward per unit of the quantity.
+
+    Raises:
+        InputError: If a name is unknown, a weight is not finite, or the environment is of another package.
+    """
+
+    def __init__(self, env: gym.Env, weights: Mapping[str, float]) -> None:
+        super().__init__(env)
+        self.weights = _weights(weights, "weight")
+        self._recorder = _Recorder(env, list(weights))
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, as the environment does."""
+        self._recorder.begin()
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Make a step, as the environment does, with the reward reduced."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        values = {name: v.item() for name, v in self._recorder.values(action).items()}
+        penalty = sum(self.weights[name] * value for name, value in values.items())
+        info.update({f"quantity_{name}": value for name, value in values.items()})
+        return observation, float(reward) - penalty, terminated, truncated, info
+
+
+class CostWrapper(gym.Wrapper):
+    """Report costs beside the reward, as constrained reinforcement learning needs them.
+
+    The cost of a step is the number of quantities that exceed their limits, in `info["cost"]`; `info["cost_NAME"]` has
+    each of them, 0 or 1, and `info["quantity_NAME"]` the quantity. With `six_values=True`, `step` returns
+    (observation, reward, cost, terminated, truncated, info), as Safety-Gymnasium's environments do.
+
+    Args:
+        env: Environment of this package.
+        limits: Limit of each quantity by its name in `QUANTITIES`, in its unit.
+        six_values: Whether `step` returns the cost as its third value.
+
+    Raises:
+        InputError: If a name is unknown, a limit is not finite, or the environment is of another package.
+
+    References:
+        Ji et al. (2023), Safety-Gymnasium: a unified safe reinforcement learning benchmark.
+    """
+
+    def __init__(self, env: gym.Env, limits: Mapping[str, float], *, six_values: bool = False) -> None:
+        super().__init__(env)
+        self.limits, self.six_values = _weights(limits, "limit"), six_values
+        self._recorder = _Recorder(env, list(limits))
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, as the environment does."""
+        self._recorder.begin()
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, ...]:  # type: ignore[override]
+        """Make a step, as the environment does, and report its cost."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        values = {name: v.item() for name, v in self._recorder.values(action).items()}
+        exceeded = {name: float(value > self.limits[name]) for name, value in values.items()}
+        cost = sum(exceeded.values())
+        info.update({f"quantity_{name}": value for name, value in values.items()})
+        info.update({f"cost_{name}": value for name, value in exceeded.items()}, cost=cost)
+        if self.six_values:
+            return observation, reward, cost, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
+
+
+class ObserveQuantities(gym.Wrapper):
+    """Add quantities of the last step to the observation: the key `quantities`, or further entries of a flat array.
+
+    Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they are those
+    of the start with actions of zero.
+
+    Args:
+        env: Environment of this package.
+        names: Names in `QUANTITIES`.
+
+    Raises:
+        InputError: If a name is unknown or the environment is of another package.
+    """
+
+    def __init__(self, env: gym.Env, names: Sequence[str]) -> None:
+        super().__init__(env)
+        self._recorder = _Recorder(env, names)
+        self._scales = np.array([q.largest for q in self._recorder.quantities.values()])
+        added = spaces.Box(-10.0, 10.0, (len(names),), np.float32)
+        inner = env.observation_space
+        if isinstance(inner, spaces.Dict):
+            self.observation_space = spaces.Dict({**inner.spaces, KEY: added})
+        else:
+            assert isinstance(inner, spaces.Box)
+            low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
+            self.observation_space = spaces.Box(low, high, dtype=np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, as the environment does."""
+        self._recorder.begin()
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._extended(observation, np.zeros(self._recorder._last.shape)), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Make a step, as the environment does."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._extended(observation, action), reward, terminated, truncated, info
+
+    def _extended(self, observation: Any, action: Any) -> Any:
+        """Return the observation with the quantities."""
+        values = np.concatenate(list(self._recorder.values(action).values())) / self._scales
+        added = np.clip(values, -10.0, 10.0).astype(np.float32)
+        if isinstance(observation, dict):
+            return {**observation, KEY: added}
+        return np.concatenate([observation, added])
+
+
+class _VectorRecording(VectorWrapper):
+    """Base of the wrappers of vector environments, which know in which environments an episode has ended."""
+
+    def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
+        super().__init__(env)
+        self._recorder = _Recorder(env, names)
+        if env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP:
+            raise InputError(
+                "with autoreset_mode='SameStep' the state at the end of an episode is gone when quantities are "
+                "computed; use 'NextStep' or 'Disabled'"
+            )
+        self._over = np.zeros(self._recorder.batch.count, np.bool_)
+
+    def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes, as the environments do."""
+        mask = (keywords.get("options") or {}).get("reset_mask")
+        chosen = slice(None) if mask is None else np.asarray(mask, np.bool_)
+        self._recorder.begin(chosen)
+        self._over[chosen] = False
+        return self.env.reset(**keywords)
+
+    def _step(self, actions: Any) -> tuple[Any, dict[str, Array]]:
+        """Make a step; return its result, and the quantities, which are zero where an episode began instead."""
+        began = self._over
+        result = self.env.step(actions)
+        values = self._recorder.values(actions)
+        self._recorder.begin(began)
+        self._over = np.asarray(result[2]) | np.asarray(result[3])
+        return result, {name: np.where(began, 0.0, column) for name, column in values.items()}
+
+
+class VectorPenaltyWrapper(_VectorRecording):
+    """`PenaltyWrapper` for `HFrameVectorEnv`; where an episode begins in a step, nothing is subtracted.
+
+    Args:
+        env: Vector environment of this package.
+        weights: Weight of each quantity, reward per unit of the quantity.
+
+    Raises:
+        InputError: As `PenaltyWrapper`, and with the autoreset mode "SameStep".
+    """
+
+    def __init__(self, env: VectorEnv, weights: Mapping[str, float]) -> None:
+        super().__init__(env, list(weights))
+        self.weights = _weights(weights, "weight")
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Make a step of all environments, with the rewards reduced."""
+        (observation, reward, terminated, truncated, info), values = self._step(actions)
+        penalty = sum(self.weights[name] * column for name, column in values.items())
+        info.update({f"quantity_{name}": column for name, column in values.items()})
+        return observation, reward - penalty, terminated, truncated, info
+
+
+class VectorCostWrapper(_VectorRecording):
+    """`CostWrapper` for `HFrameVectorEnv`; where an episode begins in a step, the cost is zero.
+
+    Args:
+        env: Vector environment of this package.
+        limits: Limit of each quantity, in its unit.
+        six_values: Whether `step` returns the costs, shape (num_envs,), as its third value.
+
+    Raises:
+        InputError: As `CostWrapper`, and with the autoreset mode "SameStep".
+    """
+
+    def __init__(self, env: VectorEnv, limits: Mapping[str, float], *, six_values: bool = False) -> None:
+        super().__init__(env, list(limits))
+        self.limits, self.six_values = _weights(limits, "limit"), six_values
+
+    def step(self, actions: Any) -> tuple[Any, ...]:  # type: ignore[override]
+        """Make a step of all environments, and report their costs."""
+        (observation, reward, terminated, truncated, info), values = self._step(actions)
+        exceeded = {name: (column > self.limits[name]).astype(float) for name, column in values.items()}
+        cost = np.sum(list(exceeded.values()), axis=0)
+        info.update({f"quantity_{name}": column for name, column in values.items()})
+        info.update({f"cost_{name}": column for name, column in exceeded.items()}, cost=cost)
+        if self.six_values:
+            return observation, reward, cost, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
+
+
+class VectorObserveQuantities(_VectorRecording):
+    """`ObserveQuantities` for `HFrameVectorEnv`.
+
+    Args:
+        env: Vector environment of this package.
+        names: Names in `QUANTITIES`.
+
+    Raises:
+        InputError: As `ObserveQuantities`, and with the autoreset mode "SameStep".
+    """
+
+    def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
+        super().__init__(env, names)
+        self._scales = np.array([q.largest for q in self._recorder.quantities.values()])
+        added = spaces.Box(-10.0, 10.0, (len(names),), np.float32)
+        inner = env.single_observation_space
+        if isinstance(inner, spaces.Dict):
+            self.single_observation_space = spaces.Dict({**inner.spaces, KEY: added})
+        else:
+            assert isinstance(inner, spaces.Box)
+            low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
+            self.single_observation_space = spaces.Box(low, high, dtype=np.float32)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+
+    def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes, as the environments do."""
+        observation, info = super().reset(**keywords)
+        values = self._recorder.values(np.zeros(self._recorder._last.shape))
+        return self._extended(observation, values), info
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Make a step of all environments."""
+        (observation, reward, terminated, truncated, info), values = self._step(actions)
+        return self._extended(observation, values), reward, terminated, truncated, info
+
+    def _extended(self, observation: Any, values: Mapping[str, Array]) -> Any:
+        """Return the observations with the quantities."""
+        columns = np.stack(list(values.values()), axis=1) / self._scales
+        added = np.clip(columns, -10.0, 10.0).astype(np.float32)
+        if isinstance(observation, dict):
+            return {**observation, KEY: added}
+        return np.concatenate([observation, added], axis=1)
+
+
+# -- random forces -----------------------------------------------------------------------------------------------------
+
+
+def machine_for_disturbances(machine: Machine) -> Machine:
+    """Add a constant force of 0 N to every tool axis of a machine; disturbances change it while an episode runs.
+
+    Args:
+        machine: Machine with tool axes.
+
+    Returns:
+        Copy of the machine, with the effects `constant_force` that it lacks.
+    """
+    present = {effect.label for effect in machine.effects}
+    added = [
+        EFFECTS["constant_force"].at(axis, size=0.0)
+        for axis in machine.tool_axes
+        if f"constant_force@{axis}" not in present
+    ]
+    return machine.with_effects(*added)
+
+
+class _Forces:
+    """Random forces on the tool of a batch.
+
+    Args:
+        env: Environment of this package, whose machine has the effects of `machine_for_disturbances`.
+        name: Name of the process.
+        options: Its keywords.
+    """
+
+    def __init__(self, env: Any, name: str, options: Mapping[str, Any]) -> None:
+        batch = getattr(env.unwrapped, "batch", None)
+        if not isinstance(batch, EnvironmentBatch):
+            raise InputError(f"{env} is no environment of this package, so that no force can act on its tool")
+        self.batch: EnvironmentBatch = batch
+        names = list(batch.machine.parameters)
+        wanted = [f"constant_force@{axis}.size" for axis in batch.machine.tool_axes]
+        if missing := [name for name in wanted if name not in names]:
+            raise InputError(
+                f"the machine has no parameter {missing[0]}, through which a disturbance acts; make the environment "
+                "with machine=machine_for_disturbances(machine)"
+            )
+        self._rows = [names.index(name) for name in wanted]
+        self._process = DISTURBANCES.get(name)(**options)
+        self._generator = np.random.default_rng()
+        self.forces = np.zeros((batch.count, len(wanted)))
+
+    def seed(self, seed: Any) -> None:
+        """Begin the random numbers of a seed: integer, or list of integers and None; None continues."""
+        if seed is not None:
+            numbers = [0 if s is None else int(s) for s in np.atleast_1d(np.asarray(seed, dtype=object))]
+            self._generator = np.random.default_rng([_STREAM, *numbers])
+
+    def begin(self, mask: Any = slice(None)) -> None:
+        """Draw the first forces of environments in which an episode begins."""
+        self.forces[mask] = self._process.begin(self.forces.shape, self.batch.config.period, self._generator)[mask]
+        self._apply()
+
+    def follow(self) -> None:
+        """Draw the forces of the next control period."""
+        self.forces = self._process.follow(self.forces, self.batch.config.period, self._generator)
+        self._apply()
+
+    def _apply(self) -> None:
+        """Write the forces to the parameters of the simulated machines, added to those of the episode."""
+        parameters = self.batch.simulator.parameters
+        for axis, row in enumerate(self._rows):
+            column = np.zeros(parameters.shape[0] * parameters.shape[2])
+            column[: self.batch.count] = self.batch.values[:, row] + self.forces[:, axis]
+            parameters[:, row] = column.reshape(parameters.shape[0], parameters.shape[2])
+
+
+class DisturbanceWrapper(gym.Wrapper):
+    """Let a random force act on the tool, constant in each control period.
+
+    `info["disturbance_N"]` has the force of the step, N, shape (axes,). A seed at `reset` also determines the forces.
+    The state of `get_state` does not contain them.
+
+    Args:
+        env: Environment of this package, with `machine=machine_for_disturbances(machine)`.
+        process: Name in `DISTURBANCES`.
+        **options: Keywords of the process, for example std=2.0.
+
+    Raises:
+        InputError: If the machine has no place for the force, or the process is unknown.
+    """
+
+    def __init__(self, env: gym.Env, process: str, **options: Any) -> None:
+        super().__init__(env)
+        self._forces = _Forces(env, process, options)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, as the environment does, and draw its first force."""
+        self._forces.seed(seed)
+        result = self.env.reset(seed=seed, options=options)
+        self._forces.begin()
+        return result
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Make a step under the present force, and draw the next one."""
+        applied = self._forces.forces[0].copy()
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._forces.follow()
+        info["disturbance_N"] = applied
+        return observation, reward, terminated, truncated, info
+
+
+class VectorDisturbanceWrapper(VectorWrapper):
+    """`DisturbanceWrapper` for `HFrameVectorEnv`; the force of an episode that begins is drawn anew.
+
+    Args:
+        env: Vector environment of this package, with `machine=machine_for_disturbances(machine)`.
+        process: Name in `DISTURBANCES`.
+        **options: Keywords of the process.
+
+    Raises:
+        InputError: As `DisturbanceWrapper`.
+    """
+
+    def __init__(self, env: VectorEnv, process: str, **options: Any) -> None:
+        super().__init__(env)
+        self._forces = _Forces(env, process, options)
+        self._over = np.zeros(self._forces.batch.count, np.bool_)
+        self._same_step = env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP
+
+    def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes, as the environments do, and draw their first forces."""
+        self._forces.seed(keywords.get("seed"))
+        result = self.env.reset(**keywords)
+        mask = (keywords.get("options") or {}).get("reset_mask")
+        chosen = slice(None) if mask is None else np.asarray(mask, np.bool_)
+        self._forces.begin(chosen)
+        self._over[chosen] = False
+        return result
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Make a step of all environments under the present forces, and draw the next ones."""
+        applied, began = self._forces.forces.copy(), self._over
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        self._over = np.asarray(terminated) | np.asarray(truncated)
+        self._forces.follow()
+        fresh = self._over if self._same_step else began
+        if fresh.any():
+            self._forces.begin(fresh)
+        info["disturbance_N"] = applied
+        return observation, reward, terminated, truncated, info
