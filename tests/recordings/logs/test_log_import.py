@@ -345,8 +345,8 @@ def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: M
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\x89HDF\r\n\x1a\n" + bytes(200), "cannot be read as a MATLAB or HDF5 file"),
-        (b"MATLAB 5.0 MAT-file" + bytes(20), "cannot be read as a MATLAB or HDF5 file"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(200), "cannot be read as an HDF5 file"),
+        (b"MATLAB 5.0 MAT-file" + bytes(20), "cannot be read as a MATLAB file"),
         (b"PK\x03\x04" + bytes(200), "is a spreadsheet or an archive.*save the sheet as CSV"),
         (b"", "empty"),
         (b"only text\nand more\n", "no column is named like time_s, v1_V"),

@@ -58,7 +58,8 @@ def _open_mat(path: Path) -> Log:
         require_extra(path, "HDF5 files (MATLAB 7.3)", "hdf5", ["h5py"], advice)
     else:
         _refuse_large_variables(path)
-    vectors = _mat_vectors(path)
+    kind = "an HDF5 file" if is_hdf5 else "a MATLAB file"
+    vectors = _mat_vectors(path, kind)
     if not vectors:
         advice = (
             "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in MATLAB"
@@ -77,10 +78,10 @@ def _open_mat(path: Path) -> Log:
             progress(path.stat().st_size)
         return [vectors[index][1] for index in indices], []
 
-    return Log(path, columns, ("it is an HDF5 file" if is_hdf5 else "it is a MATLAB file",), read)
+    return Log(path, columns, (f"it is {kind}",), read)
 
 
-def _mat_vectors(path: Path) -> list[tuple[str, NDArray[np.float64]]]:
+def _mat_vectors(path: Path, kind: str) -> list[tuple[str, NDArray[np.float64]]]:
     """Return the names and values of all vectors of a file, which a separate process reads.
 
     The readers can end the process on damaged files (segmentation fault), which no exception handler sees.
@@ -93,7 +94,7 @@ def _mat_vectors(path: Path) -> list[tuple[str, NDArray[np.float64]]]:
         run = subprocess.run(command, check=False, capture_output=True, text=True)
         if run.returncode:
             reason = run.stderr.strip().rpartition("\n")[2] if run.returncode > 0 else "it is damaged"
-            raise InputError(f"{path}: cannot be read as a MATLAB or HDF5 file: {reason}")
+            raise InputError(f"{path}: cannot be read as {kind}: {reason}")
         with np.load(target, allow_pickle=False) as content:
             return [(str(name), content[f"arr_{k}"]) for k, name in enumerate(content["names"])]
 
