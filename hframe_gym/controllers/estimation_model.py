@@ -11,7 +11,7 @@ from typing_extensions import override
 from ..arrays import Array, Mask, ParameterRows
 from ..dynamics import Equations
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import SENSOR_KINDS, Machine, Sensor
 from .motion_model import MotionModel
 
 # Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is measured,
@@ -91,10 +91,18 @@ class AugmentedParameters(ParameterRatios):
         return super().parameters(self.clip(logarithms))
 
 
+def _is_linear(sensor: Sensor) -> bool:
+    """Return whether a sensor measures a linear function of the positions and speeds."""
+    turns = SENSOR_KINDS.get(sensor.kind).turn is not None
+    return sensor.kind == "speed" or (sensor.of_position and not turns)
+
+
 class MeasurementModel:
     """Linear measurement equation z = H s of a machine's declared sensors, scaled to meters of belt travel.
 
-    The state s holds the belt travel of the n coordinates, m, and its velocity, m/s.
+    The state s holds the belt travel of the n coordinates, m, and its velocity, m/s. Sensors of positions and speeds
+    are used; those of accelerations, currents and unsigned speeds are not linear in the state, and an angle that begins
+    anew after each turn does not tell the position, so that they count as outside their range.
 
     Args:
         model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
@@ -117,15 +125,22 @@ class MeasurementModel:
         unlimited = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if e.name != "sensor_range"))
         equations = Equations(unlimited)
         zeros = np.zeros(len(names))
-        readings = [np.array(equations.sensor_readings(q), np.float64) for q in (zeros, *np.eye(len(names)))]
-        # Sensitivity of each channel to the travel of each coordinate, in the channel's unit per m, (channels, n).
-        sensitivity = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / machine.travel_per_unit
+        self._used = np.array([_is_linear(sensor) for sensor in machine.sensors], np.bool_)
+        count, no_currents = len(names), np.zeros(len(machine.drives))
+        states = np.vstack([np.zeros(2 * count), np.eye(2 * count)])
+        readings = [
+            np.array(equations.sensor_readings(*map(list, (q, v, zeros, no_currents))), np.float64)
+            for q, v in (np.split(state, 2) for state in states)
+        ]
+        # Sensitivity of each channel to travel and speed of each coordinate, in the channel's unit per m and per m/s.
+        sensitivity = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / np.tile(machine.travel_per_unit, 2)
+        sensitivity[~self._used] = 0.0
         norm = np.linalg.norm(sensitivity, axis=1)
-        self._unit = 1.0 / np.where(norm > 0.0, norm, 1.0)  # m per channel's unit
-        positions = sensitivity * self._unit[:, None]
+        self._unit = 1.0 / np.where(norm > 0.0, norm, 1.0)  # m or m/s per channel's unit
+        positions, speeds = np.split(sensitivity * self._unit[:, None], 2, axis=1)
         # To first order in a sensor's delay d, it measures travel - d * velocity.
         delays = np.array(equations.measurement_delays(), np.float64)
-        self.matrix: Array = np.hstack([positions, -delays[:, None] * positions])
+        self.matrix: Array = np.hstack([positions, speeds - delays[:, None] * positions])
         self._low = np.array([ranges.get(s.channel, {}).get("low", -np.inf) for s in machine.sensors])
         self._high = np.array([ranges.get(s.channel, {}).get("high", np.inf) for s in machine.sensors])
         noise = np.array([np.hypot(s.noise, s.resolution / np.sqrt(12.0)) for s in machine.sensors])
@@ -152,4 +167,4 @@ class MeasurementModel:
         Args:
             measurements: Measurements, m or rad, shape (B, channels).
         """
-        return (measurements > self._low) & (measurements < self._high)
+        return self._used & (measurements > self._low) & (measurements < self._high)

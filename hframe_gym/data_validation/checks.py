@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -133,11 +134,27 @@ def _faults_and_advice(
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
-    findings += stuck_outputs([recording for recording in cleaned if recording.name in moving], machine)
-    findings += check_wiring(data.with_runs(moving), machine) + check_scales(data.with_runs(moving), machine)
+    findings += _position_checks([recording for recording in cleaned if recording.name in moving], data, machine)
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     return findings + check_input_timing(data.with_runs(moving), machine)
+
+
+def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
+    """Check stuck outputs, wiring and scales of the sensors of positions; they are compared by the kinematics."""
+    of_position = machine.position_sensors
+    if not of_position.any():
+        return []
+    positions = data.with_runs([recording.name for recording in recordings])
+    if not of_position.all():
+        sensors = [sensor for sensor in machine.sensors if sensor.of_position]
+        others = [sensor.channel for sensor in machine.sensors if not sensor.of_position]
+        machine = machine.replace(
+            sensors=tuple(sensors), effects=tuple(e for e in machine.effects if e.site not in others)
+        )
+        recordings = [dataclasses.replace(r, outputs=r.outputs[:, of_position]) for r in recordings]
+        positions = prepare([without_moving_start(recording, machine) for recording in recordings], machine)
+    return stuck_outputs(recordings, machine) + check_wiring(positions, machine) + check_scales(positions, machine)
 
 
 def _wraps(recording: Recording, machine: Machine) -> list[Finding]:
@@ -230,7 +247,7 @@ def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
         if not any(np.isfinite(run.outputs[:, j]).any() for run in data.runs):
             continue
         noise, quantum = float(data.noise[j]), float(data.quantum[j])
-        unit = machine.coordinate(sensor.coordinate).unit("position")
+        unit = machine.sensor_unit(sensor)
         steps = f", steps of {quantum:.3g} {unit}" if quantum else ""
         declared = max(sensor.noise, sensor.resolution / np.sqrt(12))
         message = f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, steps {sensor.resolution:.3g})"

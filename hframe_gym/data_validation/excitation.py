@@ -151,7 +151,7 @@ def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
     travels: list[Array] = []
     speeds: list[Array] = []
     for run in data.runs:
-        measured = np.isfinite(run.outputs).any(axis=0)
+        measured = np.isfinite(run.outputs).any(axis=0) & M.any(axis=1)  # sensors of positions
         if np.linalg.matrix_rank(M[measured]) < len(names) or len(run.time_s) < 3:
             continue
         size = np.linalg.norm(M[measured], axis=1)

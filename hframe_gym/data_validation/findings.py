@@ -54,13 +54,14 @@ def channel_unit(channel: str, machine: Machine) -> str:
         machine: Declared machine.
 
     Returns:
-        For an input, "A" or "Nm" if its name ends with this unit, otherwise "V". For an output, "m" or "rad" if its
-        name ends with this unit, otherwise the unit of the coordinate's position.
+        For an input, "A" or "Nm" if its name ends with this unit, otherwise "V". For an output of a position, "m" or
+        "rad" if its name ends with this unit, otherwise the unit of the sensor.
     """
     ending = channel.rpartition("_")[2]
     if channel in machine.input_channels:
         return ending if ending in ("A", "Nm") else "V"
-    return ending if ending in ("m", "rad") else machine.coordinate(machine.sensor(channel).coordinate).unit("position")
+    sensor = machine.sensor(channel)
+    return ending if sensor.of_position and ending in ("m", "rad") else machine.sensor_unit(sensor)
 
 
 def group_findings(findings: Sequence[Finding]) -> list[Finding]:

@@ -38,8 +38,8 @@ class Stage:
         rated: Rated voltages of the drives, V, shape (drives,): what the action 1 of an environment applies.
 
     Raises:
-        InputError: If the period or step is not positive, `friction` is unknown, or end stops need a workspace that
-            the machine does not declare.
+        InputError: If the period or step is not positive, `friction` is unknown, a sensor measures an acceleration or
+            a current, or end stops need a workspace that the machine does not declare.
     """
 
     def __init__(
@@ -52,6 +52,12 @@ class Stage:
         friction: Friction = "exact",
         parallel: bool = True,
     ) -> None:
+        felt = [s.channel for s in machine.sensors if s.quantity in ("acceleration", "current")]
+        if felt:
+            raise InputError(
+                f"machine {machine.name!r}: a differentiable stage has no readings of accelerations and currents; "
+                f"leave {', '.join(felt)} out of a copy of the machine"
+            )
         self.machine, self.period, self.parallel = machine, float(period), parallel
         self._stops = EndStops(machine, longest_step) if end_stops else None
         simulated = self._stops.machine if self._stops else machine

@@ -18,7 +18,7 @@ from ..dynamics.codegen.blocks import write_block
 from ..dynamics.codegen.compiled import compiled
 from ..dynamics.codegen.lane_program import LaneProgram
 from ..dynamics.codegen.native_calls import call_at
-from ..machine import Sensor
+from ..machine import SENSOR_KINDS, Sensor
 from .batched_simulator import BatchedSimulator, block_ranges
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
@@ -102,7 +102,7 @@ class ObservationBuilder:
             nominal = np.tile(sampler.space.nominal, (count, 1))
             self._sensors.begin(np.arange(count), np.zeros(count, np.uint64), nominal)
             position = PositionFromSensors.of(machine, sensors)
-            self._measurement_program = _measurement_program(position, len(sensors), len(machine.tool_axes))
+            self._measurement_program = _measurement_program(position, sensors, len(machine.tool_axes))
             goal_box = workspace_of(machine) + np.array([-MARGIN, MARGIN])
             bounds = np.concatenate([np.stack(bounds_of(self.entries)).ravel(), goal_box.T.ravel()])
             self._bounds = np.repeat(bounds[:, None], LANES, axis=1)
@@ -238,24 +238,30 @@ class ObservationBuilder:
         self._observe(first, last, self._tool, tool, tool)
 
 
-def _measurement_program(position: PositionFromSensors, sensors: int, axes: int) -> LaneProgram:
+def _measurement_program(position: PositionFromSensors, sensors: Sequence[Sensor], axes: int) -> LaneProgram:
     """Compile the function that computes an observation from measurements, for n sensors.
 
-    The position along an axis is the measurement itself where that is strictly inside its range, else what the other
-    sensors give on unstretched belts. All are limited to the rows of `bounds`: lower and upper bounds of the
-    measurements and their rates, then of the axes.
+    The observation holds the measurements, then the rates of those that are positions. The position along an axis is
+    the measurement itself where that is strictly inside its range, else what the other sensors give on unstretched
+    belts. All are limited to the rows of `bounds`: lower and upper bounds of the measurements and their rates, then of
+    the axes.
     """
-    n = sensors
+    n = len(sensors)
+    rated = [j for j, sensor in enumerate(sensors) if sensor.of_position]
+    size = n + len(rated)
     lines = []
 
     def limit(row: int, bound: int, count: int, value: str) -> str:
         return f"store(values, {row}, minimum(maximum({value}, load(bounds, {bound})), load(bounds, {bound + count})))"
 
     for j in range(n):
-        lines += [
-            limit(j, j, 2 * n, f"load(now, {j})"),
-            limit(n + j, n + j, 2 * n, f"(load(now, {j}) - load(before, {j})) / period"),
-        ]
+        lines.append(limit(j, j, size, f"load(now, {j})"))
+    for k, j in enumerate(rated, start=n):
+        change = f"(load(now, {j}) - load(before, {j}))"
+        turn = SENSOR_KINDS.get(sensors[j].kind).turn
+        if turn is not None:  # the shorter way between two angles
+            change = f"({change} - {turn!r} * rint({change} / {turn!r}))"
+        lines.append(limit(k, k, size, f"{change} / period"))
     for axis in range(axes):
         terms = [f"{float(position.belts[axis, j])!r} * load(now, {j})" for j in range(n)]
         value = " + ".join(["0.0", *terms])
@@ -264,7 +270,7 @@ def _measurement_program(position: PositionFromSensors, sensors: int, axes: int)
             measured = f"{float(position.scale[axis])!r} * load(now, {j})"
             inside = f"(load(low, {j}) < load(now, {j})) & (load(now, {j}) < load(high, {j}))"
             value = f"where({inside}, {measured}, {value})" if position.belts[axis].any() else measured
-        lines.append(limit(2 * n + axis, 4 * n + axis, axes, value))
+        lines.append(limit(size + axis, 2 * size + axis, axes, value))
     head = "def observe(now, before, low, high, bounds, period: float, values):"
     return LaneProgram("\n    ".join([head, *lines]) + "\n", ("observe",))
 
@@ -282,18 +288,18 @@ def _write_measurements(
     out: Any,
     achieved: Any,
 ) -> None:
-    """Write observations out (B, 2 n) and positions achieved (B, axes) of blocks first..last-1 from measurements.
+    """Write observations out (B, size) and positions achieved (B, axes) of blocks first..last-1 from measurements.
 
     program: address of the function of `_measurement_program`; history (2, blocks, n, LANES): last measurements and
-    those before; range_low, range_high (blocks, n, LANES): ends of the ranges; bounds (4 n + 2 axes, LANES).
+    those before; range_low, range_high (blocks, n, LANES): ends of the ranges; bounds (2 size + 2 axes, LANES).
     """
-    n, axes = history.shape[2], achieved.shape[1]
-    values = np.empty((2 * n + axes, LANES))
+    size, axes = out.shape[1], achieved.shape[1]
+    values = np.empty((size + axes, LANES))
     for block in range(first, last):
         now, before = history[0, block], history[1, block]
         call_at(program, now, before, range_low[block], range_high[block], bounds, period, values)
-        write_block(values, block * LANES, 2 * n, out)
-        write_block(values[2 * n :], block * LANES, axes, achieved)
+        write_block(values, block * LANES, size, out)
+        write_block(values[size:], block * LANES, axes, achieved)
 
 
 @compiled

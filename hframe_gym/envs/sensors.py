@@ -19,7 +19,7 @@ from typing_extensions import override
 from ..arrays import Array, Index
 from ..effects import EFFECTS
 from ..errors import InputError, is_number
-from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
+from ..machine import SENSOR_KINDS, Machine, Sensor, observed_coordinates, rest_positions_per_axis
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class DeclaredSensors(SensorSuite):
         """Select all sensors, ordered by coordinate: the tool's axes, the driven coordinates, then all other ones."""
         first = observed_coordinates(machine)
         order = [*first, *(c for c in machine.coordinate_names if c not in first)]
-        return tuple(sorted(machine.sensors, key=lambda sensor: order.index(sensor.coordinate)))
+        return tuple(sorted(machine.sensors, key=lambda s: order.index(machine.coordinate_of_sensor(s))))
 
 
 SensorsLike: TypeAlias = Literal["state", "rig", "machine"] | SensorSuite
@@ -202,8 +202,8 @@ def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
 
 
 def _sensor_of(machine: Machine, coordinate: str) -> str:
-    """Return the channel of the first sensor of a coordinate, or "" if there is none."""
-    return next((s.channel for s in machine.sensors if s.coordinate == coordinate), "")
+    """Return the channel of the first sensor of a coordinate's position, or "" if there is none."""
+    return next((s.channel for s in machine.sensors if s.of_position and s.coordinate == coordinate), "")
 
 
 def _with_sensor(machine: Machine, coordinate: str, **fields: Any) -> Machine:
@@ -255,13 +255,15 @@ class PositionFromSensors:
             InputError: If the sensors do not determine every axis.
         """
         axes = machine.tool_axes
+        # Where an angle begins anew after each turn, it does not tell the position of the tool.
+        usable = [s.of_position and SENSOR_KINDS.get(s.kind).turn is None for s in sensors]
         direct, scale = np.full(len(axes), -1, np.intp), np.ones(len(axes))
         for axis, name in enumerate(axes):
             for j, sensor in enumerate(sensors):
-                if sensor.coordinate == name and direct[axis] < 0:
+                if usable[j] and sensor.coordinate == name and direct[axis] < 0:
                     direct[axis], scale[axis] = j, 1.0 / sensor.row[name]
         belts = np.zeros((len(axes), len(sensors)))
-        others = [j for j, sensor in enumerate(sensors) if sensor.coordinate not in axes]
+        others = [j for j, sensor in enumerate(sensors) if usable[j] and sensor.coordinate not in axes]
         if others:
             rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
             # Measurements per meter of each axis, (others, axes).

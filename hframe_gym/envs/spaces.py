@@ -96,26 +96,50 @@ def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[fl
 
 
 def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalSpec, ...]:
-    """Specify the entries of an observation by sensors: measurements, then their rates of change.
+    """Specify the entries of an observation by sensors: measurements, then the rates of change of the positions.
 
     A rate is the difference of the last two measurements divided by the control period. An entry has the name of the
-    coordinate, or of the sensor's channel if several sensors measure the same coordinate.
+    coordinate, or of the sensor's channel if several sensors measure its position, or if it is not a position.
 
     Raises:
         InputError: If the machine has no tool axes, a tool axis without range, or not one drive per tool axis.
     """
-    coordinates = [sensor.coordinate for sensor in sensors]
+    coordinates = [machine.coordinate_of_sensor(sensor) for sensor in sensors]
+    located = [name for name, sensor in zip(coordinates, sensors, strict=True) if sensor.of_position]
     specs = state_signals(machine, coordinates)
     signals = []
     for spec, sensor in zip(specs, (*sensors, *sensors), strict=True):
+        if not sensor.of_position:
+            if not spec.velocity:
+                signals.append(_other_signal(machine, sensor))
+            continue
         factor = sensor.row[sensor.coordinate]
         low, high = sorted((factor * spec.low, factor * spec.high))
         name = spec.name
-        if coordinates.count(sensor.coordinate) > 1:
+        if located.count(sensor.coordinate) > 1:
             name = f"{sensor.channel} rate" if spec.velocity else sensor.channel
         bounds = low, high, factor * spec.center, abs(factor) * spec.scale
         signals.append(SignalSpec(name, spec.unit, spec.coordinate, spec.velocity, *bounds))
     return tuple(signals)
+
+
+def _other_signal(machine: Machine, sensor: Sensor) -> SignalSpec:
+    """Specify the measurement of a sensor of a speed, an acceleration or a current."""
+    name = machine.coordinate_of_sensor(sensor)
+    coordinate = machine.coordinate(name)
+    if sensor.quantity == "speed":
+        largest = state_signals(machine, [name])[1].scale
+    elif sensor.quantity == "acceleration":
+        force = sum(
+            abs(d.gain) * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit for d in machine.drives
+        )
+        largest = force * coordinate.travel_per_unit / coordinate.mass  # of all drives at the coordinate alone
+    else:
+        drive = machine.drive(sensor.coordinate)
+        largest = drive.rated_voltage / drive.resistance
+    largest *= abs(sensor.row[sensor.coordinate])
+    bound = SPEED_FACTOR * largest
+    return SignalSpec(sensor.channel, machine.sensor_unit(sensor), name, False, -bound, bound, 0.0, largest)
 
 
 def privileged_signals(machine: Machine, bounds: Mapping[str, tuple[float, float]]) -> tuple[SignalSpec, ...]:

@@ -213,7 +213,7 @@ def tool_product(machine: Machine, name: str) -> tuple[int, int]:
     Returns:
         Indices in `machine.coordinate_names`, -1 and -1 if no product is added.
     """
-    for sensor in machine.sensors:
+    for sensor in [sensor for sensor in machine.sensors if sensor.of_position]:
         for key, factor in sensor.row.items():
             if "*" in key and factor == sensor.row.get(name):
                 first, second = map(machine.coordinate_names.index, key.split("*"))

@@ -47,6 +47,12 @@ class FmuExporter(MachineExporter):
             )
         if not machine.tool_axes or not machine.sensors:
             raise InputError(f"machine {machine.name!r}: an FMU needs tool axes, whose start it sets, and sensors")
+        others = [sensor.channel for sensor in machine.sensors if not sensor.of_position]
+        if others:
+            raise InputError(
+                f"machine {machine.name!r}: the outputs of an FMU are positions; leave {', '.join(others)} out of a "
+                "copy of the machine"
+            )
         token = self.provenance(machine)["machine_sha256"]
         comment = "/*\n" + "".join(f" * {line}\n" for line in self.header(machine)) + " */\n"
         formulas = _formulas(machine)
@@ -74,7 +80,7 @@ class FmuExporter(MachineExporter):
             )
         outputs = []
         for j, sensor in enumerate(machine.sensors):
-            reference, unit = _FIRST_OUTPUT + j, machine.coordinate(sensor.coordinate).unit("position")
+            reference, unit = _FIRST_OUTPUT + j, machine.sensor_unit(sensor)
             variables.append(
                 f'<Float64 name={quoteattr(sensor.channel)} valueReference="{reference}" causality="output" '
                 f'unit="{unit}"/>'

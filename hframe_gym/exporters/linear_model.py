@@ -35,7 +35,7 @@ class LinearModel(NamedTuple):
         A: System matrix, shape (states, states): positions of all coordinates (m, rad), then velocities.
         B: Input matrix, shape (states, drives), per V.
         C: Output matrix, shape (sensors, states).
-        D: Feedthrough matrix, zero, shape (sensors, drives).
+        D: Feedthrough matrix, zero unless a sensor measures a current or an acceleration, shape (sensors, drives).
         bias: Constant part b of the derivative: accelerations by constant forces of effects, shape (states,).
         states: Names of the states.
         state_units: Their units.
@@ -87,7 +87,7 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     Returns:
         The model, in SI, with names and units; A has the shape (states, states).
     """
-    n, drives, sensors = len(machine.coordinates), len(machine.drives), len(machine.sensors)
+    n, drives = len(machine.coordinates), len(machine.drives)
     nominal = linearize(machine, position)
     kept = tuple(e for e in machine.effects if _linear(e))
     equations = Equations(_without_dry_friction(machine, kept))
@@ -105,6 +105,7 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     A[n:] += by_step[:, : 2 * n]
     B[n:] += by_step[:, 2 * n :]
     C += of_readings[:, : 2 * n]
+    D = nominal.D + of_readings[:, 2 * n :]
     units = [c.unit("position") for c in machine.coordinates]
     rates = [c.unit("speed") for c in machine.coordinates]
     delays = Equations(machine)
@@ -112,13 +113,13 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
         A,
         B,
         C,
-        np.zeros((sensors, drives)),
+        D,
         np.concatenate([np.zeros(n), added[-1]]),
         (*machine.coordinate_names, *(f"{name}_rate" for name in machine.coordinate_names)),
         (*units, *rates),
         machine.input_channels,
         machine.output_channels,
-        tuple(machine.coordinate(s.coordinate).unit("position") for s in machine.sensors),
+        tuple(map(machine.sensor_unit, machine.sensors)),
         np.array([float(d) for d in delays.voltage_delays()]),
         np.array([float(d) for d in delays.measurement_delays()]),
         tuple(e.label for e in machine.effects if not _linear(e)),
@@ -191,7 +192,10 @@ def _evaluated(equations: Equations, position: Array, points: Array, n: int) -> 
     point = equations.point(position + points[:, :n], points[:, n : 2 * n])
     accelerations = equations.accelerations(point, list(points[:, 2 * n :].T), np.zeros_like)
     in_units = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]
-    readings = equations.sensor_readings(list((position + points[:, :n]).T))
+    voltages = equations.motor_voltages(list(points[:, 2 * n :].T))
+    currents = [equations.current(j, point, voltage) for j, voltage in enumerate(voltages)]
+    positions, velocities = (position + points[:, :n]).T, points[:, n : 2 * n].T
+    readings = equations.sensor_readings(list(positions), list(velocities), in_units, currents)
     return tuple(  # type: ignore[return-value]
         np.array([np.broadcast_to(value, len(points)) for value in values]).reshape(-1, len(points)).T
         for values in (in_units, readings)

@@ -14,6 +14,7 @@ from .components import (
     Row,
     Sensor,
     SensorKind,
+    SensorQuantity,
     Uncertainty,
 )
 from .diagram import draw_machine
@@ -58,6 +59,7 @@ __all__ = [
     "Row",
     "Sensor",
     "SensorKind",
+    "SensorQuantity",
     "Simulator",
     "StageGeometry",
     "Trajectory",

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import inspect
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from functools import cache
+from typing import Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from ..arrays import Array
 from ..registry import Registry
 
 Row = Mapping[str, float]
 CoordinateKind = Literal["linear", "rotary"]
+SensorQuantity = Literal["position", "speed", "acceleration", "current"]
 
 # Units of the quantities of a coordinate, by its kind. An effect states the unit of a parameter by one of these keys,
 # because it is N at a carriage and Nm at a pulley, for example. Two keys need an explanation: "absolute position" is a
@@ -30,6 +35,7 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
         "stiffness": "N/m",
         "drag": "Ns^2/m^2",
         "rad/position": "rad/m",
+        "acceleration": "m/s^2",
     },
     "rotary": {
         "position": "rad",
@@ -41,6 +47,7 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
         "stiffness": "Nm/rad",
         "drag": "Nms^2",
         "rad/position": "1",
+        "acceleration": "rad/s^2",
     },
 }
 # Units of parameters that are the same for linear and rotary coordinates.
@@ -56,6 +63,7 @@ FIXED_UNITS = {
     "converter_bits": "1",
     "voltage_range": "V",
     "voltage": "V",
+    "current": "A",
 }
 
 
@@ -191,16 +199,47 @@ class Drive:
 
 
 class SensorKind:
-    """Base class of sensor kinds, such as encoders: how an ideal reading (without noise and rounding) is measured.
+    """Base class of sensor kinds, such as encoders: what a sensor measures, as a formula of the motion.
 
     A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
+    Simulation, linearization, state estimation, environments, identification and checks all read the formula `signal`.
 
     Attributes:
         incremental: Whether the sensor counts increments from its position at power-on. Its zero is then unknown, and
             elastic belts may lie between it and the tool.
+        has_offset: Whether the measurements have an unknown constant offset, as those of an accelerometer do, which
+            also feels gravity. Comparisons with a simulation then ignore the mean of the difference.
+        turn: Size of the range after which the measurement begins anew, in the channel's unit; None if it does not.
     """
 
     incremental: ClassVar[bool] = False
+    has_offset: ClassVar[bool] = False
+    turn: ClassVar[float | None] = None
+
+    @staticmethod
+    def signal(position: Any) -> Any:
+        """Compute the ideal measurement (without noise and rounding) from the quantity that the sensor responds to.
+
+        The name of the argument selects the quantity: "position", "speed" or "acceleration" is the sum of the sensor's
+        coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second squared); "current"
+        is the sum of coefficients times the currents of the drives, A. A formula uses the operators + - * / and abs.
+
+        Args:
+            position: The quantity: float, array of any shape or symbolic expression.
+
+        Returns:
+            Ideal measurement in the unit of the quantity, of the same shape.
+        """
+        return position
+
+    @classmethod
+    def quantity(cls) -> SensorQuantity:
+        """Return the quantity to which sensors of this kind respond, the name of the argument of `signal`.
+
+        Raises:
+            ValueError: If the argument has another name than one of the quantities.
+        """
+        return _quantity_of(cls.signal)
 
     @staticmethod
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
@@ -218,6 +257,16 @@ class SensorKind:
         return np.where(quantum > 0.0, np.rint(value / np.where(quantum > 0.0, quantum, 1.0)) * quantum, value)
 
 
+@cache
+def _quantity_of(signal: Callable[[Any], Any]) -> SensorQuantity:
+    """Return the quantity that a formula of a sensor kind takes."""
+    names = list(inspect.signature(signal).parameters)
+    quantities = get_args(SensorQuantity)
+    if len(names) != 1 or names[0] not in quantities:
+        raise ValueError(f"{signal.__qualname__}: has the arguments {names}; it must have one of {quantities}")
+    return cast(SensorQuantity, names[0])
+
+
 SENSOR_KINDS: Registry[type[SensorKind]] = Registry("sensor kind")
 
 
@@ -233,16 +282,77 @@ class Laser(SensorKind):
     """A laser distance sensor; it measures the absolute position, so its zero is known."""
 
 
+@SENSOR_KINDS.register("speed")
+class SpeedSensor(SensorKind):
+    """A tachometer, or a drive or counter that reports a speed, in m/s or rad/s."""
+
+    @staticmethod
+    @override
+    def signal(speed: Any) -> Any:
+        return speed
+
+
+@SENSOR_KINDS.register("unsigned-speed")
+class UnsignedSpeedSensor(SensorKind):
+    """A pulse counter without direction: it reports the absolute value of the speed, in m/s or rad/s."""
+
+    @staticmethod
+    @override
+    def signal(speed: Any) -> Any:
+        return abs(speed)
+
+
+@SENSOR_KINDS.register("acceleration")
+class AccelerationSensor(SensorKind):
+    """An accelerometer on a carriage, such as an ADXL345, in m/s^2 or rad/s^2; its offset and gravity are unknown.
+
+    It measures the acceleration just before the sample, under the voltages that have acted until then.
+    """
+
+    has_offset = True
+
+    @staticmethod
+    @override
+    def signal(acceleration: Any) -> Any:
+        return acceleration
+
+
+@SENSOR_KINDS.register("current")
+class CurrentSensor(SensorKind):
+    """The measured current of a drive, A, just before the sample, under the voltages that have acted until then."""
+
+    @staticmethod
+    @override
+    def signal(current: Any) -> Any:
+        return current
+
+
+@SENSOR_KINDS.register("absolute-angle")
+class AbsoluteAngle(SensorKind):
+    """An absolute encoder of one turn: the angle, whose zero is known, begins anew at 0 after 2 pi rad."""
+
+    turn = 2.0 * math.pi
+
+    @staticmethod
+    @override
+    def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
+        return np.mod(SensorKind.measure(reading, noise, resolution, normal), 2.0 * math.pi)
+
+
 @dataclass(frozen=True)
 class Sensor:
-    """One measured channel; its ideal reading is sum(row[c] * q[c]) over the positions q (m or rad).
+    """One measured channel, which responds to the sum of row[c] * q[c] over the positions q, or to another quantity.
+
+    The kind of the sensor states the quantity: position, speed, acceleration, or current of the drives.
 
     Attributes:
         channel: Column of the recordings that holds the measurement, for example x_m or phi1_rad.
-        row: Coefficient c of each coordinate, by name. A key may be a product: "y*yaw" adds c * y * yaw to the reading.
+        row: Coefficient of each coordinate (of each drive for a current), by name. A key may be a product of two
+            coordinates: "y*yaw" adds the coefficient times y * yaw to the position.
         noise: Standard deviation of the noise, in the channel's unit.
         resolution: Quantization step, in the channel's unit; 0 for a continuous sensor.
-        kind: Name in `SENSOR_KINDS`: "encoder" (incremental), "laser" (fixed zero) or a kind that a user registered.
+        kind: Name in `SENSOR_KINDS`: "encoder" (incremental position), "laser" (position with a fixed zero), "speed",
+            ..., or a kind that a user registered.
         zero: Measurement of an incremental sensor at position 0, in the channel's unit, if it was the same in all
             recordings from which the machine was identified. None: unknown.
         zero_std: Standard deviation of `zero` from recording to recording, in the channel's unit. Belts that friction
@@ -261,6 +371,21 @@ class Sensor:
     def incremental(self) -> bool:
         """Whether the sensor counts increments from its position at power-on; its reading at position 0 is unknown."""
         return SENSOR_KINDS.get(self.kind).incremental
+
+    @property
+    def quantity(self) -> SensorQuantity:
+        """Quantity to which the sensor responds: "position", "speed", "acceleration" or "current"."""
+        return SENSOR_KINDS.get(self.kind).quantity()
+
+    @property
+    def of_position(self) -> bool:
+        """Whether the sensor measures positions."""
+        return self.quantity == "position"
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the sensor measures positions from a fixed, known zero."""
+        return self.of_position and not self.incremental
 
     @property
     def coordinate(self) -> str:

@@ -13,10 +13,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array
-from .components import FIXED_UNITS, UNITS, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
+from .components import FIXED_UNITS, SENSOR_KINDS, UNITS, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
 from .effect import AppliedEffect, SiteKind
 from .motion import SIMULATORS, Trajectory
 
@@ -70,7 +70,7 @@ class Machine:
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
             tuple((d.name, d.coordinate) for d in self.drives),
-            tuple((s.channel, tuple(s.row.items())) for s in self.sensors),
+            tuple((s.channel, SENSOR_KINDS.get(s.kind).signal, tuple(s.row.items())) for s in self.sensors),
             tuple((e.definition, e.site) for e in self.effects),
             tuple(self.ties.items()),
         )
@@ -110,8 +110,37 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Readings per unit of each coordinate, without products of coordinates, SI, shape (sensors, coordinates)."""
-        return np.array([self.coefficients(s.row) for s in self.sensors])
+        """Readings per unit of each coordinate, without products of coordinates, SI, shape (sensors, coordinates).
+
+        The rows of sensors that do not measure positions are zero.
+        """
+        nothing = np.zeros(len(self.coordinates))
+        return np.array([self.coefficients(s.row) if s.of_position else nothing for s in self.sensors])
+
+    @cached_property
+    def position_sensors(self) -> NDArray[np.bool_]:
+        """Whether each sensor measures positions, shape (sensors,)."""
+        return np.array([s.of_position for s in self.sensors], np.bool_)
+
+    def sensor_unit(self, sensor: Sensor) -> str:
+        """Return the unit of a sensor's measurements: that of its quantity at the coordinate which it mainly measures.
+
+        Args:
+            sensor: Sensor of this machine.
+
+        Returns:
+            The unit, for example "m", "rad/s" or "A".
+        """
+        quantity = sensor.quantity
+        return FIXED_UNITS.get(quantity) or self.coordinate(sensor.coordinate).unit(quantity)
+
+    def coordinate_of_sensor(self, sensor: Sensor) -> str:
+        """Return the name of the coordinate that a sensor mainly measures, or that the drive of its current moves.
+
+        Args:
+            sensor: Sensor of this machine.
+        """
+        return self.drive(sensor.coordinate).coordinate if sensor.quantity == "current" else sensor.coordinate
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
         """Return the coordinate on which an effect acts: its site, what the drive moves or the sensor measures.
@@ -121,7 +150,7 @@ class Machine:
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},
-            "sensor": {s.channel: s.coordinate for s in self.sensors},
+            "sensor": {s.channel: self.coordinate_of_sensor(s) for s in self.sensors},
         }
         if kind in ("motor", "drive", "drives"):
             return {d.name: d.coordinate for d in self.drives}.get(site)
@@ -167,7 +196,7 @@ class Machine:
     def device_parameters(self) -> dict[str, float]:
         """Parameters of sensors and drives that do not enter the equations of motion, by full name.
 
-        They can be randomized: `x_m.noise` and `x_m.resolution` (m or rad) of every sensor; `motor1.converter_bits`
+        They can be randomized: `x_m.noise` and `x_m.resolution` (in its unit) of every sensor; `motor1.converter_bits`
         (number of bits) and `motor1.voltage_range` (V, by default the rated voltage) of every drive.
         """
         owners = [(s.channel, s.device_parameters) for s in self.sensors]
@@ -184,7 +213,7 @@ class Machine:
         if effect := {e.label: e for e in self.effects}.get(owner):
             return self.effect_unit(effect, key)
         if owner in self.output_channels and key in self.sensor(owner).device_parameters:
-            return self.coordinate(self.sensor(owner).coordinate).unit("position")
+            return self.sensor_unit(self.sensor(owner))
         if owner in self.coordinate_names:
             return self.coordinate(owner).unit(key)
         belts = [] if key == "gear_ratio" else [b.name for b in self.belts]
@@ -203,6 +232,8 @@ class Machine:
             KeyError: If the effect has no such parameter.
         """
         unit = effect.definition.parameter(parameter).unit
+        if effect.definition.site == "sensor" and unit == "position" and effect.site in self.output_channels:
+            return self.sensor_unit(self.sensor(effect.site))
         coordinate = self.coordinate_of_site(effect.site, effect.definition.site)
         return (FIXED_UNITS | (UNITS[self.coordinate(coordinate).kind] if coordinate else {})).get(unit, unit)
 

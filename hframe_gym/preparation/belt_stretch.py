@@ -113,7 +113,7 @@ def max_held_angle(machine: Machine) -> Array:
     """
     friction = sum(c.coulomb / c.travel_per_unit for c in machine.coordinates)  # N, as a force at the belt
     stiffness = float(np.mean([b.EA / b.rest_length for b in machine.belts]))  # N/m
-    coordinates = [machine.coordinate(s.coordinate) for s in machine.sensors]
+    coordinates = [machine.coordinate(machine.coordinate_of_sensor(s)) for s in machine.sensors]
     return np.array([2 * friction / stiffness / c.radius if c.kind == "rotary" else 0.0 for c in coordinates])
 
 
@@ -166,7 +166,7 @@ def _pulley_stiffness(machine: Machine) -> dict[str, float]:
     if not machine.belts:
         return {}
     matrix = stiffness_matrix(machine)
-    measured = {s.coordinate for s in machine.sensors}
+    measured = {s.coordinate for s in machine.sensors if s.of_position}
     pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
     stretching = [i for i in pulleys if matrix[i, i] > 0.0]
     idlers = [i for i in stretching if machine.coordinates[i].name not in measured]

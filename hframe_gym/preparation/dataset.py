@@ -30,7 +30,7 @@ from .encoder_zeros import EncoderZeros, common_encoder_zeros
 from .initial_rest import without_moving_start
 from .initial_state import measured_initial_state, model_initial_states
 from .input_noise import without_input_noise
-from .rest_measurement import InitialState, behind_belts, estimate_initial_state
+from .rest_measurement import InitialState, estimate_initial_state, free_zeros, has_zero
 from .sensor_properties import (
     clock_jitter,
     difference_noise,
@@ -140,9 +140,12 @@ class Dataset:
         runs: The recordings.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         quantum: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
-        behind_belts: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
+        behind_belts: True for sensors whose zero the rows at rest do not determine: encoders on pulleys, which elastic
+            belts separate from the tool, and sensors with an offset, shape (sensors,).
         zeros: Zeros of the encoders that have the same one in all runs, because they stayed on. None: unknown.
         jitter: Standard deviation of the sampling times, s, which the noise of the runs includes; 0 if none is found.
+        has_zero: False for sensors without a zero that a comparison may adapt, such as those of speeds and currents,
+            shape (sensors,). None: all have one.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -151,6 +154,7 @@ class Dataset:
     behind_belts: NDArray[np.bool_]
     zeros: EncoderZeros | None = None
     jitter: float = 0.0
+    has_zero: NDArray[np.bool_] | None = None
 
     @property
     def count(self) -> float:
@@ -294,7 +298,7 @@ def clean_recording(recording: Recording, machine: Machine, log: Callable[[str],
         Copy whose measurements, m or rad, shape (n, sensors), are NaN where they were removed.
     """
     for channel, wrap in wraps_of(recording, machine).items():
-        unit = machine.coordinate(machine.sensor(channel).coordinate).unit("position")
+        unit = machine.sensor_unit(machine.sensor(channel))
         log(f"{recording.name}: {channel} {wrap.describe(unit)}")
     recording = without_input_noise(without_wraps(recording, machine), machine, log)
     measured = without_repetitions(recording)
@@ -324,7 +328,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         (measurements at position 0), m or rad, shape (n, sensors). For all runs: noise and quantization step of each
         sensor, m or rad, shape (sensors,), and the zeros of the encoders that have the same one in all runs.
     """
-    filled = [fill_gaps(recording) for recording in recordings]
+    filled = [without_unknown_voltage(fill_gaps(recording), machine) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in filled] for j in range(len(machine.sensors))]
     quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
     # Each run is estimated alone, which shows the encoders with the same zero in all runs, then again with these zeros.
@@ -352,7 +356,25 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
         )
         for recorded, run, state in zip(recordings, filled, initial, strict=True)
     )
-    return Dataset(runs, noise, quanta, behind_belts(machine), zeros, jitter)
+    return Dataset(runs, noise, quanta, free_zeros(machine), zeros, jitter, has_zero(machine))
+
+
+def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording:
+    """Copy a recording, with NaN for the first accelerations and currents: the voltage before that row is not known.
+
+    Args:
+        recording: Run (times, s; voltages, V; measurements in the units of the channels).
+        machine: Machine with its sensors.
+
+    Returns:
+        Copy with measurements of shape (n, sensors); the same object if no sensor measures such a quantity.
+    """
+    felt = np.array([s.quantity in ("acceleration", "current") for s in machine.sensors], np.bool_)
+    if not felt.any():
+        return recording
+    outputs = recording.outputs.copy()
+    outputs[0, felt] = np.nan
+    return dataclasses.replace(recording, outputs=outputs)
 
 
 def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Array) -> float:
@@ -362,6 +384,7 @@ def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Arr
     """
     channels = {j: [r.outputs[:, j] for r in recordings] for j in range(len(machine.sensors))}
     measured = [j for j, channel in channels.items() if any(np.isfinite(values).any() for values in channel)]
+    measured = [j for j in measured if machine.sensors[j].of_position]
     encoders = [j for j in measured if machine.sensors[j].incremental]
     times = [r.time_s for r in recordings]
     return min((clock_jitter(times, channels[j], noise[j]) for j in encoders or measured), default=0.0)

@@ -133,7 +133,7 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     kept = deviation <= limit + _MAX_SCATTER * spread
     of_kept = np.sqrt(np.mean(deviation**2, axis=0, where=kept))
     for j, sensor in enumerate(machine.sensors):
-        rotary = machine.coordinate(sensor.coordinate).kind == "rotary"
+        rotary = machine.coordinate(machine.coordinate_of_sensor(sensor)).kind == "rotary"
         if sensor.incremental and rotary and spread[j] < limit[j]:
             zeros.values[j] = median[j]
             scatter = max(spread[j], of_kept[j])

@@ -277,9 +277,14 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array, posit
     noise = np.array([measurement_noise(y, y, s) for y, s in zip(recording.outputs.T, machine.sensors, strict=True)])
     speeds = vibration_speeds(machine)
     vibration = np.array([speeds.get(s.coordinate, 0.0) for s in machine.sensors])
-    sensor_of_motion = machine.sensor_matrix @ rigid
+    of_speed = np.array([s.kind == "speed" for s in machine.sensors])
+    rows = [
+        machine.coefficients(s.row) if s.of_position or s.kind == "speed" else 0.0 * rigid[:, 0]
+        for s in machine.sensors
+    ]
+    sensor_of_motion = np.array(rows) @ rigid
     counts = sorted({_rows_within(recording, seconds) for seconds in _FITTED_S})
-    fits = [_fit_velocity(recording, rows, sensor_of_motion, noise, vibration) for rows in counts]
+    fits = [_fit_velocity(recording, rows, sensor_of_motion, noise, vibration, of_speed) for rows in counts]
     significant = [fit for fit in fits if fit is not None]
     if not significant:
         return at_rest
@@ -304,7 +309,12 @@ def _rows_within(recording: Recording, seconds: float) -> int:
 
 
 def _fit_velocity(
-    recording: Recording, rows: int, sensor_of_motion: Array, noise: Array, vibration: Array
+    recording: Recording,
+    rows: int,
+    sensor_of_motion: Array,
+    noise: Array,
+    vibration: Array,
+    of_speed: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
     """Return the velocities of the rigid motions at the first row and their covariance, from parabolas.
 
@@ -314,6 +324,7 @@ def _fit_velocity(
         sensor_of_motion: Measurement per unit of each rigid motion, shape (sensors, motions).
         noise: Standard deviation of each sensor, shape (sensors,).
         vibration: Speed of the vibration that each sensor measures in addition to the rigid motions, shape (sensors,).
+        of_speed: True for sensors of speeds, whose parabolas give the velocity by their value, shape (sensors,).
 
     Returns:
         Velocities (motions,) and covariance (motions, motions); None if they are not significant or not measured.
@@ -323,7 +334,7 @@ def _fit_velocity(
     for j, values in enumerate(recording.outputs[:rows].T):
         measured = np.flatnonzero(np.isfinite(values))
         if len(measured) >= _MIN_FITTED_ROWS // 2:
-            slope = np.linalg.pinv(np.vander(time_s[measured], 3, increasing=True))[1]
+            slope = np.linalg.pinv(np.vander(time_s[measured], 3, increasing=True))[0 if of_speed[j] else 1]
             slopes[j] = slope @ values[measured]
             deviations[j] = np.hypot(noise[j] * np.linalg.norm(slope), vibration[j])
     weighted = sensor_of_motion / deviations[:, None]
@@ -345,6 +356,7 @@ def _costs_of_starts(states: Array, recording: Recording, machine: Machine, nois
     readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False).readings
     measured = np.isfinite(recording.outputs[:rows])
     error = np.where(measured, recording.outputs[:rows] - readings, 0.0) / noise
-    error -= np.where(measured, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)
+    constant = measured & machine.position_sensors
+    error -= np.where(constant, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)
     cost = np.sum(error**2, axis=(1, 2))
     return np.where(np.isfinite(cost), cost, np.inf)

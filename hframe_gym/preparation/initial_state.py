@@ -85,7 +85,7 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
         quanta: Quanta of the sensors, m or rad, shape (sensors,).
     """
     moved = np.zeros(len(machine.sensors), np.bool_)
-    fixed = np.array([not s.incremental for s in machine.sensors])
+    fixed = np.array([s.fixed for s in machine.sensors])
     tolerance = zero_tolerance(machine, zeros, quanta)
     if not alone.position_known:
         # One laser cannot show which of several encoders it contradicts.
@@ -225,7 +225,7 @@ def _without_measurement_effects(machine: Machine, initial: InitialState, positi
     """Invert the effects on the measurements of lasers in positions (coordinates,), in place."""
     names = machine.coordinate_names
     for e in machine.effects:
-        if not e.definition.measurement or machine.sensor(e.site).incremental:
+        if not e.definition.measurement or not machine.sensor(e.site).fixed:
             continue
         sensor = machine.sensor(e.site)
         j = machine.output_channels.index(e.site)
@@ -271,6 +271,8 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
         for state in located
     ]
     for j, sensor in enumerate(machine.sensors):
+        if not sensor.of_position:
+            continue
         i = machine.coordinate_names.index(sensor.coordinate)
         # Measured minus predicted angle of the pulley in each run, rad.
         excess = [angles[i] - equilibrium[i] for angles, equilibrium in runs if i in angles]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics.physics.effect_instances import instances_with_state
-from ..machine import Machine
+from ..machine import SENSOR_KINDS, Machine
 from ..recordings import Recording
 from .belt_stretch import rigid_basis, stretch_angles
 from .encoder_zeros import EncoderZeros, zero_tolerance
@@ -154,8 +154,8 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
     measurement = np.array([np.nanmean(c) if finite else np.nan for c, finite in zip(at_rest.T, measured, strict=True)])
-    site = [machine.coordinate_names.index(s.coordinate) for s in machine.sensors]  # coordinate of each sensor
-    fixed, known = np.array([not s.incremental for s in machine.sensors]), zeros.known  # lasers; encoders with a zero
+    site = [machine.coordinate_names.index(machine.coordinate_of_sensor(s)) for s in machine.sensors]
+    fixed, known = np.array([s.fixed for s in machine.sensors]), zeros.known  # lasers; encoders with a zero
     rigid = rigid_basis(machine)  # (coordinates, motions that stretch no belt)
     seen = machine.sensor_matrix @ rigid  # measurement per unit of each such motion, (sensors, motions)
     lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()
@@ -177,7 +177,7 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     position = position_matrix @ np.nan_to_num(zeroed)
     for j in np.flatnonzero(known & measured & zeros.resolves_stretch):
         position[site[j]] = zeroed[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
-    estimated = np.where(measured, measurement - machine.sensor_matrix @ position, 0.0)
+    estimated = np.where(measured & machine.position_sensors, measurement - machine.sensor_matrix @ position, 0.0)
     return InitialState(
         np.concatenate([position, velocity.mean]),
         np.where(known, zeros.values, estimated),
@@ -205,9 +205,10 @@ def _position_matrix(machine: Machine, zeros: EncoderZeros, usable: NDArray[np.b
     """
     stretched = zeros.resolves_stretch | moving
     encoders = np.where(zeros.known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
-    weight = np.where([not s.incremental for s in machine.sensors], 1.0, encoders)
+    weight = np.where([s.fixed for s in machine.sensors], 1.0, encoders)
     # An angle is as accurate as a length once it is multiplied by the radius.
-    weight = np.where(usable, weight * [machine.coordinate(s.coordinate).travel_per_unit for s in machine.sensors], 0.0)
+    coordinates = [machine.coordinate(machine.coordinate_of_sensor(s)) for s in machine.sensors]
+    weight = np.where(usable & machine.position_sensors, weight * [c.travel_per_unit for c in coordinates], 0.0)
     rigid = rigid_basis(machine)
     return np.asarray(rigid @ np.linalg.pinv(weight[:, None] * (machine.sensor_matrix @ rigid), rcond=1e-12) * weight)
 
@@ -324,7 +325,7 @@ def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Arr
         for a run that begins in motion four times the stretch that the drives typically cause.
     """
     behind = behind_belts(machine)
-    limits = max_zero_means(np.zeros(len(behind), np.bool_), quanta)
+    limits = max_zero_means(free_zeros(machine) & ~behind, quanta)
     if not behind.any():
         return limits
     stretched = zero_tolerance(machine, EncoderZeros.of_machine(machine), quanta)
@@ -366,3 +367,16 @@ def behind_belts(machine: Machine) -> NDArray[np.bool_]:
     """
     pulleys = [s.incremental and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
     return np.array(pulleys) & bool(machine.belts)
+
+
+def free_zeros(machine: Machine) -> NDArray[np.bool_]:
+    """Return which sensors have a zero that the rows at rest do not determine, shape (sensors,).
+
+    They are encoders on pulleys behind belts, and sensors with an offset, such as accelerometers.
+    """
+    return behind_belts(machine) | np.array([SENSOR_KINDS.get(s.kind).has_offset for s in machine.sensors])
+
+
+def has_zero(machine: Machine) -> NDArray[np.bool_]:
+    """Return which sensors have a zero to estimate: those of positions, and those with an offset, shape (sensors,)."""
+    return machine.position_sensors | free_zeros(machine)

@@ -247,7 +247,7 @@ def saturation_ranges(
     ranges: dict[str, Range] = {}
     positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]
     for j, sensor in enumerate(machine.sensors):
-        if sensor.incremental:
+        if not sensor.fixed:
             continue
         i = machine.coordinate_names.index(sensor.coordinate)
         channel = [r.outputs[:, j] for r in recordings]

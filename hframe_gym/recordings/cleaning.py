@@ -217,13 +217,14 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
         machine: Machine that was recorded; declares noise and resolution. A coarser resolution in the run replaces it.
 
     Returns:
-        True where a measurement is an outlier, shape (n, sensors); False at empty cells and for a sensor with fewer
-        than 30 measurements.
+        True where a measurement is an outlier, shape (n, sensors); False at empty cells, for a sensor with fewer than
+        30 measurements, and for one that measures an acceleration or a current.
     """
     mask = np.zeros(recording.outputs.shape, np.bool_)
     for j, sensor in enumerate(machine.sensors):
         rows = np.flatnonzero(np.isfinite(recording.outputs[:, j]))
-        if len(rows) < _MIN_SAMPLES:
+        # A step of the voltage moves accelerations and currents at once, so that lines do not continue them.
+        if len(rows) < _MIN_SAMPLES or sensor.quantity not in ("position", "speed"):
             continue
         values = recording.outputs[rows, j]
         resolution = max(sensor.resolution, quantum_of(values))

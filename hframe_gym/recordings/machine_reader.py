@@ -160,14 +160,17 @@ class MachineReader:
         return values
 
     def _row(
-        self, field: str, row: dict[str, float], *, empty: bool = False, products: bool = False
+        self, field: str, row: dict[str, float], *, empty: bool = False, products: bool = False, of: str = "coordinate"
     ) -> dict[str, float]:
-        """Return a row of coefficients after checking that it names coordinates of the file."""
+        """Return a row of coefficients after checking that it names coordinates, or drives, of the file."""
+        names = list(self._kinds) if of == "coordinate" else [drive.name for drive in self.content.drives]
         for name in (factor for key in row for factor in (key.split("*") if products else (key,))):
-            if name not in self._kinds:
-                raise self._error(field, f"no coordinate is called {name!r}; there are {', '.join(self._kinds)}")
+            if name not in names:
+                raise self._error(field, f"no {of} is called {name!r}; there are {', '.join(names)}")
+        if products and any(key.count("*") > 1 for key in row):
+            raise self._error(field, "a product has two factors at most")
         if not empty and not any(value for key, value in row.items() if "*" not in key):
-            raise self._error(field, "needs a coefficient other than zero for at least one coordinate")
+            raise self._error(field, f"needs a coefficient other than zero for at least one {of}")
         return row
 
     def _coordinate(self, entry: CoordinateEntry) -> Coordinate:
@@ -205,16 +208,24 @@ class MachineReader:
         """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
         self._check_text("sensors.channel", entry.channel, column=True)
         field = f"sensors.{entry.channel}"
-        row = self._row(f"{field}.row", entry.row, products=True)
-        coordinate_kind = self._kinds[Sensor(entry.channel, row).coordinate]
-        kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
-        if kind not in SENSOR_KINDS:  # `SENSOR_KINDS.get` would import the module of a name such as "module:kind"
+        # `SENSOR_KINDS.get` would import the module of a name such as "module:kind".
+        if entry.kind is not None and entry.kind not in SENSOR_KINDS:
             choices = ", ".join(SENSOR_KINDS)
-            raise self._error(f"{field}.kind", f"sensor kind {kind!r} is not registered; choose one of {choices}")
+            raise self._error(f"{field}.kind", f"sensor kind {entry.kind!r} is not registered; choose one of {choices}")
+        quantity = SENSOR_KINDS.get(entry.kind or "laser").quantity()
+        if quantity == "current":
+            self._row(f"{field}.row", entry.row, of="drive")
+            unit, kind = FIXED_UNITS[quantity], entry.kind or "current"
+        else:
+            row = self._row(f"{field}.row", entry.row, products=True)
+            coordinate_kind = self._kinds[Sensor(entry.channel, row).coordinate]
+            kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
+            unit = UNITS[coordinate_kind][quantity]
         if entry.range is not None and not entry.range[0] < entry.range[1]:
             raise self._error(f"{field}.range", "must be [lowest, highest]")
-        unit = UNITS[coordinate_kind]["position"]
         values = self._values(field, entry, {"noise": unit, "resolution": unit})
+        if entry.zero is not None and quantity != "position":
+            raise self._error(f"{field}.zero", "only a sensor of positions has a zero")
         if entry.zero is None:
             return Sensor(entry.channel, entry.row, kind=kind, **values)
         if entry.zero.unit != unit:
@@ -251,7 +262,7 @@ class MachineReader:
             raise self._error(field, f"no such effect; there are {', '.join(EFFECTS)}") from None
         sites = effect_sites(definition, machine)
         # A file may declare sites that no search tries, and already has the components that a structural effect adds.
-        if definition.structure or definition.site in ("drive", "drives"):
+        if definition.structure or definition.site in ("drive", "drives", "sensor"):
             sites = definition.possible_sites(machine)
         if entry.site not in sites:
             raise self._error(field, f"site {entry.site!r} is none of {', '.join(sites) or 'this machine'}")
@@ -309,7 +320,7 @@ def implausible_values(machine: Machine) -> list[tuple[str, str]]:
     for sensor in machine.sensors:
         ending = next((ending for ending in _OTHER_UNITS if sensor.channel.endswith(ending)), None)
         unit = machine.unit(f"{sensor.channel}.noise")
-        if ending is not None:
+        if ending is not None and sensor.of_position:
             advice = f"call the column {sensor.channel.removesuffix(ending)}_{unit} and convert its values"
             doubts.append((f"sensors.{sensor.channel}", f"measurements are in {unit}, not in {ending[1:]}: {advice}"))
     return doubts

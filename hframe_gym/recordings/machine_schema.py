@@ -7,19 +7,22 @@ from __future__ import annotations
 
 import inspect
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from ..machine import FIXED_UNITS, UNITS, CoordinateKind
+from ..machine import FIXED_UNITS, UNITS, CoordinateKind, SensorQuantity
 
 SCHEMA_VERSION = 1
+QUANTITIES: tuple[SensorQuantity, ...] = get_args(SensorQuantity)
 _MAX_PARTS = 100  # coordinates, belts, ...; the time to compile the equations grows with their number
 # Quantities that may be zero; the zero of an encoder may also be negative, and all others are positive.
 MAY_BE_ZERO = ("viscous", "coulomb", "Ke", "noise", "resolution")
 MAY_BE_NEGATIVE = ("zero",)
 # Quantities of the kind of a coordinate under another name than in `UNITS`, and units of effects that a field declares.
-_QUANTITIES = {"coulomb": "force", "noise": "position", "resolution": "position", "zero": "position"}
+_QUANTITIES = {"coulomb": "force", "zero": "position"}
+# Quantities in the unit of a sensor, which depends on its kind.
+_OF_SENSOR = ("noise", "resolution")
 _DECLARED_EFFECT_UNITS = {"current_limit": "A", "delay": "s"}
 
 
@@ -31,13 +34,17 @@ def field_units(field: str) -> tuple[str, ...]:
 
     Returns:
         Accepted units. Where there are two, the first is for linear coordinates and the second for rotary ones. A gear
-        ratio at a linear coordinate may also have the unit "1".
+        ratio at a linear coordinate may also have the unit "1". Noise and resolution of a sensor have the unit of what
+        it measures.
 
     Raises:
         KeyError: If no field of this name holds a quantity.
     """
     if field == "gear_ratio":
         return tuple(UNITS[kind]["rad/position"] for kind in UNITS)
+    if field in _OF_SENSOR:
+        units = [FIXED_UNITS.get(quantity) or UNITS[kind][quantity] for quantity in QUANTITIES for kind in UNITS]
+        return tuple(dict.fromkeys(units))
     if field in FIXED_UNITS or field in _DECLARED_EFFECT_UNITS:
         return ((FIXED_UNITS | _DECLARED_EFFECT_UNITS)[field],)
     return tuple(UNITS[kind][_QUANTITIES.get(field, field)] for kind in UNITS)
@@ -167,20 +174,23 @@ class DriveEntry(Table):
 
 
 class SensorEntry(Table):
-    """One sensor, whose measurement is the sum of coefficients times coordinates.
+    """One sensor, which measures the sum of coefficients times positions, speeds, accelerations or currents.
 
-    Its unit is m or rad, that of the coordinate with the largest coefficient.
+    Its unit is that of the quantity at the coordinate with the largest coefficient.
 
     Attributes:
-        channel: Column of its measurements in recordings; the name ends in the unit, _m or _rad.
-        kind: "encoder" (incremental, unknown zero), "laser" (fixed zero: any absolute sensor) or a registered kind.
-            Default: encoder on a rotary coordinate, laser on a linear one.
-        row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two, such as "y*yaw".
-        noise: Standard deviation of the noise, m or rad; 0 if it is below the resolution.
-        resolution: Quantization step, m or rad; 0 for a continuous sensor. An encoder on the motor shaft that is read
-            in quadrature has 2 pi / (4 * lines * gear_ratio).
-        range: Lowest and highest measurement [low, high], m or rad (declares the effect sensor_range). Default:
-            unlimited.
+        channel: Column of its measurements in recordings; the name ends in the unit, for example _m, _rad, _m_s,
+            _rad_s, _m_s2 or _A.
+        kind: "encoder" (incremental position, unknown zero), "laser" (fixed zero: any absolute position),
+            "absolute-angle" (one turn, then anew), "speed", "unsigned-speed" (its absolute value), "acceleration",
+            "current" (of a drive) or a registered kind. Default: encoder on a rotary coordinate, laser on a linear one.
+        row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two, such as "y*yaw". For the
+            kind "current", by name of a drive.
+        noise: Standard deviation of the noise; 0 if it is below the resolution.
+        resolution: Quantization step; 0 for a continuous sensor. An encoder on the motor shaft that is read in
+            quadrature has 2 pi / (4 * lines * gear_ratio).
+        range: Lowest and highest measurement [low, high], in the sensor's unit (declares the effect sensor_range).
+            Default: unlimited.
         delay: Delay of the measurement, s (declares the effect sensor_delay). Default: no delay.
         zero: Measurement of an encoder at position 0, if it was (nearly) the same in all runs from which the machine
             was identified. `std`, if given, is its standard deviation from run to run, caused by belts that friction

@@ -323,6 +323,8 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
 def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
     """Refuse channels in millimeters or degrees, by their size, their span and the ratios that the belts impose."""
     for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
+        if not sensor.of_position:
+            continue
         for ending, (largest, suspect) in _LARGEST.items():
             if sensor.channel.endswith(ending):
                 implausible = np.abs(np.nan_to_num(values)) > largest
@@ -345,7 +347,8 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
         ("linear", 1 / ratio if ratio else np.inf, _MILLIMETERS, "mm"),
     ):
         if limits[0] < factor < limits[1]:
-            channels = tuple(s.channel for s in machine.sensors if machine.coordinate(s.coordinate).kind == kind)
+            positions = [s for s in machine.sensors if s.of_position]
+            channels = tuple(s.channel for s in positions if machine.coordinate(s.coordinate).kind == kind)
             problem = f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow"
             raise WrongUnitError(problem, channels, suspect)
 
@@ -363,7 +366,7 @@ def _pulley_travel_ratio(recording: Recording, machine: Machine) -> float | None
 
     The expected travel follows from the measured motion of the carriage and unstretched belts.
     """
-    column_of = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1}
+    column_of = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1 and s.of_position}
     expected, measured = 0.0, 0.0  # m, summed standard deviations
     for belt in machine.belts:
         rotary = [c for c in belt.extension if machine.coordinate(c).kind == "rotary"]

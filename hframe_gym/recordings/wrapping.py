@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine import Machine
+from ..machine import SENSOR_KINDS, Machine
 from .quantization import exact_quantum
 from .recording import Recording
 
@@ -151,6 +151,14 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
     """
     found = {}
     for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
+        turn = SENSOR_KINDS.get(sensor.kind).turn
+        if turn is not None:
+            jumps = int(np.count_nonzero(np.abs(np.diff(values[np.isfinite(values)])) > turn / 2))
+            if jumps:
+                found[sensor.channel] = Wrap(turn, "one turn", jumps)
+            continue
+        if not sensor.of_position:
+            continue
         angle = machine.coordinate(sensor.coordinate).kind == "rotary"
         wrap = find_wrap(values, known_moduli(exact_quantum(values, sensor.resolution), angle=angle))
         if wrap is not None:

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from scipy.optimize import brentq
 
-from tests.reference_simulator.equations import state_size
+from tests.reference_simulator.equations import derivative, state_size
 from tests.reference_simulator.integrator import advance
 from tests.reference_simulator.parameter_arrays import parameter_arrays
 from tests.reference_simulator.rig import Array, Rig
@@ -104,6 +104,22 @@ class Stage:
     def velocity(self) -> Array:
         """Return the rates of `position`, m/s and rad/s, shape (4,)."""
         return self._measure(self._n)
+
+    @property
+    def acceleration(self) -> Array:
+        """Return the accelerations of x, y, phi1, phi2 just before the next command, m/s^2 and rad/s^2, shape (4,)."""
+        dz, force, level = np.empty_like(self._z), np.empty(self._n), np.empty(self._n)
+        derivative(self.time_s, self._z, self._volts, self.mode, self._arrays, dz, force, level)
+        return dz[self._n : self._n + 4]
+
+    @property
+    def current(self) -> Array:
+        """Return the currents of motor 1 and 2 just before the next command, A, shape (2,)."""
+        rig, rates = self.rig, self._z[self._n + 2 : self._n + 4]
+        ohmic = (self._volts - rig.gear_ratio * np.array(rig.emf_constant) * rates) / np.array(rig.resistance_ohm)
+        lagged = self._z[2 * self._n : 2 * self._n + 2]
+        amps = np.where(np.array(rig.electrical_lag_s) > 0.0, lagged, ohmic)
+        return np.clip(amps, -np.array(rig.current_limit_A), rig.current_limit_A)
 
     def step(self, volts: tuple[float, float] | Array, until_s: float) -> None:
         """Hold the commanded voltages until a later time.

@@ -42,6 +42,11 @@ class Layout:
     derived: Mapping[str, int]
 
 
+def feels_forces(machine: Machine) -> bool:
+    """Return whether a sensor measures an acceleration or a current, which depend on the voltages."""
+    return any(sensor.quantity in ("acceleration", "current") for sensor in machine.sensors)
+
+
 class KernelSource:
     """Source text of the simulation kernel (generated code) for all machines of one shape (`Machine.shape`).
 
@@ -51,7 +56,10 @@ class KernelSource:
 
     Attributes:
         layout: Row of each quantity in the arrays `parameters` and `derived` of the generated functions.
-        states: Number of rows of a state: travel and speed of each coordinate, time, effect states.
+        felt: Number of rows of a state that hold accelerations and currents: none unless a sensor measures them.
+        states: Number of rows of a state: travel and speed of each coordinate, time, effect states, and then (`felt`)
+            the acceleration along the belt travel of each coordinate and the current of each drive just before the
+            present sample, under the voltages that have acted until then. They are 0 at the start.
         delayed: Whether a drive has a delay.
         lagged: Whether a sensor has a delay.
         nonlinear_belts: Whether an effect makes the force of a belt nonlinear. A step then evaluates the belts at both
@@ -74,7 +82,8 @@ class KernelSource:
         derived += [row_name("drive", j, "force_per_volt") for j in range(len(machine.drives))]
         derived += [row_name("belt", b, "stiffness") for b, belt in enumerate(machine.belts) if not belt.length]
         self.layout = Layout(parameters, {name: row for row, name in enumerate(derived)})
-        self.states = 2 * len(self._coordinates) + 1 + len(self._plain.states)
+        self.felt = len(machine.coordinates) + len(machine.drives) if feels_forces(machine) else 0
+        self.states = 2 * len(self._coordinates) + 1 + len(self._plain.states) + self.felt
         definitions = [e.definition for e in machine.effects]
         self.delayed = any(d.delay for d in definitions)
         self.lagged = any(d.measurement_delay for d in definitions)
@@ -146,6 +155,15 @@ class KernelSource:
         equations = self._equations(trace)
         travel = [trace.load("state", i, f"travel_{i}") for i in self._coordinates]
         positions = [p / equations.radius(i) for i, p in enumerate(travel)]
-        for j, reading in enumerate(equations.sensor_readings(positions)):
+        velocities, accelerations, currents = None, None, None
+        if any(not sensor.of_position for sensor in self.machine.sensors):
+            count = len(self._coordinates)
+            speed = [trace.load("state", count + i, f"speed_{i}") for i in self._coordinates]
+            velocities = [v / equations.radius(i) for i, v in enumerate(speed)]
+        if self.felt:
+            rows = [trace.load("state", row, f"felt_{row}") for row in range(self.states - self.felt, self.states)]
+            accelerations = [a / equations.radius(i) for i, a in enumerate(rows[: len(self._coordinates)])]
+            currents = rows[len(self._coordinates) :]
+        for j, reading in enumerate(equations.sensor_readings(positions, velocities, accelerations, currents)):
             trace.store("readings", j, reading)
         return trace

@@ -92,6 +92,8 @@ class StepTrace:
         trace.store("state", 2 * count, self.time + elapsed)
         for row, k in enumerate(self.equations.states):
             trace.store("state", first + row, self.effect_states[k])
+        if source.felt:
+            self._store_felt(source.states - source.felt)
 
     def _begin(self, source: KernelSource) -> None:
         """Trace what comes before the first step: the state is loaded."""
@@ -109,6 +111,31 @@ class StepTrace:
             for row, k in enumerate(self.equations.states)
         }
         self.h = trace.argument("h")
+
+    def _store_felt(self, row: int) -> None:
+        """Trace the acceleration of each coordinate, m/s^2, and the current of each drive, A, after the last step."""
+        trace, equations = self.trace, self.equations
+        with trace.section("6. accelerations and currents", "felt_"):
+            point = MotionPoint(self.travel, self.speed, self.time, self.effect_states)
+            motor_voltages = equations.motor_voltages(self._last_voltages())
+            belt_forces = equations.belt_forces(point, equations.belt_states(point))
+            balance = self._balance(point, motor_voltages, self._drive_and_belt_forces(belt_forces, motor_voltages))
+            for i in self.coordinates:
+                speed, force = self.speed[i], balance.forces[i]
+                net = force - trace.node("friction_force", speed, force, balance.coulomb[i])
+                net = net - self._by_direction(i, "viscous", balance) * speed
+                trace.store("state", row + i, net * equations.derived("coordinate", i, "per_mass"))
+            for j, voltage in enumerate(motor_voltages):
+                current = equations.current(j, point, voltage)
+                trace.store("state", row + len(self.coordinates) + j, current)
+
+    def _last_voltages(self) -> list[Expression]:
+        """Return the commanded voltage of each drive in the last step."""
+        count = len(self.source.machine.drives)
+        if not self.source.delayed:
+            return self._voltages()
+        rows = [f"(steps - 1) * {count} + {j}" for j in range(count)]
+        return [self.trace.load("inputs", row, f"last_u{j}", invariant=False) for j, row in enumerate(rows)]
 
     def _step(self) -> None:
         """Trace one step."""

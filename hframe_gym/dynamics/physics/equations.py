@@ -87,12 +87,32 @@ class Equations(BeltEquations, SignalEquations):
     ) -> Value:
         """Return the force that effects on the current of drive j add, N or Nm."""
         ohmic = named("ohmic_current", j, self.ohmic_current(j, point, motor_voltage))
-        current = ohmic
+        current = self._changed_current(j, point, ohmic, arguments)
+        return self.drives[j].gear_ratio * self.drives[j].Kt * (current - ohmic)
+
+    def _changed_current(
+        self, j: int, point: MotionPoint, current: Value, arguments: dict[int, dict[str, Value]]
+    ) -> Value:
+        """Apply the effects on the current of drive j (limit, lag, ...) to the current by Ohm's law, A."""
         for k, e in self.effects_at("current", self.machine.drives[j].name):
             arguments[k] = {"i": current}
             state = self.effect_state(k, point, i=current)
             current = named("current", k, self.evaluate(e, "current", {"i": current, "z": state}))
-        return self.drives[j].gear_ratio * self.drives[j].Kt * (current - ohmic)
+        return current
+
+    def current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
+        """Return the current of a drive with the effects on it, for example a limit or the lag of an inductance.
+
+        Args:
+            j: Index of the drive in the machine, from 0.
+            point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
+                the states of the effects.
+            motor_voltage: Voltage at the motor, V: float, array of any shape or symbolic expression.
+
+        Returns:
+            Current, A: float, array of that shape or symbolic expression.
+        """
+        return self._changed_current(j, point, self.ohmic_current(j, point, motor_voltage), {})
 
     # -- forces ----------------------------------------------------------------------------------------------------
 

@@ -31,8 +31,8 @@ class StateSpace(NamedTuple):
     Attributes:
         A: System matrix, shape (states, states). States are all positions (m, rad), then all velocities (m/s, rad/s).
         B: Input matrix, shape (states, drives); inputs are voltages, V.
-        C: Output matrix, shape (sensors, states); outputs are sensor readings, m or rad.
-        D: Feedthrough matrix, shape (sensors, drives); zero.
+        C: Output matrix, shape (sensors, states); outputs are sensor readings in their units.
+        D: Feedthrough matrix, shape (sensors, drives); zero unless a sensor measures a current or an acceleration.
     """
 
     A: Array
@@ -89,9 +89,12 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     rates = np.hstack([np.zeros((count, count)), np.eye(count)])  # the derivatives of the positions are the velocities
     A = np.vstack([rates, derivatives[:, : 2 * count]])
     B = np.vstack([np.zeros((count, drives)), derivatives[:, 2 * count :]])
-    readings = equations.sensor_readings(list((q + steps[:, :count]).T))
-    C = np.array(readings).imag[:, : 2 * count] / _STEP
-    return StateSpace(A, B, C, np.zeros((len(machine.sensors), drives)))
+    positions, velocities = (q + steps[:, :count]).T, steps[:, count : 2 * count].T
+    motor_voltages = equations.motor_voltages(voltages)
+    currents = [equations.current(j, point, voltage) for j, voltage in enumerate(motor_voltages)]
+    readings = equations.sensor_readings(list(positions), list(velocities), per_step, currents)
+    outputs = np.array(readings).imag / _STEP
+    return StateSpace(A, B, outputs[:, : 2 * count], outputs[:, 2 * count :])
 
 
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:

@@ -112,17 +112,55 @@ def effect_forces(
     return net_forces(complete, *motion) - net_forces(machine, *motion)
 
 
-def sensor_readings(machine: Machine, positions: ArrayLike) -> Array:
-    """Return the readings of all sensors along a motion, m or rad, shape (..., sensors), with the effects on sensors.
-
-    Delay, noise and rounding are left out.
+def sensor_readings(
+    machine: Machine,
+    positions: ArrayLike,
+    velocities: ArrayLike | None = None,
+    accelerations: ArrayLike | None = None,
+    currents: ArrayLike | None = None,
+) -> Array:
+    """Return the readings of all sensors along a motion, without delay, noise and rounding.
 
     Args:
         positions: Positions, m or rad, shape (..., coordinates).
+        velocities: Velocities, m/s or rad/s, shape (..., coordinates). Default: at rest.
+        accelerations: Accelerations, m/s^2 or rad/s^2, shape (..., coordinates); needed if a sensor measures one.
+        currents: Currents of the drives, A, shape (..., drives); needed if a sensor measures one.
+
+    Returns:
+        Readings in the units of the channels, shape (..., sensors).
+
+    Raises:
+        ValueError: If a sensor needs accelerations or currents that are not given.
     """
+
+    def columns(values: ArrayLike | None) -> list[Array] | None:
+        return None if values is None else list(np.moveaxis(np.asarray(values, float), -1, 0))
+
     q = np.asarray(positions, float)
-    readings = Equations(machine).sensor_readings([q[..., i] for i in range(q.shape[-1])])
+    v = np.zeros_like(q) if velocities is None else velocities
+    readings = Equations(machine).sensor_readings(
+        list(np.moveaxis(q, -1, 0)), columns(v), columns(accelerations), columns(currents)
+    )
     return np.stack(np.broadcast_arrays(*readings), axis=-1)
+
+
+def ohmic_currents(machine: Machine, velocities: Array, inputs: Array) -> Array:
+    """Return the currents of the drives by Ohm's law just before each sample, without effects on current and delays.
+
+    Args:
+        machine: Machine; its effects on the voltage are included.
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+
+    Returns:
+        Currents, A, shape (n, drives); at the first sample those with the first voltage.
+    """
+    equations = Equations(machine)
+    point = equations.point(np.zeros_like(velocities), velocities)
+    held = np.vstack([inputs[:1], inputs[:-1]])
+    voltages = equations.motor_voltages(list(held.T))
+    return np.column_stack([equations.ohmic_current(j, point, voltage) for j, voltage in enumerate(voltages)])
 
 
 def delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> list[Array]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+from ...machine import SENSOR_KINDS
 from ..symbolic.elementwise import named
 from .belts import combination
 from .parameterized_machine import ParameterizedMachine, Value
@@ -30,29 +32,70 @@ class SignalEquations(ParameterizedMachine):
             result.append(named("voltage", j, voltage))
         return result
 
-    def sensor_readings(self, positions: Sequence[Value]) -> list[Value]:
-        """Compute the reading of every sensor, m or rad, with effects (scale, skew, ...), without delay and noise.
+    def sensor_readings(
+        self,
+        positions: Sequence[Value],
+        velocities: Sequence[Value] | None = None,
+        accelerations: Sequence[Value] | None = None,
+        currents: Sequence[Value] | None = None,
+    ) -> list[Value]:
+        """Compute the reading of every sensor, with its effects (scale, skew, ...) but without delay and noise.
 
-        A reading is a sum of coordinates (or products of two), m or rad, times the coefficients in the sensor's `row`.
+        A position, speed or acceleration is a sum of those of coordinates (or of products of two positions) times the
+        coefficients in the sensor's `row`, a current one of those of drives; the formula of the sensor's kind gives the
+        reading. Values are floats, arrays of one common shape (...) or symbolic expressions.
+
+        Args:
+            positions: Position of each coordinate, m or rad, in the machine's order, shape (...) each.
+            velocities: Velocity of each coordinate, m/s or rad/s, shape (...) each; needed for sensors of speeds.
+            accelerations: Acceleration of each coordinate, m/s^2 or rad/s^2, shape (...) each; needed for sensors of
+                accelerations.
+            currents: Current of each drive, A, shape (...) each; needed for sensors of currents.
+
+        Returns:
+            Reading of every sensor in its unit, in the machine's order, shape (...) each.
+
+        Raises:
+            ValueError: If the quantity of a sensor is not given.
         """
         names = self.machine.coordinate_names
+        motion: dict[str, Any] = {
+            "position": positions,
+            "speed": velocities,
+            "acceleration": accelerations if velocities is not None else None,
+            "current": currents,
+        }
         readings = []
         for j, sensor in enumerate(self.machine.sensors):
-            rows = []
-            for key, coefficient in sensor.row.items():  # a key is a coordinate, or a product of two such as "y*yaw"
-                factors = [key] if key in names else key.split("*")
-                rows.append((sorted(names.index(factor) for factor in factors), coefficient))
-            terms, coefficients = [], {}
-            for k, (indices, coefficient) in enumerate(sorted(rows)):  # in an order that is independent of the file's
-                terms.append(math.prod((positions[i] for i in indices[1:]), start=positions[indices[0]]))
-                coefficients[k] = coefficient
-            reading = combination(coefficients, terms)
+            quantity = sensor.quantity
+            if motion[quantity] is None:
+                raise ValueError(f"sensor {sensor.channel}: the reading needs the {quantity} of every component")
+            if quantity == "current":
+                drives = [d.name for d in self.machine.drives]
+                row = {drives.index(key): coefficient for key, coefficient in sensor.row.items()}
+                reading = combination(row, motion[quantity])
+            else:
+                reading = self._combined(sensor.row, quantity, motion)
+            reading = SENSOR_KINDS.get(sensor.kind).signal(reading)
             across = self.machine.other_axis(sensor.coordinate)  # skew depends on the other carriage's position
             quantities = {"across": positions[names.index(across)] if across else 0.0}
             for _, e in self.effects_at("measurement", sensor.channel):
                 reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
             readings.append(named("reading", j, reading))
         return readings
+
+    def _combined(self, row: Mapping[str, float], quantity: str, motion: Mapping[str, Any]) -> Value:
+        """Return the sum of coefficients times positions, or its first or second derivative in time."""
+        names = self.machine.coordinate_names
+        rows = []
+        for key, coefficient in row.items():  # a key is a coordinate, or a product of two such as "y*yaw"
+            factors = [key] if key in names else key.split("*")
+            rows.append((sorted(names.index(factor) for factor in factors), coefficient))
+        terms, coefficients = [], {}
+        for k, (indices, coefficient) in enumerate(sorted(rows)):  # in an order that is independent of the file's
+            terms.append(_term(indices, quantity, motion))
+            coefficients[k] = coefficient
+        return combination(coefficients, terms)
 
     def voltage_delays(self) -> list[Value]:
         """Return the delay of each drive, s: the sum of the delays that effects declare."""
@@ -67,3 +110,17 @@ class SignalEquations(ParameterizedMachine):
         for _, e in self.effects_at(hook, component):
             delay = delay + self.evaluate(e, hook, {})
         return delay
+
+
+def _term(indices: Sequence[int], quantity: str, motion: Mapping[str, Any]) -> Value:
+    """Return the product of one or two positions, or its first or second derivative in time."""
+    q, v, a = motion["position"], motion["speed"], motion["acceleration"]
+    first, *others = indices
+    if quantity == "position":
+        return math.prod((q[i] for i in others), start=q[first])
+    if not others:
+        return motion[quantity][first]
+    (second,) = others
+    if quantity == "speed":
+        return v[first] * q[second] + q[first] * v[second]
+    return a[first] * q[second] + 2.0 * v[first] * v[second] + q[first] * a[second]

@@ -260,7 +260,7 @@ def _least_noisy_sensors(machine: Machine, data: Dataset) -> list[int]:
     changed = {e.site for e in machine.effects if e.definition.measurement}
     sensors = []
     for name in machine.coordinate_names:
-        direct = [j for j, s in enumerate(machine.sensors) if list(s.row) == [name]]
+        direct = [j for j, s in enumerate(machine.sensors) if s.of_position and list(s.row) == [name]]
         frequent = [j for j in direct if 2 * counts[j] >= max(counts[direct])]
         best = min(frequent, key=lambda j: data.noise[j] / abs(machine.sensors[j].row[name]), default=None)
         if best is None or machine.sensors[best].channel in changed:

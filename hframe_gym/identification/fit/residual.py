@@ -272,19 +272,22 @@ def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Arr
 
 
 def sensor_combinations(machine: Machine, data: Dataset) -> Array:
-    """Return the combinations of the sensors' errors that no rigid motion causes.
+    """Return the combinations of the position sensors' errors that no rigid motion causes.
 
     Args:
         machine: Machine with its sensors.
         data: Data set with the standard deviations of their noise.
 
     Returns:
-        Combinations as columns, 1/m or 1/rad, whose noise has the standard deviation 1, shape (sensors, sensors -
-        motions).
+        Combinations as columns, 1/m or 1/rad, whose noise has the standard deviation 1, shape (sensors, position
+        sensors - motions).
     """
-    noise = np.asarray(data.noise, float)
+    noise, positions = np.asarray(data.noise, float), machine.position_sensors
     scaled = (machine.sensor_matrix @ _observed_forces(machine, data.period).modes.T) / noise[:, None]
-    return np.asarray(null_space(scaled.T)) / noise[:, None]
+    of_positions = np.asarray(null_space(scaled[positions].T)) / noise[positions, None]
+    combinations = np.zeros((len(noise), of_positions.shape[1]))
+    combinations[positions] = of_positions
+    return combinations
 
 
 def _synthetic_noise(machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator) -> Array:

@@ -276,6 +276,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     - The stiffness EA of every belt section. For a section whose length changes with the position of the machine, also
       its constant part `rest_length`, the length at position 0.
     - The torque constant Kt of every drive but the first, and nonzero back-EMF constants Ke.
+    - The resistance of every drive whose current is measured, which separates its electrical from its mechanical side.
     - The parameters of declared effects.
 
     Left out are parameters that the machine ties to others, and the torque constant of the first drive. If all torque
@@ -299,6 +300,9 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
         if belt.length:
             free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
     free += [FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR) for drive in machine.drives[1:]]
+    sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
+    resistances = [drive for drive in machine.drives if drive.name in sensed]
+    free += [FreeParameter(f"{drive.name}.resistance", drive.resistance, prior=_MOTOR_PRIOR) for drive in resistances]
     free += [_damping(f"{drive.name}.Ke", drive.Ke, _MOTOR_PRIOR) for drive in machine.drives if drive.Ke > 0]
     if effects:
         free += _declared_effect_parameters(machine)

@@ -36,6 +36,7 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 
 # Bandwidth of lasers relative to that of encoders beside them, whose noise is smaller.
 _LASER_BANDWIDTH_RATIO = 25.0 / 60.0
+_SPEED_RATIO = 0.5  # a sensor of a speed corrects by 2 * bandwidth like one of a position, and has one pole there
 LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
@@ -64,7 +65,8 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
     """Return the observer bandwidth of every sensor: how fast its measurements correct a prediction.
 
     If the machine has encoders, the bandwidth of its lasers is 5/12 of theirs, because lasers are noisier and only need
-    to correct what encoders cannot measure.
+    to correct what encoders cannot measure. A sensor of a speed corrects the velocity of a coordinate whose position is
+    not measured. Sensors of other quantities correct nothing, their errors only count: their bandwidth is 0.
 
     Args:
         machine: Machine with its sensors.
@@ -73,15 +75,22 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
     Returns:
         Bandwidths, rad/s, shape (sensors,).
     """
-    incremental = np.array([sensor.incremental for sensor in machine.sensors])
-    ratio = _LASER_BANDWIDTH_RATIO if incremental.any() else 1.0
-    return np.asarray(bandwidth * np.where(incremental, 1.0, ratio))
+    located = {sensor.coordinate for sensor in machine.sensors if sensor.of_position}
+    laser = _LASER_BANDWIDTH_RATIO if any(sensor.incremental for sensor in machine.sensors) else 1.0
+    ratios = []
+    for sensor in machine.sensors:
+        if sensor.of_position:
+            ratios.append(1.0 if sensor.incremental else laser)
+        else:
+            ratios.append(_SPEED_RATIO if sensor.kind == "speed" and sensor.coordinate not in located else 0.0)
+    return np.asarray(bandwidth * np.array(ratios))
 
 
 def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BANDWIDTH) -> Array:
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 
-    Each sensor corrects its coordinate by an observer of second order with two equal poles at the bandwidth.
+    Each sensor of a position corrects its coordinate by an observer of second order with two equal poles at the
+    bandwidth; one of a speed corrects the velocity, with one pole.
 
     Args:
         machine: Machine whose sensors are fed back.
@@ -96,11 +105,16 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     gains = np.zeros((2 * count, len(machine.sensors)))
     rates = sensor_bandwidths(machine, bandwidth) * min(period, LONGEST_OBSERVER_PERIOD)  # rad per sample
     for j, (sensor, rate) in enumerate(zip(machine.sensors, rates, strict=True)):
+        if rate == 0.0:
+            continue
         name = sensor.coordinate
         i = machine.coordinate_names.index(name)
         # Poles (s + bandwidth)^2, discretized; sensor.row: change of the measurement per unit of the coordinate.
-        gains[i, j] = 2 * rate / sensor.row[name]
-        gains[count + i, j] = rate**2 / period / sensor.row[name]
+        if sensor.of_position:
+            gains[i, j] = 2 * rate / sensor.row[name]
+            gains[count + i, j] = rate**2 / period / sensor.row[name]
+        else:
+            gains[count + i, j] = 2 * rate / sensor.row[name]
     return gains
 
 
@@ -242,6 +256,7 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
         else max_zero_means(data.behind_belts, data.quantum)
     )
     weights = run.weights if fitted else measured
+    weights = weights if data.has_zero is None else weights * data.has_zero
     error -= sensor_zero_error(error, weights, run.initial.resting_rows, max_mean, data.quantum)
     return error
 

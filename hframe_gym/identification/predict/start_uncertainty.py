@@ -112,6 +112,7 @@ def _position_displacements(machine: Machine, initial: InitialState, held_angles
     spreads = {
         sensor.coordinate: spread / abs(sensor.row[sensor.coordinate])
         for sensor, spread in zip(machine.sensors, initial.zero_spread, strict=True)
+        if sensor.of_position
     }
     stretches = np.zeros((len(held_angles), len(machine.coordinates)))
     for k, (name, angle) in enumerate(held_angles.items()):
@@ -160,7 +161,7 @@ def _rigid_displacements(machine: Machine, initial: InitialState, held_angles: d
     travel = [angle * machine.coordinate(name).travel_per_unit for name, angle in held_angles.items()]
     size = max(travel) if initial.position_measured else _UNMEASURED_POSITION
     rigid = rigid_basis(machine)
-    lasers = np.array([not sensor.incremental for sensor in machine.sensors]) & initial.measured_at_rest
+    lasers = np.array([sensor.fixed for sensor in machine.sensors]) & initial.measured_at_rest
     unseen = rigid @ null_space((machine.sensor_matrix @ rigid)[lasers])  # (coordinates, k)
     return np.asarray(size * (unseen / np.linalg.norm(unseen[linear_coordinates(machine)], axis=0)).T)
 

@@ -343,7 +343,8 @@ def _deviating(machine: Machine, white: NDArray[np.bool_]) -> NDArray[np.bool_]:
     For a coordinate without a sensor, the sensors of the coordinates that move with it count.
     """
     names = machine.coordinate_names
-    measured = np.array([[sensor.coordinate == name for sensor in machine.sensors] for name in names])
+    sites = [machine.coordinate_of_sensor(sensor) for sensor in machine.sensors]
+    measured = np.array([[site == name for site in sites] for name in names])
     related = measured.copy()
     for motion in rigid_motions(machine).values():
         related |= np.outer(motion != 0.0, measured[motion != 0.0].any(axis=0))
@@ -437,9 +438,9 @@ def _clock(machine: Machine, signals: _Signals, acting: list[int]) -> _Cause:
 def _causes_of_disagreement(machine: Machine, evidence: _Evidence, deviating: NDArray[np.bool_]) -> Iterator[_Cause]:
     """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts."""
     signals = evidence.signals
-    by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors)}
+    by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors) if sensor.of_position}
     for j, sensor in enumerate(machine.sensors):
-        if not deviating[j] or not np.any(evidence.direction(j)):
+        if not sensor.of_position or not deviating[j] or not np.any(evidence.direction(j)):
             continue
         name, channel = sensor.coordinate, machine.output_channels[j]
         position, speed = f"position of {name}", f"velocity of {name}"

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...dynamics import Equations, net_forces
+from ...dynamics.physics.motion_forces import ohmic_currents
 from ...dynamics.simulation import Motion, parameter_batch
 from ...effects import EFFECTS, effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
@@ -214,18 +215,25 @@ def candidate_perturbations(
     return Perturbation(np.concatenate(forces), np.concatenate(measurements))
 
 
+def _sensed(machine: Machine, time_s: Array, motion: Motion, inputs: Array) -> list[Array]:
+    """Return the readings of each sensor along a motion, (n,) or (columns, n) each; accelerations are differences."""
+    q, v = motion.positions[0], motion.velocities[0]
+    currents = ohmic_currents(dataclasses.replace(machine, effects=()), v, inputs)
+    columns = (list(values.T) for values in (q, v, np.gradient(v, time_s, axis=0), currents))
+    return Equations(machine).sensor_readings(*columns)
+
+
 def _measurement_change(machine: Machine, run: PreparedRecording, motion: Motion) -> Array:
     """Return the change of the measurements by a machine's effects on sensors, shape (columns or 1, n, sensors).
 
     A measurement delay d is approximated to first order: the measurement changes by -d times its rate.
     """
-    positions = list(motion.positions[0].T)
-    effect_free = Equations(dataclasses.replace(machine, effects=())).sensor_readings(positions)
+    effect_free = _sensed(dataclasses.replace(machine, effects=()), run.time_s, motion, run.inputs)
     equations = Equations(machine)
     changes = [
         np.atleast_2d(measured - ideal - delay * np.gradient(values, run.time_s))
         for measured, ideal, delay, values in zip(
-            equations.sensor_readings(positions),
+            _sensed(machine, run.time_s, motion, run.inputs),
             effect_free,
             equations.measurement_delays(),
             motion.readings[0].T,

@@ -239,6 +239,8 @@ def _travel(machine: Machine, data: Dataset) -> tuple[Array, Array]:
     low = np.full(len(machine.coordinates), -np.inf)
     high = -low
     for j, sensor in enumerate(machine.sensors):
+        if not sensor.of_position:
+            continue
         i = machine.coordinate_names.index(sensor.coordinate)
         coordinate = machine.coordinates[i]
         if coordinate.range is not None:
@@ -266,7 +268,7 @@ def _difference(first: Array, second: Array, data: Dataset) -> Array:
     """
     difference = first - second
     zeros = np.where(data.behind_belts, difference.mean(axis=1), difference[:, 0])
-    difference = difference - zeros[:, None, :]
+    difference = difference - (zeros if data.has_zero is None else zeros * data.has_zero)[:, None, :]
     return (difference / data.noise).reshape(len(difference), -1)
 
 

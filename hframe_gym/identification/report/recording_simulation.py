@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from ...dynamics import NotFiniteError, simulate, simulate_batch
 from ...machine import Machine, Trajectory
 from ...machine.motion import rigid_motions
-from ...preparation.dataset import Dataset, PreparedRecording, prepare
+from ...preparation.dataset import Dataset, PreparedRecording, prepare, without_unknown_voltage
 from ...preparation.encoder_zeros import EncoderZeros
 from ...preparation.initial_rest import count_resting_rows, without_moving_start
 from ...preparation.initial_state import measured_initial_state, model_initial_states, refine_encoder_zeros
 from ...preparation.input_noise import without_input_noise
 from ...preparation.rest_measurement import (
     InitialState,
-    behind_belts,
+    free_zeros,
+    has_zero,
     max_reported_zero_means,
     max_zero_means,
     sensor_zero_error,
@@ -114,8 +115,7 @@ class ModelEvaluation:
         machine between it and the pulleys.
         """
         errors = self.held_out.channels
-        names = self.machine.coordinate_names
-        rows = {s.channel: np.array([s.row.get(name, 0.0) for name in names]) for s in self.machine.sensors}
+        rows = dict(zip(self.machine.output_channels, self.machine.sensor_matrix, strict=True))
         rmse = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
 
         def is_refuted(channel: str, motion: Array) -> bool:
@@ -247,7 +247,8 @@ def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
     """
-    usable = without_moving_start(only_measurements(without_input_noise(recording, machine), machine), machine)
+    measured = only_measurements(without_input_noise(recording, machine), machine)
+    usable = without_moving_start(without_unknown_voltage(measured, machine), machine)
     filled = fill_gaps(usable)
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled
@@ -276,8 +277,9 @@ def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCr
     refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
     state = model_initial_states(machine, [initial])[0][: 2 * len(machine.coordinates)]
-    max_means = max_zero_means(behind_belts(machine), quanta)
+    max_means = max_zero_means(free_zeros(machine), quanta)
     measured = np.isfinite(usable.outputs)
+    zeroed = has_zero(machine)
 
     def errors(states: Array, outputs: Array) -> Array:
         """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""
@@ -288,7 +290,7 @@ def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCr
     def weighted_errors(states: Array, count: int) -> Array:
         """Return errors without those of the zeros, in units of the noise, shape (B, count * sensors)."""
         error, valid = errors(states, usable.outputs[:count]), measured[:count]
-        error = np.where(valid, error - sensor_zero_error(error, valid, rows, max_means, quanta), 0.0)
+        error = np.where(valid, error - sensor_zero_error(error, valid * zeroed, rows, max_means, quanta), 0.0)
         return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
 
     start = most_probable_start(machine, initial, state, weighted_errors, recording.time_s)
@@ -297,7 +299,8 @@ def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCr
     if not np.isfinite(error).all():
         return initial
     limits = max_reported_zero_means(machine, initial, quanta)
-    zeros = sensor_zero_error(error, np.isfinite(recording.outputs), rows, limits, quanta)[0, 0]
+    valid = np.isfinite(recording.outputs) * has_zero(machine)
+    zeros = sensor_zero_error(error, valid, rows, limits, quanta)[0, 0]
     return dataclasses.replace(initial, zeros=zeros)
 
 

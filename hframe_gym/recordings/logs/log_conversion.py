@@ -159,6 +159,8 @@ class LogConverter:
         """Unwrap the values of an output, in the unit of the log, and say so; other values are returned as given."""
         # Encoders of motors may measure the travel of a carriage, so that turns may wrap in a channel in m as well.
         sensor = self.machine.sensor(channel)
+        if not sensor.of_position:
+            return values, ""
         angle = channel_dimension(self.machine, channel) == "angle" or sensor.kind == "encoder"
         measured = values[np.isfinite(values)]
         quantum = 1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)  # 1 for counts

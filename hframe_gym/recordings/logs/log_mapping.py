@@ -14,6 +14,7 @@ from .log import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
 from .measurement_units import (
     ALL_SPEED_UNITS,
     SI_UNITS,
+    SPEED_UNITS,
     TIME,
     Conversion,
     Dimension,
@@ -40,6 +41,10 @@ _FIRST_LETTERS: dict[Dimension, str] = {
     "current": "i",
     "torque": "tm",
     "force": "f",
+    "linear speed": "v",
+    "angular speed": "wo",
+    "linear acceleration": "a",
+    "angular acceleration": "a",
 }
 
 
@@ -355,7 +360,8 @@ class _LogMapping:
         where = f"{self.log.path}, column {column.header}"
         if unit is not None and unit not in accepted:
             raise InputError(f"{where}: {wrong_unit_message(self.machine, channel, unit)}")
-        if unit is None and column.unit in ALL_SPEED_UNITS and channel in self.machine.output_channels:
+        integrated = channel_dimension(self.machine, channel) in SPEED_UNITS
+        if unit is None and column.unit in ALL_SPEED_UNITS and integrated:
             raise InputError(f"{where}: {scaled_speed_message(self.machine, channel, column.unit)}")
         if unit is not None:
             from_unit = accepted[unit]

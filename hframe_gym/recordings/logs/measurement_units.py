@@ -14,7 +14,19 @@ from ..quantities import COUNT_UNITS, QUANTITIES, Factors, split_unit
 
 TIME = "time_s"  # column of the sample times in recordings
 Array = NDArray[np.float64]
-Dimension = Literal["time", "voltage", "current", "torque", "force", "length", "angle"]
+Dimension = Literal[
+    "time",
+    "voltage",
+    "current",
+    "torque",
+    "force",
+    "length",
+    "angle",
+    "linear speed",
+    "angular speed",
+    "linear acceleration",
+    "angular acceleration",
+]
 
 UNITS: dict[Dimension, Factors] = {dimension: QUANTITIES[dimension].units for dimension in get_args(Dimension)}
 # Units of speeds, which `hframe import` integrates to positions.
@@ -24,6 +36,7 @@ SPEED_UNITS: dict[Dimension, Factors] = {
 }
 ALL_SPEED_UNITS = tuple(unit for units in SPEED_UNITS.values() for unit in units)
 SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in UNITS.items()}
+_DIMENSION_OF_UNIT: dict[str, Dimension] = {unit: dimension for dimension, unit in SI_UNITS.items()}
 # Units of a duty cycle, which a log may have in place of a voltage: the value at which the drive's rated voltage is
 # applied.
 DUTY_UNITS = {"%": 100.0, "pu": 1.0}
@@ -111,15 +124,15 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        "time"; "length" or "angle" for an output; for an input "current", "torque" or "force" if its name ends in _A,
-        _Nm or _N, else "voltage".
+        "time"; for an output that of its unit, such as "length", "angular speed" or "current"; for an input "current",
+        "torque" or "force" if its name ends in _A, _Nm or _N, else "voltage".
     """
     if channel == TIME:
         return "time"
     if channel in machine.input_channels:
         unit = split_unit(channel)[1]
         return _COMMANDS.get(unit, "voltage")
-    return "length" if machine.coordinate(machine.sensor(channel).coordinate).kind == "linear" else "angle"
+    return _DIMENSION_OF_UNIT[machine.sensor_unit(machine.sensor(channel))]
 
 
 def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:

@@ -111,6 +111,9 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
         if family in _COMMANDED and column.evidence == "name":
             return f"{advice}, or add --unit {channel}=V if the column is a voltage in spite of its name"
         return advice
+    dimension = channel_dimension(machine, channel)
+    if dimension not in _MOTIONS:
+        return f"map a measured {dimension}, or state the factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
     if family == "position":
         units = ", ".join(accepted_units(machine, channel))
         return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"

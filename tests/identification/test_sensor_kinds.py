@@ -1,0 +1,210 @@
+"""Sensors of speeds, accelerations, currents and single-turn angles, from the formula to identification and control."""
+
+import dataclasses
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from hframe_gym import load_machine, make_controller
+from hframe_gym.controllers import StateEstimator
+from hframe_gym.data_validation import check_recordings
+from hframe_gym.dynamics import linearize, simulate
+from hframe_gym.envs import DeclaredSensors
+from hframe_gym.envs.spaces import sensor_signals
+from hframe_gym.identification import identify
+from hframe_gym.machine import SENSOR_KINDS, Coordinate, Drive, Machine, Sensor
+from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
+from tests.reference_simulator import Rig, Stage
+from tests.reference_simulator.axis import Axis, held_levels, record
+
+ROWS, PERIOD = 1000, 2e-3
+TRUE = Axis()
+ENCODER = Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 2000, "encoder")
+SENSORS = {
+    "speed": (Sensor("speed_rad_s", {"shaft": 1.0}, 0.2, 0.0, "speed"),),
+    "unsigned-speed": (Sensor("speed_rad_s", {"shaft": 1.0}, 0.2, 0.0, "unsigned-speed"),),
+    "acceleration": (ENCODER, Sensor("acc_rad_s2", {"shaft": 1.0}, 20.0, 0.0, "acceleration")),
+    "current": (ENCODER, Sensor("i_A", {"motor": 1.0}, 0.02, 0.0, "current")),
+    "absolute-angle": (Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 4096, "absolute-angle"),),
+}
+ALL = (
+    Sensor("vx_m_s", {"x": 1.0}, 0.001, 0.0, "speed"),
+    Sensor("ay_m_s2", {"y": 1.0}, 0.05, 0.01, "acceleration"),
+    Sensor("i1_A", {"motor1": 1.0}, 0.01, 0.005, "current"),
+    Sensor("w2_rad_s", {"phi2": 1.0}, 0.0, 0.1, "unsigned-speed"),
+    Sensor("angle_rad", {"phi1": 1.0}, 0.0, 1e-3, "absolute-angle"),
+)
+
+
+def motor(sensors: tuple[Sensor, ...], axis: Axis = TRUE) -> Machine:
+    shaft = Coordinate("shaft", axis.inertia, axis.viscous, axis.coulomb, "rotary", 0.01)
+    drive = Drive("motor", "v_V", "shaft", axis.torque_constant, axis.torque_constant, axis.resistance, 1.0, 12.0)
+    return Machine("motor", (shaft,), (), (drive,), sensors)
+
+
+def runs(sensors: tuple[Sensor, ...], count: int = 4) -> list[Recording]:
+    """Return recordings of the independent simulator; the accelerometer has an offset of 50 rad/s^2."""
+    rng, recordings = np.random.default_rng(0), []
+    for run in range(count):
+        motion = record(TRUE, held_levels(run, ROWS, 40, 8.0), ROWS, PERIOD)
+        outputs = []
+        for sensor in sensors:
+            kind = SENSOR_KINDS.get(sensor.kind)
+            ideal = kind.signal(getattr(motion, sensor.quantity)) + 50.0 * (sensor.quantity == "acceleration")
+            outputs.append(kind.measure(ideal, sensor.noise, sensor.resolution, rng.normal(size=ROWS)))
+        recordings.append(Recording(f"run_{run}", motion.time_s, motion.command[:, None], np.column_stack(outputs)))
+    return recordings
+
+
+@pytest.fixture(scope="module")
+def stage_machine() -> Machine:
+    machine = load_machine("hframe")
+    return machine.replace(sensors=(*machine.sensors, *ALL))
+
+
+@pytest.mark.oracle
+def test_readings_agree_with_the_independent_simulator() -> None:
+    """The stage of the other simulator has the same accelerations and currents just before each command."""
+    machine = load_machine("hframe")
+    sensors = [Sensor(f"a_{c}", {c: 1.0}, kind="acceleration") for c in ("x", "y", "phi1", "phi2")]
+    sensors += [Sensor(f"v_{c}", {c: 1.0}, kind="speed") for c in ("x", "y", "phi1", "phi2")]
+    sensors += [Sensor(f"i_{d.name}", {d.name: 1.0}, kind="current") for d in machine.drives]
+    machine = machine.replace(sensors=tuple(sensors))
+    rig = Rig()
+    machine = machine.replace(
+        {f"{c}.coulomb": level for c, level in zip(("x", "y", "phi1", "phi2"), rig.coulomb, strict=True)}
+    )
+    rng = np.random.default_rng(3)
+    time_s = np.arange(60) * 2e-3
+    volts = np.repeat(rng.uniform(-8.0, 8.0, (6, 2)), 10, axis=0)
+    stage = Stage(rig)
+    rows = [np.zeros(10)]
+    for k in range(len(time_s) - 1):
+        stage.step(volts[k], float(time_s[k + 1]))
+        rows.append(np.concatenate([stage.acceleration, stage.velocity, stage.current]))
+    expected = np.array(rows)
+    readings = simulate(machine, time_s, volts, longest_step=2e-5).outputs
+    size = np.abs(expected).max(axis=0)
+    assert np.all(np.abs(readings - expected).max(axis=0) < 2e-3 * size)
+    assert np.all(size > 0.0)
+
+
+def test_the_linear_model_has_speeds_accelerations_and_currents() -> None:
+    model = linearize(motor((*SENSORS["speed"], *SENSORS["acceleration"], SENSORS["current"][1])))
+    J, b, k, R = 2e-4, 1e-4, 0.03, 1.5
+    np.testing.assert_allclose(model.C, [[0, 1], [1, 0], [0, -(b + k * k / R) / J], [0, -k / R]], rtol=1e-12)
+    np.testing.assert_allclose(model.D, [[0], [0], [k / R / J], [1 / R]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", list(SENSORS))
+def test_a_machine_file_states_each_kind(name: str, tmp_path) -> None:
+    machine = motor(SENSORS[name])
+    save_machine(machine, tmp_path / "motor.json")
+    assert load_machine(tmp_path / "motor.json").sensors == machine.sensors
+    units = {s["channel"]: s["noise"]["unit"] for s in machine_to_dict(machine)["sensors"]}
+    assert units == {s.channel: machine.sensor_unit(s) for s in machine.sensors}
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", list(SENSORS))
+def test_each_kind_identifies_the_axis_of_the_independent_simulator(name: str) -> None:
+    sensors = SENSORS[name]
+    resistance = 1.3 if name == "current" else 1.0  # only a measured current determines it
+    # Without a direction, nothing corrects a prediction, so that the start must be nearer.
+    start = (2.2e-4, 8e-5, 0.005) if name == "unsigned-speed" else (2.8e-4, 5e-5, 0.007)
+    wrong = Axis(*start, resistance=1.5 * resistance)
+    recordings = runs(sensors)
+    assert [f for f in check_recordings(recordings, motor(sensors, wrong)) if f.severity == "fault"] == []
+    result = identify(recordings, motor(sensors, wrong))
+    assert result.verdict == "no_effect"
+    found = result.after.machine.parameters
+    assert found["shaft.mass"] == pytest.approx(2e-4, rel=3e-3)
+    assert found["shaft.coulomb"] == pytest.approx(0.004, rel=1e-2)
+    damping = found["shaft.viscous"] + found["motor.Kt"] * found["motor.Ke"] / found["motor.resistance"]
+    assert damping == pytest.approx(1e-4 + 0.03**2 / 1.5, rel=3e-3)
+    if name == "current":
+        assert found["motor.resistance"] == pytest.approx(1.5, rel=2e-3)
+        assert found["motor.Ke"] == pytest.approx(0.03, rel=5e-3)
+
+
+def test_the_environment_measures_each_kind(stage_machine: Machine) -> None:
+    env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine").unwrapped
+    observation, _ = env.reset(seed=1)
+    names = [signal.name for signal in sensor_signals(stage_machine, DeclaredSensors().observed(stage_machine))]
+    column = {name: k for k, name in enumerate(names)}
+    before = None
+    for _ in range(50):
+        observation, *_ = env.step(np.array([0.6, 0.2], np.float32))
+        values = observation["observation"]
+        if before is not None and abs(values[column["x"]] - before) > 1e-5:
+            assert values[column["vx_m_s"]] * (values[column["x"]] - before) > -1e-6
+        before = values[column["x"]]
+    assert 0.0 <= values[column["angle_rad"]] < 2 * np.pi
+    drive = stage_machine.drives[0]
+    rate = values[column["phi1 velocity"]] if "phi1 velocity" in column else values[column["phi1_rad rate"]]
+    current = (0.6 * drive.rated_voltage - drive.emf_constant * rate) / drive.resistance
+    assert values[column["i1_A"]] == pytest.approx(current, abs=0.5)
+    assert values[column["w2_rad_s"]] >= 0.0
+
+
+def test_noise_of_each_kind_is_randomized(stage_machine: Machine) -> None:
+    assert {f"{s.channel}.{key}" for s in ALL for key in ("noise", "resolution")} <= set(
+        stage_machine.device_parameters
+    )
+    assert stage_machine.unit("i1_A.noise") == "A"
+    assert stage_machine.unit("ay_m_s2.resolution") == "m/s^2"
+
+
+def test_a_controller_estimates_the_state_with_speeds(stage_machine: Machine) -> None:
+    """A tachometer on the carriage makes the estimate of its speed more accurate than encoders and lasers do."""
+
+    def error(machine: Machine) -> float:
+        estimator, rng = StateEstimator(machine, 4e-3), np.random.default_rng(0)
+        time_s = np.arange(100) * 4e-3
+        volts = np.repeat(rng.uniform(-6.0, 6.0, (5, 2)), 20, axis=0)
+        motion = simulate(machine.replace({"x.mass": 1.2 * machine.coordinate("x").mass}), time_s, volts)
+        noise = np.array([np.hypot(s.noise, s.resolution / 3.5) for s in machine.sensors])
+        outputs = motion.outputs + noise * rng.normal(size=motion.outputs.shape)
+        errors = []
+        for k in range(len(time_s)):
+            state = estimator.update(outputs[k : k + 1])
+            estimator.send(volts[k : k + 1])
+            errors.append(state[0, len(machine.coordinates)] - motion.velocities[k, 0])
+        return float(np.sqrt(np.mean(np.square(errors[20:]))))
+
+    machine = load_machine("hframe")
+    fast = machine.replace(sensors=(*machine.sensors, dataclasses.replace(ALL[0], noise=1e-4)))
+    assert error(fast) < 0.7 * error(machine)
+
+
+@pytest.mark.integration
+def test_a_controller_reaches_the_goal_with_all_kinds(stage_machine: Machine) -> None:
+    env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine")
+    controller = make_controller("pid", env)
+    errors = []
+    for seed in range(3):
+        observation, _ = env.reset(seed=seed)
+        controller.reset()
+        for _ in range(120):
+            observation, *_ = env.step(controller.act(observation))
+        errors.append(np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]))
+    assert max(errors) < 1e-3
+
+
+@pytest.mark.train
+def test_an_agent_trains_with_all_kinds(stage_machine: Machine) -> None:
+    ppo = pytest.importorskip("stable_baselines3").PPO
+    env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine", normalize=True)
+    model = ppo("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(256)
+    observation, _ = env.reset(seed=0)
+    action, _ = model.predict(observation, deterministic=True)
+    assert np.all(np.isfinite(action))
+
+
+def test_a_recording_of_each_kind_is_written_and_read(tmp_path) -> None:
+    sensors = SENSORS["current"]
+    machine = motor(sensors)
+    (recording,) = runs(sensors, 1)
+    write_recording(tmp_path / "run_0.csv", recording, machine)
+    np.testing.assert_array_equal(load_recording(tmp_path / "run_0.csv", machine).outputs, recording.outputs)
