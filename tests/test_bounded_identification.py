@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from hframe_gym.cli import app
 from hframe_gym.cli import support as cli_support
 from hframe_gym.cli.support import finishing_on_interrupt, print_warning, search_progress
-from hframe_gym.identification.budget import Budget, spend
+from hframe_gym.identification.budget import Budget, error_so_far, note_error, spend
 from hframe_gym.recordings import save_machine, write_recording
 from tests.identification.axis_results import AXIS
 from tests.identification.test_pipeline import limited_runs
@@ -141,3 +141,20 @@ def test_warnings_about_numbers_that_overflow_are_not_for_the_user(
     monkeypatch.setenv("HFRAME_DEBUG", "1")
     print_warning("overflow encountered in square", RuntimeWarning)
     assert "overflow" in capsys.readouterr().err
+
+
+def test_progress_for_a_program_has_the_error_of_the_best_machine_so_far(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(cli_support.PROGRESS_VARIABLE, "json")
+    with search_progress(lambda line: None) as progress:
+        budget = Budget(120.0, clock=lambda: 3.0, progress=progress)
+        with budget.limiting():
+            note_error(25.5)
+            spend("trial fit 1")
+            spend("trial fit 2")  # at once, so that it is left out
+    lines = [line for line in capsys.readouterr().out.split("\n") if line.startswith(cli_support.PROGRESS_MARK)]
+    assert [json.loads(line[1:]) for line in lines] == [
+        {"doing": "trial fit 1", "spent": 0.0, "budget": 120.0, "error": 25.5}
+    ]
+    assert error_so_far() is None

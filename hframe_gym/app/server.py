@@ -97,7 +97,6 @@ def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], N
         InputError: If the folder is a file, or the port is in use.
     """
     session = Session(folder.resolve())
-    session.create()
     # The library would otherwise make a folder in the current one.
     os.environ.setdefault("NICEGUI_STORAGE_PATH", str(session.path(".window")))
     try:
@@ -109,9 +108,11 @@ def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], N
         raise ImportError(MISSING_EXTRA) from None
     from .window import Window
 
+    session.create()
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if os.name == "posix":  # elsewhere, the option would let two servers have one port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((HOST, port))
         listener.listen()  # requests wait until the server has started
     except OSError as error:

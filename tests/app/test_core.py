@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from hframe_gym.app.jobs import Job, Progress
 from hframe_gym.app.log_columns import thinned, view_log
+from hframe_gym.app.server import serve
 from hframe_gym.app.session import (
     ImportChoices,
     Session,
@@ -188,3 +190,17 @@ def test_an_interval_that_cannot_be_is_refused(text: str) -> None:
 def test_an_interval_may_name_its_log() -> None:
     assert parse_interval("2.5:10") == Interval("", 2.5, 10.0)
     assert parse_interval("run_01=-1:3e1") == Interval("run_01", -1.0, 30.0)
+
+
+def test_without_the_extra_the_message_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "nicegui", None)
+    with pytest.raises(ImportError, match=r"hframe_gym\[app\]"):
+        serve(tmp_path / "session", 0, open_browser=False, log=print)
+    assert not (tmp_path / "session").exists()
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("nicegui", reason="the extra app is not installed")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="must be the folder of a session"):
+        serve(tmp_path / "file", 0, open_browser=False, log=print)

@@ -195,6 +195,7 @@ def test_requests_without_the_token_or_from_another_site_are_refused(tmp_path: P
             with pytest.raises(HTTPError) as refused:
                 urlopen(url)
             assert refused.value.code == 403
+            refused.value.close()
         with urlopen(address) as answer:
             policy = answer.headers["content-security-policy"]
             assert "default-src 'self'" in policy
