@@ -13,7 +13,7 @@ from .metrics import (
     settling_times,
     stored_bounds,
 )
-from .minari_export import ExportedDataset, export_dataset
+from .minari_export import ExportedDataset, RandomActions, dataset_controller, export_dataset
 from .plots import plot_episode, save_plot
 from .protocol_results import (
     Comparison,
@@ -64,6 +64,7 @@ __all__ = [
     "Evaluation",
     "ExportedDataset",
     "Protocol",
+    "RandomActions",
     "ResultFile",
     "Scenario",
     "StoredBounds",
@@ -71,6 +72,7 @@ __all__ = [
     "checksum",
     "compare_draws",
     "condition_digests",
+    "dataset_controller",
     "effect_rules",
     "environments_of",
     "episode_conditions",

@@ -13,24 +13,76 @@ import re
 import shutil
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
+from typing_extensions import override
 
 from .. import __version__
+from ..arrays import Actions, KeyedObservation, Mask
 from ..atomic_files import atomic_file, output_batch, scratch_folder
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
 from ..envs import HFrameVectorEnv, as_task
 from ..errors import InputError
-from ..machine import BUILTIN_MACHINES
+from ..machine import BUILTIN_MACHINES, Machine
 from ..recordings import machine_to_dict, save_machine
 from .scenario import Scenario, make_controller
 
+RANDOM = "random"  # name of a data set of uniformly random actions
+EXPERT = "predictive"  # controller whose mean return is the upper reference score
+REFERENCE_EPISODES, REFERENCE_SEED = 64, 1_000_000
 CHUNK = 256  # episodes in memory at a time: about 5 MB of float32 arrays
 MACHINE_FILE = "machine.json"
+
+
+class RandomActions(Controller):
+    """Uniformly random actions, by which offline data sets are compared; a reset begins the same sequence again.
+
+    Args:
+        machine: Machine whose drives are commanded.
+        period: Control period, s.
+
+    Raises:
+        InputError: If the period is not between 1e-5 s and 10 s.
+    """
+
+    feedback: ClassVar[Literal["observation"]] = "observation"
+    knowledge: ClassVar[str] = "nothing"
+
+    def __init__(self, machine: Machine, period: float = 0.01) -> None:
+        super().__init__(machine, period)
+        self._episodes, self._generator = 0, np.random.default_rng(0)
+
+    @override
+    def reset(self, mask: Mask | None = None) -> None:
+        self._episodes += 1
+        self._generator = np.random.default_rng(self._episodes)
+
+    @override
+    def act(self, observation: KeyedObservation) -> Actions:
+        shape = len(observation["desired_goal"]), len(self.machine.drives)
+        return self._generator.uniform(-1.0, 1.0, shape)
+
+
+def dataset_controller(name: str, scenario: Scenario) -> Controller:
+    """Return the controller of a data set: "random" for random actions, else as `make_controller`.
+
+    Args:
+        name: "random", name of a registered controller, `module:name` of one, or folder of a trained agent.
+        scenario: Machine, task and control period.
+
+    Returns:
+        The controller.
+
+    Raises:
+        InputError: If the controller is unknown or cannot run in this scenario.
+    """
+    if name == RANDOM:
+        return RandomActions(scenario.declared_machine, scenario.period)
+    return make_controller(name, scenario)
 
 
 class ExportedDataset(NamedTuple):
@@ -61,6 +113,7 @@ def export_dataset(
     normalize: bool = False,
     flat: bool = False,
     author: str | None = None,
+    reference: bool = False,
 ) -> ExportedDataset:
     """Simulate the episodes of a scenario with one controller and write them as a Minari data set.
 
@@ -71,13 +124,16 @@ def export_dataset(
     controller, the machine with all parameters, the options of the environment and the version of this package.
 
     Args:
-        name: Name of a registered controller, such as "pid", `module:name` of one, or folder of a trained agent.
+        name: Name of a registered controller, such as "pid", `module:name` of one, folder of a trained agent, or
+            "random" for uniformly random actions.
         scenario: Machine, task, randomization, sensors, drives, number of episodes, seed, period and duration.
         out: Folder for data sets; created if it does not exist.
         normalize: Whether observations and goals are stored as (value - center) / scale, about -1 to 1: positions over
             their range, velocities over the no-load speed. The controller always receives SI units.
         flat: Whether a stored observation is one array instead of a dict of arrays.
         author: Author in the metadata. Default: none.
+        reference: Whether the metadata have reference scores for `minari.get_normalized_score`: the mean returns of
+            random actions (0) and of the controller "predictive" (1) in 64 other episodes.
 
     Raises:
         InputError: If the controller is unknown or cannot run in this scenario, an option of the scenario is not the
@@ -94,7 +150,18 @@ def export_dataset(
     if folder.exists():
         raise InputError(f"{folder}: a data set of this name exists already; delete it or choose another --out")
     spec = _env_spec(scenario, folder, normalize=normalize, flat=flat)
-    controller = make_controller(name, scenario)
+    controller = dataset_controller(name, scenario)
+    metadata = _metadata(dataset_id, name, controller, scenario, author)
+    if reference:
+        scores = [
+            _mean_return(dataset_controller(other, scenario), spec, scenario, buffer_class)
+            for other in (RANDOM, EXPERT)
+        ]
+        metadata |= {
+            "ref_min_score": scores[0],
+            "ref_max_score": scores[1],
+            "num_episodes_average_score": REFERENCE_EPISODES,
+        }
     # Minari writes files by path: in the system's temporary folder (TMPDIR), so that a kill leaves nothing in `out`.
     with output_batch(out), scratch_folder() as temporary:
         if spec.kwargs["machine"] == str(folder / MACHINE_FILE):
@@ -102,7 +169,7 @@ def export_dataset(
         one = _vector_env(spec, scenario, 1)
         spaces = one.single_observation_space, one.single_action_space
         storage = storage_class.new(temporary / "data", *spaces, spec, jpeg_encoding=False)
-        storage.update_metadata(_metadata(dataset_id, name, controller, scenario, author))
+        storage.update_metadata(metadata)
         means = _write_episodes(storage, buffer_class, controller, spec, scenario)
         for path in sorted(p for p in temporary.rglob("*") if p.is_file()):
             with path.open("rb") as source, atomic_file(folder / path.relative_to(temporary)) as file:
@@ -123,6 +190,13 @@ def _write_episodes(
         returns += [float(np.sum(episode.rewards)) for episode in episodes]
         successes += [bool(episode.infos["is_success"][-1]) for episode in episodes]
     return float(np.mean(returns)), float(np.mean(successes))
+
+
+def _mean_return(controller: Controller, spec: EnvSpec, scenario: Scenario, buffer_class: Any) -> float:
+    """Return the mean over REFERENCE_EPISODES episodes of the sum of the rewards of a controller."""
+    envs = _vector_env(spec, scenario, REFERENCE_EPISODES)
+    episodes = _record(controller, envs, REFERENCE_SEED, buffer_class)
+    return float(np.mean([np.sum(episode.rewards) for episode in episodes]))
 
 
 def _import_minari() -> tuple[Any, Any]:

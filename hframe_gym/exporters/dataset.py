@@ -21,7 +21,8 @@ class DatasetExporter(Exporter):
     """
 
     controllers: list[str] = argument(
-        "Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, or module:name."
+        "Controllers: {controllers}, random (random actions), a shipped agent ({agents}), the folder of a trained "
+        "agent, or module:name."
     )
     machine: str | Path | Machine = option(
         "hframe", "A machine.json or a built-in name (see `hframe machines`).", cli_type=str
@@ -35,10 +36,13 @@ class DatasetExporter(Exporter):
     normalize: bool = option(False, "Store observations and goals divided by their scales.")
     flat: bool = option(False, "Store an observation as one array instead of a dict.")
     author: str | None = option(None, "Author in the metadata of the data sets.")
+    reference: bool = option(
+        False, "Store reference scores: mean returns of random actions and of the controller predictive."
+    )
 
     def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
         """Write the data sets; each appears when it is complete."""
-        from ..evaluation import Scenario, export_dataset, make_controller
+        from ..evaluation import Scenario, dataset_controller, export_dataset
 
         out = Path(out)
         if out.exists() and not out.is_dir():
@@ -48,9 +52,10 @@ class DatasetExporter(Exporter):
         try:
             scenario = Scenario(self.machine, self.task, period=self.period, **options)
             for name in names:  # so that a wrong name is reported before anything is written
-                make_controller(name, scenario)
+                dataset_controller(name, scenario)
             for name in names:
                 form: dict[str, Any] = {"normalize": self.normalize, "flat": self.flat, "author": self.author}
+                form["reference"] = self.reference
                 written = export_dataset(name, scenario, out, **form)
                 log(
                     f"wrote {written.dataset_id}: {written.episodes} episodes, {written.steps} "

@@ -171,6 +171,22 @@ def test_what_cannot_be_exported_is_refused_and_nothing_is_written(
     assert not datasets.exists() or not list(datasets.iterdir())
 
 
+def test_reference_scores_normalize_returns(datasets: Path) -> None:
+    scenario = Scenario(randomize="none", episodes=8, seed=3)
+    for name in ("random", "textbook-pid", "predictive"):
+        export_dataset(name, scenario, datasets, reference=True)
+    sets = [minari.load_dataset(f"hframe/reach/{name}-v0") for name in ("random", "textbook-pid", "predictive")]
+    assert len({dataset.storage.metadata["ref_min_score"] for dataset in sets}) == 1
+    scores = [
+        float(np.mean(minari.get_normalized_score(dataset, np.array([e.rewards.sum() for e in dataset]))))
+        for dataset in sets
+    ]
+    assert scores[0] == pytest.approx(0.0, abs=0.1)
+    assert scores[2] == pytest.approx(1.0, abs=0.1)
+    assert scores[0] + 0.1 < scores[1] < scores[2]
+    assert_replays_to_the_bit(sets[0])
+
+
 def test_a_data_set_is_not_replaced(datasets: Path) -> None:
     scenario = Scenario(randomize="none", episodes=1, duration_s=0.02)
     written = export_dataset("pid", scenario, datasets)
