@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
 from ..machine import Machine
-from ..preparation.initial_rest import InitialRest, initial_rest, without_moving_start
+from ..preparation.initial_rest import InitialRest
 from ..preparation.sensor_properties import noise_at_rest
+from ..preparation.usable import usable_run
 from ..recordings import (
     Recording,
-    only_measurements,
     peak_to_peak,
     without_repetitions,
     without_wraps,
@@ -106,9 +106,9 @@ def _prepared(
     recordings: Sequence[Recording], machine: Machine
 ) -> tuple[list[Recording], list[InitialRest], Dataset, list[str]]:
     """Return the runs without outliers, their rests, the same runs prepared for a fit, and the names of moving runs."""
-    cleaned = [only_measurements(recording, machine) for recording in recordings]
-    rests = [initial_rest(recording, machine) for recording in cleaned]
-    data = prepare([without_moving_start(r, machine, rest) for r, rest in zip(cleaned, rests, strict=True)], machine)
+    runs = [usable_run(recording, machine) for recording in recordings]
+    cleaned, rests = [run.measured for run in runs], [run.rest for run in runs]
+    data = prepare([run.usable for run in runs], machine)
     moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
     return cleaned, rests, data, moving
 

@@ -7,7 +7,7 @@ encoder was switched on, and common to all runs in which it stayed on.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,16 +20,9 @@ from ..machine import Machine
 from ..recordings import (
     Recording,
     fill_gaps,
-    repetitions,
-    without_outliers,
-    without_repetitions,
-    without_wraps,
-    wraps_of,
 )
 from .encoder_zeros import EncoderZeros, common_encoder_zeros
-from .initial_rest import without_moving_start
 from .initial_state import measured_initial_state, model_initial_states
-from .input_noise import without_input_noise
 from .rest_measurement import InitialState, estimate_initial_state, free_zeros, has_zero
 from .sensor_properties import (
     clock_jitter,
@@ -280,40 +273,6 @@ def require_motion(fitted: Sequence[Recording]) -> None:
     """
     if not moving_runs(fitted):
         raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
-
-
-def clean_recording(recording: Recording, machine: Machine, log: Callable[[str], object]) -> Recording:
-    """Remove unusable measurements from a recording, unwrap its angles and counters, and log what was done.
-
-    Unusable are repetitions of the last measurement by a sensor that is slower than the log, outliers, and the
-    measurements before the machine comes to rest, if it still moves when the run begins. Inputs that were measured with
-    much noise are averaged (`without_input_noise`).
-
-    Args:
-        recording: Run (times, voltages, measurements, SI).
-        machine: Machine with its sensors.
-        log: Called with a line of text for each channel that wraps and each kind of measurements that is removed.
-
-    Returns:
-        Copy whose measurements, m or rad, shape (n, sensors), are NaN where they were removed.
-    """
-    for channel, wrap in wraps_of(recording, machine).items():
-        unit = machine.sensor_unit(machine.sensor(channel))
-        log(f"{recording.name}: {channel} {wrap.describe(unit)}")
-    recording = without_input_noise(without_wraps(recording, machine), machine, log)
-    measured = without_repetitions(recording)
-    inside = without_outliers(measured, machine)
-    cleaned = without_moving_start(inside, machine)
-    for channel, before, after in zip(machine.output_channels, recording.outputs.T, measured.outputs.T, strict=True):
-        if repeated := int(np.isfinite(before).sum() - np.isfinite(after).sum()):
-            rows = f"{channel} is measured every {repetitions(before):.3g} rows"
-            log(f"{recording.name}: {rows}; the {repeated} repeated values are not used")
-    for before, after, what in ((measured, inside, "outliers"), (inside, cleaned, "moving start")):
-        if after is not before:
-            count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
-            found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
-            log(f"{recording.name}: {what} not used: {found}")
-    return cleaned
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:

@@ -8,7 +8,8 @@ import pytest
 from hframe_gym.identification import prepare
 from hframe_gym.identification.fit.force_sizes import scales_of_motion
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from hframe_gym.preparation.dataset import clean_recording, with_all_measurements
+from hframe_gym.preparation.dataset import with_all_measurements
+from hframe_gym.preparation.usable import usable_run
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
@@ -80,7 +81,7 @@ def test_an_angle_that_wraps_is_unwrapped_with_a_word(hframe: Machine) -> None:
     wrapped = outputs.copy()
     wrapped[:, 0] %= 2 * np.pi
     lines: list[str] = []
-    cleaned = clean_recording(Recording("run", time_s, np.ones((1000, 2)), wrapped), hframe, lines.append)
+    cleaned = usable_run(Recording("run", time_s, np.ones((1000, 2)), wrapped), hframe, lines.append).usable
     np.testing.assert_allclose(cleaned.outputs[:, 0], outputs[:, 0], atol=1e-9)
     jumps = np.count_nonzero(np.abs(np.diff(wrapped[:, 0])) > np.pi)
     assert lines == [f"run: phi1_rad wraps {jumps} times at one turn (6.28319 rad) and is unwrapped"]
@@ -91,7 +92,7 @@ def test_the_repetitions_of_a_slow_sensor_are_not_used_and_named(hframe: Machine
     outputs = np.zeros((1000, 4))
     outputs[:, 2] = 0.1 * np.sin(6.0 * time_s)[np.arange(1000) // 5 * 5]
     lines: list[str] = []
-    cleaned = clean_recording(Recording("run", time_s, np.ones((1000, 2)), outputs), hframe, lines.append)
+    cleaned = usable_run(Recording("run", time_s, np.ones((1000, 2)), outputs), hframe, lines.append).usable
     assert np.flatnonzero(np.isfinite(cleaned.outputs[:, 2])).tolist() == list(range(0, 1000, 5))
     assert lines == ["run: x_m is measured every 5 rows; the 800 repeated values are not used"]
 

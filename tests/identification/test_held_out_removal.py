@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -18,15 +17,14 @@ from hframe_gym.identification import (
     prepare,
 )
 from hframe_gym.identification.evidence.held_out import contradicting_held_out_runs, held_out_gain, worsens_simulation
-from hframe_gym.identification.identify import _contradicting_held_out_runs, _without_unconfirmed
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
+from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
 from hframe_gym.identification.search.search_effects import SearchOutcome
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
-pipeline = import_module("hframe_gym.identification.identify")
 NOISE = 20e-6  # m
 
 
@@ -60,7 +58,7 @@ def test_an_effect_that_held_out_runs_deny_is_removed(axis: Machine, before_expl
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(axis, 1)], axis)
     before, outcome = outcome_with_force(axis, data, 0.3, before_explains)
-    removed = _without_unconfirmed(outcome, validation, lambda line: None)
+    removed = without_unconfirmed(outcome, validation, lambda line: None)
     assert removed.verdict == verdict
     assert removed.selected == ()
     assert removed.after is before
@@ -72,7 +70,7 @@ def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(pushed, 1)], axis)
     _, outcome = outcome_with_force(axis, data, 0.3, False)
-    assert _without_unconfirmed(outcome, validation, lambda line: None) == outcome
+    assert without_unconfirmed(outcome, validation, lambda line: None) == outcome
 
 
 @pytest.mark.parametrize(("hidden", "contradicting"), [(0.0, ()), (0.9, ("run_1",))])
@@ -85,7 +83,7 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(other, 1)], axis)
     _, outcome = outcome_with_force(axis, data, 0.3, False)
     assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), validation) == ("run_1",)
-    assert _contradicting_held_out_runs(outcome, validation) == contradicting
+    assert _contradicting_runs(outcome, validation) == contradicting
 
 
 def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Dataset]:
@@ -108,7 +106,7 @@ def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: M
     assert held_out_gain(outcome.selected[0], after, validation, SIMULATION) > 0.5
     assert worsens_simulation(before, after, validation)
     assert not worsens_simulation(after, before, validation)
-    removed = _without_unconfirmed(outcome, validation, lambda line: None)
+    removed = without_unconfirmed(outcome, validation, lambda line: None)
     assert (removed.verdict, removed.selected) == ("unexplained", ())
     reason = "reduces the error of the held-out runs, but they are simulated worse with it than without effects"
     assert removed.considered[0].reason == reason
@@ -118,7 +116,7 @@ def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine
     """The effect reduces the error of the machine that was fitted with it; the machine refitted without it has none."""
     outcome, validation = outcome_with_spurious_friction(axis)
     assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), validation) == ("run_1",)
-    assert _contradicting_held_out_runs(outcome, validation) == ()
+    assert _contradicting_runs(outcome, validation) == ()
 
 
 def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first(axis: Machine) -> None:
@@ -134,6 +132,6 @@ def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first
     selected = tuple(SelectedEffect(e, 1.0, axis).with_values(after.machine) for e in cogged.effects)
     outcome = SearchOutcome(before, True, True, "effect_found", after, selected, (), data)
     lines: list[str] = []
-    removed = _without_unconfirmed(outcome, validation, lines.append)
+    removed = without_unconfirmed(outcome, validation, lines.append)
     assert removed.selected == ()
     assert [line.split()[0] for line in lines] == [overtone.label, cogging.label]

@@ -23,12 +23,13 @@ from hframe_gym.identification.report import recording_simulation
 from hframe_gym.identification.report.recording_simulation import (
     ModelEvaluation,
     PredictionErrors,
-    _rest_and_noise,
     evaluate_held_out,
     with_encoder_zeros,
 )
 from hframe_gym.machine import Machine, rest_state
 from hframe_gym.preparation.dataset import with_known_positions
+from hframe_gym.preparation.session import prepare_session
+from hframe_gym.preparation.usable import rest_and_noise
 from hframe_gym.recordings import Recording, fill_gaps, load_machine, save_machine
 
 pytestmark = pytest.mark.unit
@@ -147,7 +148,7 @@ def test_a_recording_with_gaps_is_prepared_once(
     initial_state_of_recording(machine, damaged)
     [[unsaturated]] = prepared
     noise = prepare([damaged], machine).noise
-    np.testing.assert_array_equal(_rest_and_noise(fill_gaps(damaged), machine)[2], noise)
+    np.testing.assert_array_equal(rest_and_noise(fill_gaps(damaged), machine)[2], noise)
     distance = np.abs(damaged.outputs[:, 2, None] - limits).min(axis=1) / noise[2]
     saturated = distance < 4
     expected = saturated | (np.convolve(saturated, [1, 0, 1], "same") > 0) & (distance < 8)
@@ -241,17 +242,20 @@ def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
     assert {(e.rmse, e.noise_ratio) for e in evaluation.held_out.channels.values()} == {(None, None)}
 
 
-def test_the_criteria_of_an_identification_hold_for_its_errors_as_well(
-    hframe: Machine, session: list[Recording]
+@pytest.mark.parametrize(("travel", "blanked"), [(1.0, True), (1e9, False)])
+def test_one_path_prepares_recordings_with_the_criteria_of_the_identification(
+    hframe: Machine, session: list[Recording], travel: float, blanked: bool
 ) -> None:
-    """The thresholds by which a laser at the end of its range is recognized were always the default ones."""
-    criteria = SelectionCriteria(min_saturated_fraction=0.5)
-    data, used = prepare(session, hframe), []
-    original = recording_simulation.saturation_ranges
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording_simulation, "saturation_ranges", lambda *args: used.append(args[3]) or original(*args))
-        evaluate_held_out(hframe, data, data.with_runs(["run_4"]), session, criteria)
-    assert set(used) == {criteria}
+    """A laser begins at the end of its range: the fit, the simulation and the initial state agree on what it shows."""
+    run = session[1]
+    begin = run.outputs[0, 2]
+    run.outputs[:, 2] = np.minimum(run.outputs[:, 2], begin - 0.5e-3)
+    criteria = SelectionCriteria(min_saturated_travel=travel)
+    prepared = prepare_session([run], hframe, criteria, lambda line: None)
+    assert np.isnan(prepared.data.runs[0].outputs[0, 2]) == bool(prepared.ranges) == blanked
+    initial = initial_state_of_recording(hframe, run, criteria)
+    np.testing.assert_array_equal(initial.state, simulate_recording(hframe, run, criteria).initial.state)
+    assert (abs(initial.position[0] - (begin - 0.5e-3)) > 50e-6) == blanked  # a saturated measurement is not believed
 
 
 def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine) -> None:

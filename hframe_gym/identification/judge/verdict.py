@@ -244,3 +244,26 @@ def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains:
     if any_effect:
         return verdict
     return "no_effect" if refitted_explains else "unexplained"
+
+
+def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
+    """Return the verdict of the report: a sensor at the end of its range is an effect, although none was searched for.
+
+    Args:
+        verdict: Verdict of the search and of the held-out runs.
+        any_effect: Whether the corrected machine has effects, those of saturated sensors included.
+    """
+    return "effect_found" if any_effect and verdict == "no_effect" else verdict
+
+
+# Ratio of errors on the held-out runs beyond which a plain fit is better; smaller differences are chance.
+AS_GOOD_AS_PLAIN = 1.01
+
+
+def is_worse_than_plain(ratio: float) -> bool:
+    """Return whether a machine predicts the held-out runs worse than a plain fit of inertia and friction.
+
+    Args:
+        ratio: Ratio of its simulation error to that of the plain fit.
+    """
+    return ratio > AS_GOOD_AS_PLAIN

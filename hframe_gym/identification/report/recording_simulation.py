@@ -20,9 +20,7 @@ from ...machine import Machine, Trajectory
 from ...machine.motion import rigid_motions
 from ...preparation.dataset import Dataset, PreparedRecording, prepare, without_unknown_voltage
 from ...preparation.encoder_zeros import EncoderZeros
-from ...preparation.initial_rest import count_resting_rows, without_moving_start
 from ...preparation.initial_state import measured_initial_state, model_initial_states, refine_encoder_zeros
-from ...preparation.input_noise import without_input_noise
 from ...preparation.rest_measurement import (
     InitialState,
     free_zeros,
@@ -31,8 +29,8 @@ from ...preparation.rest_measurement import (
     max_zero_means,
     sensor_zero_error,
 )
-from ...preparation.sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
-from ...recordings import Recording, fill_gaps, only_measurements
+from ...preparation.usable import rest_and_noise, usable_run, without_saturated
+from ...recordings import Recording, fill_gaps
 from ..fit.force_sizes import force_error, lacking_force
 from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.residual import ChannelError, errors_by_channel
@@ -217,7 +215,9 @@ def simulate_recording(
     return SimulatedRecording(trajectory, cleaned.outputs[recorded] - trajectory.outputs, initial)
 
 
-def initial_state_of_recording(machine: Machine, recording: Recording) -> InitialState:
+def initial_state_of_recording(
+    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None
+) -> InitialState:
     """Determine the initial state from which a machine is simulated over a recording.
 
     The measurements at rest give a first estimate: saturated ones are ignored, scale and skew of a sensor are
@@ -230,6 +230,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
     Args:
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
+        criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
 
     Returns:
         Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose errors
@@ -238,7 +239,7 @@ def initial_state_of_recording(machine: Machine, recording: Recording) -> Initia
         as rounding and the stretch of the belts at the start explain it. If the simulation diverges, the zeros follow
         from the measurements at rest. `warnings` lists what could not be determined.
     """
-    criteria = SelectionCriteria()
+    criteria = criteria or SelectionCriteria()
     return _initial_state(machine, _cleaned(recording, machine, criteria), criteria)
 
 
@@ -247,32 +248,20 @@ def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
     """
-    measured = only_measurements(without_input_noise(recording, machine), machine)
-    usable = without_moving_start(without_unknown_voltage(measured, machine), machine)
+    usable = without_unknown_voltage(usable_run(recording, machine).usable, machine)
     filled = fill_gaps(usable)
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled
-    _, _, noise = _rest_and_noise(filled, machine)
-    data = prepare([_without_saturated(machine, usable, noise, criteria)], machine)
+    _, _, noise = rest_and_noise(filled, machine)
+    data = prepare(without_saturated([usable], machine, noise, criteria)[0], machine)
     (run,) = estimate_lost_voltages(data, machine).runs
     return dataclasses.replace(filled, inputs=run.inputs)
 
 
-def _rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, Array]:
-    """Return the number of rows at rest, and quantization steps and noise of the sensors, m or rad, (sensors,) each."""
-    rows = count_resting_rows(recording, machine)
-    channels = recording.outputs.T
-    quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
-    noise = np.array(
-        [sensor_noise([c], [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
-    )
-    return rows, quanta, noise
-
-
 def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCriteria) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
-    rows, quanta, noise = _rest_and_noise(recording, machine)
-    usable = _without_saturated(machine, recording, noise, criteria)
+    rows, quanta, noise = rest_and_noise(recording, machine)
+    ((usable,), _) = without_saturated([recording], machine, noise, criteria)
     initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
     refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
     initial = dataclasses.replace(initial, zeros_refined=refined)
@@ -302,19 +291,6 @@ def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCr
     valid = np.isfinite(recording.outputs) * has_zero(machine)
     zeros = sensor_zero_error(error, valid, rows, limits, quanta)[0, 0]
     return dataclasses.replace(initial, zeros=zeros)
-
-
-def _without_saturated(machine: Machine, recording: Recording, noise: Array, criteria: SelectionCriteria) -> Recording:
-    """Return a recording without saturated measurements.
-
-    The machine's effects ``sensor_range`` define where a sensor saturates; other sensors are examined as in
-    identification.
-    """
-    ends: dict[str, Range] = saturation_ranges([recording], machine, noise, criteria)
-    for e in machine.effects:
-        if e.name == "sensor_range":
-            ends[e.site] = (e.parameters["low"], e.parameters["high"])
-    return blank_saturated(recording, ends, machine, noise, criteria)
 
 
 def evaluate_held_out(

@@ -1,0 +1,213 @@
+"""Evaluate what a search found on the held-out runs, and let these judge its verdict and the names of its effects."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset
+from ...preparation.sensor_properties import Range, range_effects
+from ...recordings import Recording
+from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
+from ..fit.covariance import with_uncertainty
+from ..fit.estimation import Fit, prediction_cost
+from ..fit.residual import errors_by_channel
+from ..fit.start_estimation import refine_dataset
+from ..judge.criteria import SelectionCriteria
+from ..judge.verdict import (
+    JUDGING_BANDWIDTH,
+    Evidence,
+    contradiction_of_names,
+    contradiction_of_no_effect,
+    remaining,
+)
+from ..predict.prediction import POLISH_STEP
+from ..propose.dependences import are_causes, rank_dependences
+from ..search.search_effects import SearchOutcome
+from .recording_simulation import ModelEvaluation, PredictionErrors, evaluate_held_out
+
+
+class Evaluated(NamedTuple):
+    """Outcome of a search with the three machines, simulated over the held-out runs.
+
+    Attributes:
+        outcome: Outcome of the search, with its effects, or those that saturated sensors show.
+        selected: These effects, with the values of the corrected machine.
+        declared_machine: Machine as declared.
+        declared: The same with its errors.
+        before: Refitted machine.
+        after: Machine with the effects.
+        refined: Fitted runs with the initial states that follow from this machine.
+        validation: Held-out runs.
+    """
+
+    outcome: SearchOutcome
+    selected: tuple[SelectedEffect, ...]
+    declared_machine: Machine
+    declared: ModelEvaluation
+    before: ModelEvaluation
+    after: ModelEvaluation
+    refined: Dataset
+    validation: Dataset
+
+
+def evaluate(
+    outcome: SearchOutcome,
+    machine: Machine,
+    ranges: dict[str, Range],
+    validation: Dataset,
+    recordings: Sequence[Recording],
+    criteria: SelectionCriteria,
+) -> Evaluated:
+    """Simulate the declared, the refitted and the corrected machine over the held-out runs.
+
+    Args:
+        outcome: Outcome of a search, after the held-out runs have removed effects.
+        machine: Machine as declared.
+        ranges: Ranges of the sensors that saturate, m or rad, by channel.
+        validation: Held-out runs with all measurements.
+        recordings: All recordings as measured.
+        criteria: Thresholds of the identification.
+    """
+    refined = refine_dataset(outcome.data, outcome.after.machine)
+    corrected, selected = _corrected(outcome.after, outcome.selected, ranges, refined, f"{machine.name}-identified")
+    refitted = outcome.before.machine.replace(name=f"{machine.name}-refitted")
+    declared, before, after = (
+        evaluate_held_out(m, outcome.data, validation, recordings, criteria) for m in (machine, refitted, corrected)
+    )
+    return Evaluated(outcome, selected, machine, declared, before, after, refined, validation)
+
+
+def judged(
+    evaluated: Evaluated,
+    differing: Sequence[str],
+    ranges: dict[str, Range],
+    recordings: Sequence[Recording],
+    criteria: SelectionCriteria,
+    log: Log,
+) -> tuple[Evaluated, str]:
+    """Let the held-out runs judge the names of effects and the verdict.
+
+    Args:
+        evaluated: Outcome of a search with its machines.
+        differing: Names of held-out runs that contradict the fitted ones.
+        ranges: Ranges of the sensors that saturate, m or rad, by channel.
+        recordings: All recordings as measured.
+        criteria: Decision thresholds.
+        log: Called with a line of text for each effect that is not named.
+
+    Returns:
+        The outcome with its machines, without effects that must not be named, and why the verdict is "unexplained"; ""
+        if the held-out runs do not contradict.
+    """
+    reason, outcome = _contradiction(evaluated, differing, criteria), evaluated.outcome
+    if reason and outcome.selected:
+        for s in outcome.selected:
+            log(f"  {s.effect.label} is not named: {reason}")
+        unnamed, machine = without_names(outcome, reason), evaluated.declared_machine
+        evaluated = evaluate(unnamed, machine, ranges, evaluated.validation, recordings, criteria)
+        reason = _contradiction(evaluated, differing, criteria) or reason
+    return evaluated, reason
+
+
+def with_verdict(outcome: SearchOutcome, reason: str) -> SearchOutcome:
+    """Return an outcome whose verdict is "unexplained" if the held-out runs contradict it.
+
+    Args:
+        outcome: Outcome of a search.
+        reason: Why they do; "" if they do not.
+    """
+    return outcome._replace(verdict="unexplained") if reason else outcome
+
+
+def _contradiction(evaluated: Evaluated, differing: Sequence[str], criteria: SelectionCriteria) -> str:
+    """Return why the held-out runs contradict the verdict of the search, a clause; "" if they do not."""
+    outcome = evaluated.outcome
+    if not outcome.selected and outcome.verdict != "no_effect":
+        return ""
+    evidence = _evidence(evaluated, differing, criteria)
+    if outcome.selected:
+        reason = contradiction_of_names(evidence, outcome.explained, criteria)
+        if reason and not outcome.explained:  # ranking the causes takes seconds
+            causes = rank_dependences(outcome.before.machine, outcome.data)
+            named = are_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
+            evidence = dataclasses.replace(evidence, causes_named=named)
+            reason = contradiction_of_names(evidence, outcome.explained, criteria)
+        return reason
+    return contradiction_of_no_effect(evidence, criteria)
+
+
+def _evidence(evaluated: Evaluated, differing: Sequence[str], criteria: SelectionCriteria) -> Evidence:
+    """Return what the held-out runs that do not contradict the fitted ones say; all of them if all contradict."""
+    runs = evaluated.validation.runs
+    agreeing = [run for run in runs if run.name not in differing] or list(runs)
+
+    def errors(model: ModelEvaluation) -> PredictionErrors:
+        by_run, measured = [model.errors[run.name] for run in agreeing], [run.outputs for run in agreeing]
+        channels = errors_by_channel(by_run, model.machine, evaluated.validation.noise, measured)
+        return PredictionErrors(channels, None, model.held_out.lacking)
+
+    def finite(value: float | None) -> float:
+        return math.inf if value is None or not math.isfinite(value) else value
+
+    before, after = errors(evaluated.before), errors(evaluated.after)
+    motion = after.motion_ratio
+    return Evidence(
+        left=finite(after.noise_ratio),
+        left_before=finite(before.noise_ratio),
+        motion=0.0 if math.isnan(motion) else motion,  # nothing moves
+        lacking=finite(after.lacking),
+        remaining_prediction=_remaining_prediction(evaluated, [run.name for run in agreeing], criteria),
+    )
+
+
+def _remaining_prediction(evaluated: Evaluated, names: Sequence[str], criteria: SelectionCriteria) -> float:
+    """Return the fraction of the squared prediction error that effects leave on some of the held-out runs.
+
+    Errors are in units of the noise at rest: jitter of the clock is an estimate from the motion, and a sensor that
+    repeats its measurements may be mistaken for it. The observer is slow enough to show what a missing force does over
+    some tenths of a second, and fast enough that its errors do not add up over the run, where parameters fitted beside
+    a wrong effect compensate for it.
+    """
+    validation = refine_dataset(evaluated.validation, evaluated.after.machine, evaluated.outcome.data).with_runs(names)
+    quiet = [dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape)) for r in validation.runs]
+    validation = dataclasses.replace(validation, runs=tuple(quiet))
+    after, before = (
+        prediction_cost(model.machine, validation, JUDGING_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
+        for model in (evaluated.after, evaluated.before)
+    )
+    return remaining(after, before, 1.0)
+
+
+def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
+    """Return an outcome whose effects are listed as considered instead of named.
+
+    Args:
+        outcome: Outcome of a search.
+        reason: Why they are not named.
+    """
+    entries = (
+        ConsideredEffect(s.effect, outcome.after.machine, outcome.before.machine, f"is not named: {reason}")
+        for s in outcome.selected
+    )
+    return outcome._replace(
+        verdict="unexplained", after=outcome.before, selected=(), considered=(*entries, *outcome.considered)
+    )
+
+
+def _corrected(
+    after: Fit, selected: tuple[SelectedEffect, ...], ranges: dict[str, Range], data: Dataset, name: str
+) -> tuple[Machine, tuple[SelectedEffect, ...]]:
+    """Return the machine with its uncertainty and one range per saturated sensor, and all its effects."""
+    fitted = with_uncertainty(after, data).replace(name=name)
+    limits = range_effects(ranges, [s.effect for s in selected])
+    labels = {e.label for e in limits}
+    fitted = fitted.replace(effects=tuple(e for e in fitted.effects if e.label not in labels))
+    selected = tuple(s for s in selected if s.effect.label not in labels)
+    selected += tuple(SelectedEffect(e, 0.0, fitted) for e in limits)
+    return fitted.with_effects(*limits), selected

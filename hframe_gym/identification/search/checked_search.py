@@ -1,0 +1,203 @@
+"""Search in the fitted runs, and let the held-out runs check what was found; they can only remove effects."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset, with_known_positions
+from ..budget import Budget
+from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
+from ..evidence.tried_effects import ConsideredEffect, Log
+from ..fit.lost_voltages import with_lost_voltages
+from ..fit.plain_fit import PlainFit, better_start, plain_fit
+from ..fit.start_estimation import refine_dataset
+from ..judge.criteria import SelectionCriteria
+from ..judge.held_out import HeldOutEffect, refuted_effects
+from ..judge.run import exchanges_held_out
+from ..judge.verdict import verdict_after_removal
+from ..propose.trial_fits import without_effect
+from .search_effects import SearchOutcome, search_effects
+
+_CONTRADICTION = (
+    "{} is not used: the other runs agree with one machine to within their noise, and no effect explains why this run "
+    "differs. Check its voltages, gains and sensors."
+)
+_HELD_OUT_CONTRADICTION = (
+    "{} was held out and contradicts the fitted runs: either something was wrong with it (check its voltages, gains "
+    "and sensors), or it shows what the fitted runs do not excite (hold out another run with --hold-out). The "
+    "errors on held-out runs include it."
+)
+_HINT = (
+    "If the held-out runs are fitted as well, {} would explain all runs, but no other run confirms it. Record another "
+    "run such as {} and identify again."
+)
+
+
+class CheckedOutcome(NamedTuple):
+    """Outcome of a search in the fitted runs, and what the held-out runs say about it.
+
+    Attributes:
+        outcome: Outcome of the search.
+        held_out: Runs that were not fitted.
+        differing: Names of those that contradict the machine which explains the fitted runs.
+        messages: What the user should know about the division of the runs, one sentence each.
+        plain: Plain fit to the fitted runs, if there is one.
+    """
+
+    outcome: SearchOutcome
+    held_out: Dataset
+    differing: tuple[str, ...]
+    messages: tuple[str, ...]
+    plain: PlainFit | None = None
+
+    @property
+    def agreeing(self) -> Dataset:
+        """Held-out runs that do not contradict the machine, measurements of shape (n, sensors) each."""
+        return self.held_out.with_runs([r.name for r in self.held_out.runs if r.name not in self.differing])
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the user should know about runs that contradict others, one sentence each."""
+        left_out = self.outcome.contradiction
+        remarks = (_CONTRADICTION.format(left_out),) if left_out else ()
+        return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing))
+
+
+def search_and_check(
+    machine: Machine,
+    all_runs: Dataset,
+    held_names: Sequence[str],
+    *,
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+) -> CheckedOutcome:
+    """Search for effects in the runs that are not held out, and compare the result with those that are.
+
+    Args:
+        machine: Machine as declared.
+        all_runs: All runs, prepared for a fit.
+        held_names: Names of the runs that are held out.
+        criteria: Decision thresholds.
+        log: Called with a line of text.
+        budget: Processor time after which the search ends.
+    """
+    fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
+    held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
+    data, unused = with_known_positions(all_runs.with_runs(fitted_names))
+    names = ", ".join(run.name for run in held_out.runs)
+    log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
+    data, held_out = with_lost_voltages(machine, data, held_out, log)
+    plain = plain_fit(machine, data)
+    machine = _start(machine, data, plain, log)
+
+    def confirmed(outcome: SearchOutcome) -> bool:
+        differing = _contradicting_runs(outcome, held_out)
+        if differing:
+            log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
+        return not differing
+
+    outcome = search_effects(machine, data, criteria, log, confirmed=confirmed, budget=budget)
+    differing = _contradicting_runs(outcome, held_out)
+    return CheckedOutcome(outcome, held_out, differing, (*unused, *excluded), plain)
+
+
+def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: Log) -> Machine:
+    """Return the machine from which the refit starts: as declared, or with inertia and friction of the plain fit."""
+    start = better_start(machine, data, plain)
+    if start is not machine:
+        values, declared = start.parameters, machine.parameters
+        changed = ", ".join(f"{n} {v / declared[n]:.2g}" for n, v in values.items() if declared.get(n) not in (0.0, v))
+        log(f"the fit starts from values that follow from the motion; times the declared ones: {changed}")
+    return start
+
+
+def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple[str, ...]:
+    """Return the names of the held-out runs that contradict the machine which explains the fitted runs."""
+    refined = refine_dataset(held_out_runs, outcome.after.machine, outcome.data)
+    return contradicting_held_out_runs(outcome.after, outcome.before.machine, outcome.selected, refined)
+
+
+def comparable_runs(checked: CheckedOutcome, all_runs: Dataset) -> Dataset:
+    """Return the fitted, the held-out and the contradictory runs; with estimated voltages, where rows were dropped.
+
+    Args:
+        checked: Outcome of a search.
+        all_runs: All runs, prepared for a fit; measurements of shape (n, sensors) each.
+    """
+    used = {run.name: run for run in (*checked.outcome.data.runs, *checked.held_out.runs)}
+    names = [*used, checked.outcome.contradiction]
+    return dataclasses.replace(all_runs, runs=tuple(used.get(r.name, r) for r in all_runs.runs if r.name in names))
+
+
+def hint_of_differing_runs(
+    checked: CheckedOutcome, search: Callable[[Sequence[str]], CheckedOutcome], log: Log
+) -> tuple[str, ...]:
+    """Return a hint if every held-out run contradicts the fitted ones, and effects would explain all runs together.
+
+    Either something was wrong with the held-out runs, or only they excite an effect. The effects are searched for with
+    these runs fitted. They are named only as a hint: no run is left that could confirm them.
+
+    Args:
+        checked: Outcome of the search, without effects.
+        search: Function that searches with other held-out runs, given their names.
+        log: Called with a line of text.
+
+    Returns:
+        A sentence for the user, or nothing.
+    """
+    fitted = [run.name for run in checked.outcome.data.runs]
+    if not exchanges_held_out(len(checked.differing), len(checked.held_out.runs), len(fitted)):
+        return ()
+    names, others = ", ".join(checked.differing), fitted[: len(checked.differing)]
+    log(f"all held-out runs contradict the fitted ones ({names}); searching with {', '.join(others)} held out instead")
+    exchanged = search(others)
+    outcome = exchanged.outcome
+    if not outcome.selected or not outcome.explained or outcome.contradiction or exchanged.differing:
+        return ()
+    effects = ", ".join(s.effect.label for s in outcome.selected)
+    return (_HINT.format(effects, names),)
+
+
+def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -> SearchOutcome:
+    """Remove effects that do not reduce the error of the held-out runs, weakest first.
+
+    The held-out runs can only remove an effect here, never add or change one. An effect that they do not excite is
+    kept: the fitted runs, left out one by one (`leave_one_out_gain`), have confirmed it. If each effect reduces their
+    error but all together make their simulation worse than without effects, the weakest is removed as well.
+
+    Args:
+        outcome: Outcome of a search.
+        validation: Held-out runs that do not contradict the fitted ones.
+        log: Called with a line of text for each effect that is removed.
+    """
+    before, after, verdict = outcome.before, outcome.after, outcome.verdict
+    selected, considered, data = outcome.selected, outcome.considered, outcome.data
+    while selected and validation.runs:
+        runs = refine_dataset(validation, after.machine, data)
+        shown = {
+            s.effect.label: HeldOutEffect(
+                held_out_gain(s, after.machine, runs, after.bandwidth),
+                is_excited(s, after.machine, runs, after.bandwidth),
+            )
+            for s in selected
+        }
+        refuted, reason = refuted_effects(shown, partial(worsens_simulation, before.machine, after.machine, runs))
+        refined = refine_dataset(data, after.machine)
+        ordered = (next(s for s in selected if s.effect.label == label) for label in refuted)
+        fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)
+        # The weakest that can be removed: no other effect requires it or acts on a coordinate that it added.
+        weakest, reduced = next(((s, fitted) for s, fitted in fits if fitted is not None), (None, None))
+        if weakest is None or reduced is None:
+            break
+        log(f"  {weakest.effect.label} is removed: it {reason}")
+        entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
+        selected = tuple(s for s in selected if s is not weakest)
+        after, considered = reduced if selected else before, (*considered, entry)
+        selected = tuple(s.with_values(after.machine) for s in selected)
+        verdict = verdict_after_removal(verdict, bool(selected), outcome.before_explains)
+    return outcome._replace(verdict=verdict, after=after, selected=selected, considered=considered)

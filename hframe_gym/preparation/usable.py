@@ -1,0 +1,118 @@
+"""What of a recording can be used: the one path by which `check`, `identify` and `simulate` treat measurements.
+
+A recording is unwrapped first. Not usable are repetitions of the last measurement by a sensor that is slower than the
+log, outliers, the measurements before the machine comes to rest, and those at the end of a sensor's range. Inputs that
+were measured with much noise are averaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import Array
+from ..machine import Machine
+from ..recordings import Recording, repetitions, without_outliers, without_repetitions, without_wraps, wraps_of
+from .criteria import SaturationCriteria
+from .initial_rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
+from .input_noise import without_input_noise
+from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
+
+
+class UsableRun(NamedTuple):
+    """A run in which measurements that are not usable are NaN.
+
+    Attributes:
+        measured: The run, unwrapped, without repetitions and outliers.
+        rest: Rest at its beginning.
+        usable: The same run, also without the measurements before the machine comes to rest.
+    """
+
+    measured: Recording
+    rest: InitialRest
+    usable: Recording
+
+
+def usable_run(recording: Recording, machine: Machine, log: Callable[[str], object] | None = None) -> UsableRun:
+    """Remove measurements that are not usable from a run, except those at the end of a sensor's range.
+
+    Args:
+        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
+        machine: Machine with its sensors.
+        log: Called with a line of text for each channel that wraps and each kind of measurements that is removed.
+    """
+    unwrapped = without_input_noise(without_wraps(recording, machine), machine, log)
+    distinct = without_repetitions(unwrapped)
+    measured = without_outliers(distinct, machine)
+    rest = initial_rest(measured, machine)
+    usable = without_moving_start(measured, machine, rest)
+    if log is not None:
+        _log_wraps(recording, machine, log)
+        _log_repetitions(unwrapped, distinct, machine, log)
+        for before, after, what in ((distinct, measured, "outliers"), (measured, usable, "moving start")):
+            if after is not before:
+                count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
+                found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
+                log(f"{recording.name}: {what} not used: {found}")
+    return UsableRun(measured, rest, usable)
+
+
+def _log_wraps(recording: Recording, machine: Machine, log: Callable[[str], object]) -> None:
+    """Log the angles and counters that wrap."""
+    for channel, wrap in wraps_of(recording, machine).items():
+        unit = machine.sensor_unit(machine.sensor(channel))
+        log(f"{recording.name}: {channel} {wrap.describe(unit)}")
+
+
+def _log_repetitions(before: Recording, after: Recording, machine: Machine, log: Callable[[str], object]) -> None:
+    """Log the sensors that are slower than the log."""
+    for channel, values, kept in zip(machine.output_channels, before.outputs.T, after.outputs.T, strict=True):
+        if repeated := int(np.isfinite(values).sum() - np.isfinite(kept).sum()):
+            rows = f"{channel} is measured every {repetitions(values):.3g} rows"
+            log(f"{before.name}: {rows}; the {repeated} repeated values are not used")
+
+
+def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, Array]:
+    """Estimate the sensors' noise from one run.
+
+    Args:
+        recording: Run without gaps (times, s; voltages, V; measurements, m or rad).
+        machine: Machine with its sensors.
+
+    Returns:
+        Number of rows at rest; quantization steps and noise of the sensors, m or rad, shape (sensors,) each.
+    """
+    rows = count_resting_rows(recording, machine)
+    channels = recording.outputs.T
+    quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
+    noise = np.array(
+        [sensor_noise([c], [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
+    )
+    return rows, quanta, noise
+
+
+def without_saturated(
+    recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SaturationCriteria
+) -> tuple[list[Recording], dict[str, Range]]:
+    """Remove measurements at the end of a sensor's range.
+
+    The machine's effects ``sensor_range`` define where a sensor saturates; other sensors are examined
+    (`saturation_ranges`).
+
+    Args:
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad).
+        machine: Machine that was recorded.
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+        criteria: Thresholds by which a sensor at the end of its range is recognized.
+
+    Returns:
+        Copies of the runs with measurements of shape (n, sensors), and the ranges that were found, m or rad, by channel.
+    """
+    found = saturation_ranges(recordings, machine, noise, criteria)
+    declared = {
+        e.site: (e.parameters["low"], e.parameters["high"]) for e in machine.effects if e.name == "sensor_range"
+    }
+    ends = found | declared
+    return [blank_saturated(r, ends, machine, noise, criteria) for r in recordings], found
