@@ -123,7 +123,7 @@ def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple
 
 
 def comparable_runs(checked: CheckedOutcome, all_runs: Dataset) -> Dataset:
-    """Return the fitted, the held-out and the contradictory runs; with estimated voltages, where rows were dropped.
+    """Return the fitted, held-out and contradictory runs, measurements of shape (n, sensors); with estimated voltages.
 
     Args:
         checked: Outcome of a search.
