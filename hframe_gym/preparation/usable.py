@@ -108,7 +108,7 @@ def without_saturated(
         criteria: Thresholds by which a sensor at the end of its range is recognized.
 
     Returns:
-        Copies of the runs, measurements of shape (n, sensors), and the ranges that were found, m or rad, by channel.
+        Copies of the runs, measurements of shape (n, sensors), and the ranges found, m or rad, by channel.
     """
     found = saturation_ranges(recordings, machine, noise, criteria)
     declared = {
