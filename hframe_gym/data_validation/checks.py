@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
 from ..machine import Machine
-from ..preparation.initial_rest import InitialRest
+from ..preparation.initial_rest import InitialRest, without_moving_start
 from ..preparation.sensor_properties import noise_at_rest
 from ..preparation.usable import usable_run
 from ..recordings import (
