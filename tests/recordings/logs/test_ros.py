@@ -65,6 +65,12 @@ def test_a_folder_of_bags_gives_a_run_each(tmp_path: Path) -> None:
     assert [path.name for path in find_logs(tmp_path / "logs")[0]] == ["a", "b"]
 
 
+def test_a_folder_with_another_description_is_no_bag(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text("author: someone\n")
+    (tmp_path / "run.csv").write_text("t,u\n0,1\n1,2\n2,3\n")
+    assert [path.name for path in find_logs(tmp_path)[0]] == ["run.csv"]
+
+
 def test_headers_of_another_clock_are_not_used(tmp_path: Path) -> None:
     write_ros2(tmp_path / "bag", rosbag2.StoragePlugin.MCAP, delay=BEGIN - 7)  # a simulation that begins at 0
     (log,) = open_logs(tmp_path / "bag")

@@ -55,21 +55,25 @@ def test_structures_are_read_by_their_description(tmp_path: Path) -> None:
         wpilog_start(2, "/.schema/struct:Pose", "structschema"),
         wpilog_start(3, "/pose", "struct:Pose"),
         wpilog_start(4, "/bits", "struct:Bits"),
+        wpilog_start(6, "/modules", "struct:Rotation2d[]"),
         wpilog_start(5, "/.schema/struct:Bits", "structschema"),
         wpilog_record(1, 0, inner.encode()),
         wpilog_record(2, 0, outer.encode()),
         wpilog_record(5, 0, b"int8 a:4; int8 b:4"),
         wpilog_record(4, 0, b"\x11"),
+        wpilog_record(6, 0, struct.pack("<2d", 0.5, 0.75)),
         *(wpilog_record(3, k, struct.pack("<bdff", 1, 0.1 * k, 2.0, 3.0 + k)) for k in range(5)),
     ]
     (tmp_path / "pose.wpilog").write_bytes(wpilog(*records))
     (log,) = open_logs(tmp_path / "pose.wpilog")
     headers = [column.header for column in log.columns]
-    assert headers == ["/pose/state", "/pose/turn/angle_rad", "/pose/size[0]", "/pose/size[1]"]
+    modules = ["/modules[0]/angle_rad", "/modules[1]/angle_rad"]
+    assert headers == ["/pose/state", "/pose/turn/angle_rad", "/pose/size[0]", "/pose/size[1]", *modules]
     assert log.columns[1].unit == "rad"
     values, _ = log.read(log.columns)
     np.testing.assert_allclose(values[1], 0.1 * np.arange(5))
     np.testing.assert_allclose(values[3], 3.0 + np.arange(5))
+    assert values[5] == [0.75]
     assert any("/bits (struct:Bits)" in remark for remark in log.remarks)  # bit fields are not read
 
 

@@ -15,6 +15,7 @@ from .messages import MessageSource, UnreadableError, log_of_messages
 from .ros_messages import RosDecoder, decoded
 
 _METADATA = "metadata.yaml"
+_START = 4096  # bytes of it that have the name of its only entry
 
 
 @LOG_FORMATS.register("rosbag")
@@ -27,12 +28,12 @@ class RosBagLogs(LogFormat):
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize a bag of ROS 1 and a database by their beginnings, and a folder by its description."""
-        return start.startswith((b"#ROSBAG", b"SQLite format 3\0")) or (path / _METADATA).is_file()
+        return start.startswith((b"#ROSBAG", b"SQLite format 3\0")) or _is_bag(path)
 
     @override
     def logs_in(self, folder: Path) -> list[Path]:
         """Return the folder itself if it is a bag of ROS 2."""
-        return [folder] if (folder / _METADATA).is_file() else []
+        return [folder] if _is_bag(folder) else []
 
     @override
     def open(self, path: Path) -> list[Log]:
@@ -41,6 +42,14 @@ class RosBagLogs(LogFormat):
         require_extra(path, "bags of ROS", "ros", ["rosbags"], advice)
         version = 1 if path.is_file() and path.suffix.lower() != ".db3" else 2
         return [log_of_messages(path, _Bag(path, version), (f"it is a bag of ROS {version}",))]
+
+
+def _is_bag(folder: Path) -> bool:
+    """Return whether a folder has the description of a bag of ROS 2; other data sets have files of this name too."""
+    if not (folder / _METADATA).is_file():
+        return False
+    with open(folder / _METADATA, "rb") as file:
+        return b"rosbag2_bagfile_information" in file.read(_START)
 
 
 class _Bag(MessageSource):
