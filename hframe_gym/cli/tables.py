@@ -315,9 +315,10 @@ def _belt_table(machine: Machine) -> Table:
 def _drive_table(machine: Machine) -> Table:
     """Format the drives."""
     table = _titled("drives", "name", "channel", "moves", "Kt", "Ke", "R", "gear ratio", "rated")
+    keys = ("Kt", "Ke", "resistance", "gear_ratio")
     for d in machine.drives:
-        cells = [_cell(machine, f"{d.name}.{key}", getattr(d, key)) for key in d.PARAMETERS]
-        table.add_row(*map(escape, (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} V")))
+        cells = [_cell(machine, f"{d.name}.{key}", getattr(d, key)) if key in d.parameter_names else "" for key in keys]
+        table.add_row(*map(escape, (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} {d.command_unit}")))
     return table
 
 

@@ -59,6 +59,9 @@ def channel_unit(channel: str, machine: Machine) -> str:
     """
     ending = channel.rpartition("_")[2]
     if channel in machine.input_channels:
+        drive = machine.drives[machine.input_channels.index(channel)]
+        if drive.kind != "voltage":
+            return drive.command_unit
         return ending if ending in ("A", "Nm") else "V"
     sensor = machine.sensor(channel)
     return ending if sensor.of_position and ending in ("m", "rad") else machine.sensor_unit(sensor)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import Array
 from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
-from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
+from ..machine import Drive, Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .workspace import workspace_of
 
 MARGIN = 0.05  # m, distance by which the bounds of positions exceed the workspace, because the end stops yield
@@ -57,10 +57,7 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
     """
     workspace = workspace_of(machine)
     # m/s of belt: without load at rated voltage, times a margin
-    fastest = max(
-        SPEED_FACTOR * d.rated_voltage / (d.Ke * d.gear_ratio) * machine.coordinate(d.coordinate).travel_per_unit
-        for d in machine.drives
-    )
+    fastest = max(_largest_speed(machine, drive, workspace) for drive in machine.drives)
     positions, velocities = [], []
     for name in observed_coordinates(machine) if names is None else names:
         c = machine.coordinate(name)
@@ -73,6 +70,23 @@ def state_signals(machine: Machine, names: Sequence[str] | None = None) -> tuple
         bounds = -speed, speed, 0.0, speed / SPEED_FACTOR
         velocities.append(SignalSpec(f"{name} velocity", c.unit("speed"), name, True, *bounds))
     return (*positions, *velocities)
+
+
+def _largest_speed(machine: Machine, drive: Drive, workspace: Array) -> float:
+    """Return 3 times (`SPEED_FACTOR`) the speed along the belt that a drive can cause, m/s, without load.
+
+    A drive without back-EMF reaches the lower of two speeds: that at which viscous friction holds its rated force, and
+    that after the way along the workspace with its rated force.
+    """
+    coordinate = machine.coordinate(drive.coordinate)
+    if drive.Ke > 0.0:
+        return SPEED_FACTOR * drive.rated_voltage / (drive.Ke * drive.gear_ratio) * coordinate.travel_per_unit
+    force = abs(drive.gain) * drive.rated_voltage / coordinate.travel_per_unit
+    mass = coordinate.mass / coordinate.travel_per_unit**2
+    way = float(np.linalg.norm(np.ptp(workspace, axis=1)))
+    after_way = (2.0 * force * way / mass) ** 0.5
+    viscous = coordinate.viscous / coordinate.travel_per_unit**2
+    return SPEED_FACTOR * (min(after_way, force / viscous) if viscous > 0.0 else after_way)
 
 
 def _tool_signal(machine: Machine, workspace: Array, name: str, label: str = "") -> SignalSpec:

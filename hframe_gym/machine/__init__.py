@@ -4,6 +4,7 @@ This package holds no integrator and reads no files.
 """
 
 from .components import (
+    DRIVE_KINDS,
     FIXED_UNITS,
     SENSOR_KINDS,
     UNITS,
@@ -11,6 +12,7 @@ from .components import (
     Coordinate,
     CoordinateKind,
     Drive,
+    DriveKind,
     Row,
     Sensor,
     SensorKind,
@@ -37,6 +39,7 @@ from .stage_geometry import BeltGeometry, Box, CoreXYGeometry, Point, StageGeome
 
 __all__ = [
     "BUILTIN_MACHINES",
+    "DRIVE_KINDS",
     "FIXED_UNITS",
     "HOOKS",
     "SENSOR_KINDS",
@@ -50,6 +53,7 @@ __all__ = [
     "CoordinateKind",
     "CoreXYGeometry",
     "Drive",
+    "DriveKind",
     "Effect",
     "EffectParameter",
     "Hook",

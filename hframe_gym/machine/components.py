@@ -64,6 +64,8 @@ FIXED_UNITS = {
     "voltage_range": "V",
     "voltage": "V",
     "current": "A",
+    "rated_current": "A",
+    "rated_torque": "Nm",
 }
 
 
@@ -90,6 +92,11 @@ class Coordinate:
     kind: CoordinateKind = "linear"
     radius: float = 1.0
     range: tuple[float, float] | None = None
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters that can be identified or randomized."""
+        return self.PARAMETERS
 
     @property
     def travel_per_unit(self) -> float:
@@ -137,6 +144,67 @@ class Belt:
     extension: Row
     length: Row = field(default_factory=dict)
 
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters that can be identified or randomized."""
+        return self.PARAMETERS
+
+
+class DriveKind:
+    """Base class of drive kinds: what the command of a drive is, and what the drive makes of it.
+
+    A kind is a subclass that registers itself with `@DRIVE_KINDS.register("name")`. Kinds are never instantiated. The
+    current that a command causes is (command - Ke * gear_ratio * w) / resistance, where a drive that controls its
+    current has Ke 0 and resistance 1: its amplifier supplies whatever voltage is necessary.
+
+    Attributes:
+        command: Quantity of the command: "voltage", "current" or "torque" (of the motor shaft).
+        rated: Field of machine.json that states the command of an action of 1.
+        parameters: Parameters of a drive of this kind that can be identified or randomized.
+        fixed: Values of the parameters that a drive of this kind does not have.
+    """
+
+    command: ClassVar[str] = "voltage"
+    rated: ClassVar[str] = "rated_voltage"
+    parameters: ClassVar[tuple[str, ...]] = ("Kt", "Ke", "resistance", "gear_ratio")
+    fixed: ClassVar[Mapping[str, float]] = {}
+
+    @classmethod
+    def unit(cls) -> str:
+        """Return the unit of the command."""
+        return FIXED_UNITS[cls.rated]
+
+
+DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind")
+
+
+@DRIVE_KINDS.register("voltage")
+class VoltageDrive(DriveKind):
+    """An amplifier or bridge that applies a voltage to the motor."""
+
+
+@DRIVE_KINDS.register("current")
+class CurrentDrive(DriveKind):
+    """An amplifier that controls the current of the motor; its bandwidth and limit are effects of the drive."""
+
+    command = "current"
+    rated = "rated_current"
+    parameters = ("Kt", "gear_ratio")
+    fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
+
+
+@DRIVE_KINDS.register("torque")
+class TorqueDrive(DriveKind):
+    """A drive that controls the torque of the motor shaft; its bandwidth and limit are effects of the drive.
+
+    Its torque constant is 1: the true torque per commanded torque, which identification may correct.
+    """
+
+    command = "torque"
+    rated = "rated_torque"
+    parameters = ("Kt", "gear_ratio")
+    fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -148,7 +216,7 @@ class Drive:
 
     Attributes:
         name: Name of the drive.
-        channel: Column of the recordings that holds its voltage, for example v1_V.
+        channel: Column of the recordings that holds its command, for example v1_V.
         coordinate: Name of the coordinate that it moves.
         Kt: Torque constant, Nm/A.
         Ke: Back-EMF constant, Vs/rad.
@@ -157,9 +225,9 @@ class Drive:
         rated_voltage: Rated voltage, V.
         converter_bits: Resolution of the digital-to-analog converter; 0 for a continuous voltage.
         voltage_range: Largest voltage of the converter in either direction, V. None for the rated voltage.
+        kind: Name in `DRIVE_KINDS`. For the kinds "current" and "torque", `rated_voltage` and `voltage_range` are
+            currents, A, or torques, Nm.
     """
-
-    PARAMETERS: ClassVar[tuple[str, ...]] = ("Kt", "Ke", "resistance", "gear_ratio")
 
     name: str
     channel: str
@@ -171,6 +239,17 @@ class Drive:
     rated_voltage: float
     converter_bits: int = 0
     voltage_range: float | None = None
+    kind: str = "voltage"
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters that can be identified or randomized; the kind determines them."""
+        return DRIVE_KINDS.get(self.kind).parameters
+
+    @property
+    def command_unit(self) -> str:
+        """Unit of the command: V, A or Nm."""
+        return DRIVE_KINDS.get(self.kind).unit()
 
     @property
     def gain(self) -> float:

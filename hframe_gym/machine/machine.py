@@ -69,7 +69,7 @@ class Machine:
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
-            tuple((d.name, d.coordinate) for d in self.drives),
+            tuple((d.name, d.coordinate, d.parameter_names) for d in self.drives),
             tuple((s.channel, SENSOR_KINDS.get(s.kind).signal, tuple(s.row.items())) for s in self.sensors),
             tuple((e.definition, e.site) for e in self.effects),
             tuple(self.ties.items()),
@@ -186,7 +186,7 @@ class Machine:
         values: dict[str, float] = {}
         components: tuple[Coordinate | Belt | Drive, ...] = (*self.coordinates, *self.belts, *self.drives)
         for component in components:
-            full_names = {key: f"{component.name}.{key}" for key in component.PARAMETERS}
+            full_names = {key: f"{component.name}.{key}" for key in component.parameter_names}
             values |= {name: getattr(component, key) for key, name in full_names.items() if name not in self.ties}
         for effect in self.effects:
             values |= {f"{effect.label}.{key}": value for key, value in effect.parameters.items()}
@@ -219,6 +219,10 @@ class Machine:
         belts = [] if key == "gear_ratio" else [b.name for b in self.belts]
         if owner not in (*belts, *(d.name for d in self.drives)):
             raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
+        if key in ("voltage_range", "rated_voltage"):
+            return self.drive(owner).command_unit
+        if key == "Kt" and self.drive(owner).kind == "torque":
+            return "1"  # true per commanded torque
         if key == "gear_ratio":
             return self.coordinate(self.drive(owner).coordinate).unit("rad/position")
         return FIXED_UNITS[key]
@@ -255,10 +259,10 @@ class Machine:
             raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}")
         values |= {tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values}
         new: dict[str, object] = {
-            "coordinates": tuple(_with_values(c, c.name, c.PARAMETERS, values) for c in self.coordinates),
-            "belts": tuple(_with_values(b, b.name, b.PARAMETERS, values) for b in self.belts),
+            "coordinates": tuple(_with_values(c, c.name, c.parameter_names, values) for c in self.coordinates),
+            "belts": tuple(_with_values(b, b.name, b.parameter_names, values) for b in self.belts),
             "drives": tuple(
-                _with_values(d, d.name, (*d.PARAMETERS, *d.device_parameters), values) for d in self.drives
+                _with_values(d, d.name, (*d.parameter_names, *d.device_parameters), values) for d in self.drives
             ),
             "sensors": tuple(_with_values(s, s.channel, tuple(s.device_parameters), values) for s in self.sensors),
             "effects": tuple(

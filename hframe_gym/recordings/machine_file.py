@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from ..atomic_files import write_text
 from ..errors import InputError
 from ..file_limits import read_document
-from ..machine import BUILTIN_MACHINES, Machine, Sensor
+from ..machine import BUILTIN_MACHINES, DRIVE_KINDS, Machine, Sensor
 from .machine_reader import MachineReader
 from .machine_schema import SCHEMA_VERSION, MachineFile, QuantityEntry, Table, field_units
 
@@ -88,21 +88,25 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
 
     coordinates = []
     for coordinate in machine.coordinates:
-        keys = [key for key in coordinate.PARAMETERS if key != "radius" or coordinate.kind == "rotary"]
+        keys = [key for key in coordinate.parameter_names if key != "radius" or coordinate.kind == "rotary"]
         entry: dict[str, Any] = {"name": coordinate.name, "kind": coordinate.kind}
         entry |= {key: quantity(coordinate.name, key, getattr(coordinate, key)) for key in keys}
         coordinates.append(entry | ({"range": list(coordinate.range)} if coordinate.range else {}))
     belts = [
         {"name": b.name}
-        | {key: quantity(b.name, key, getattr(b, key)) for key in b.PARAMETERS}
+        | {key: quantity(b.name, key, getattr(b, key)) for key in b.parameter_names}
         | {"extension": dict(b.extension), "length": dict(b.length)}
         for b in machine.belts
     ]
     drives = []
     for drive in machine.drives:
         entry = {"name": drive.name, "channel": drive.channel, "coordinate": drive.coordinate}
-        keys = [*drive.PARAMETERS, "rated_voltage", *(["voltage_range"] if drive.voltage_range is not None else [])]
+        if drive.kind != "voltage":
+            entry["kind"] = drive.kind
+        keys = [*drive.parameter_names, *(["voltage_range"] if drive.voltage_range is not None else [])]
         entry |= {key: quantity(drive.name, key, getattr(drive, key)) for key in keys}
+        rated = DRIVE_KINDS.get(drive.kind).rated
+        entry[rated] = quantity(drive.name, "rated_voltage", drive.rated_voltage)
         drives.append(entry | {"converter_bits": drive.converter_bits})
     sensors = [
         {"channel": s.channel, "kind": s.kind, "row": dict(s.row)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from ..effects import EFFECTS, effect_sites, get_effect
 from ..errors import InputError
 from ..machine import (
+    DRIVE_KINDS,
     FIXED_UNITS,
     SENSOR_KINDS,
     UNITS,
@@ -198,11 +200,34 @@ class MachineReader:
         self._check_text(f"{field}.channel", entry.channel, column=True)
         if entry.coordinate not in self._kinds:
             raise self._error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
-        keys = (*Drive.PARAMETERS, "rated_voltage", *(() if entry.voltage_range is None else ("voltage_range",)))
-        units = {key: FIXED_UNITS[key] for key in keys}
+        if entry.kind not in DRIVE_KINDS:
+            choices = ", ".join(DRIVE_KINDS)
+            raise self._error(f"{field}.kind", f"drive kind {entry.kind!r} is not registered; choose one of {choices}")
+        kind = DRIVE_KINDS.get(entry.kind)
+        fields = {key for each in map(DRIVE_KINDS.get, DRIVE_KINDS) for key in (*each.parameters, each.rated)}
+        for key in sorted(fields - {*kind.parameters, kind.rated}):
+            if getattr(entry, key) is not None:
+                raise self._error(f"{field}.{key}", f"a drive of the kind {entry.kind!r} has none; delete it")
+        units = {key: FIXED_UNITS[key] for key in (*kind.parameters, kind.rated) if key != "gear_ratio"}
         units["gear_ratio"] = UNITS[self._kinds[entry.coordinate]]["rad/position"]
-        values: dict[str, Any] = self._values(field, entry, units)
-        return Drive(entry.name, entry.channel, entry.coordinate, converter_bits=entry.converter_bits, **values)
+        if entry.kind == "torque":
+            units["Kt"] = "1"
+            if entry.Kt is None:
+                del units["Kt"]
+            if entry.current_limit is not None:
+                raise self._error(f"{field}.current_limit", "a torque has no limit in A; describe a drive of currents")
+        missing = next((key for key in units if getattr(entry, key) is None), None)
+        if missing is not None:
+            raise self._error(f"{field}.{missing}", f'missing; write {{"value": ..., "unit": "{units[missing]}"}}')
+        if entry.voltage_range is not None:
+            units["voltage_range"] = kind.unit()
+        values: dict[str, Any] = {"Kt": 1.0, **kind.fixed} | self._values(field, entry, units)
+        values["rated_voltage"] = values.pop(kind.rated)
+        if entry.bandwidth is not None and kind.command == "voltage":
+            raise self._error(f"{field}.bandwidth", "only a drive that controls its current or torque has one")
+        return Drive(
+            entry.name, entry.channel, entry.coordinate, kind=entry.kind, converter_bits=entry.converter_bits, **values
+        )
 
     def _sensor(self, entry: SensorEntry) -> Sensor:
         """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
@@ -248,6 +273,12 @@ class MachineReader:
                 effects.append(declare("sensor_delay", sensor.channel, d=sensor.delay))
         drives = self.content.drives
         effects += [declare("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None]
+        for drive in drives:
+            if drive.bandwidth is not None:
+                if drive.bandwidth.unit != "Hz" or not 0.0 < drive.bandwidth.value < _LARGEST_MAGNITUDE:
+                    raise self._error(f"drives.{drive.name}.bandwidth", "must be a positive number of Hz")
+                tau = QuantityEntry(value=1.0 / (2.0 * math.pi * drive.bandwidth.value), unit="s")
+                effects.append(declare("electrical_lag", drive.name, tau=tau))
         delays = {d.name: d.delay for d in drives if d.delay is not None}
         if len(delays) == len(drives) and all(delay == drives[0].delay for delay in delays.values()):
             delays = {"drives": delays[drives[0].name]}

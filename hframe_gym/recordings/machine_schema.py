@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from ..machine import FIXED_UNITS, UNITS, CoordinateKind, SensorQuantity
+from ..machine import DRIVE_KINDS, FIXED_UNITS, UNITS, CoordinateKind, SensorQuantity
 
 SCHEMA_VERSION = 1
 QUANTITIES: tuple[SensorQuantity, ...] = get_args(SensorQuantity)
@@ -23,7 +23,7 @@ MAY_BE_NEGATIVE = ("zero",)
 _QUANTITIES = {"coulomb": "force", "zero": "position"}
 # Quantities in the unit of a sensor, which depends on its kind.
 _OF_SENSOR = ("noise", "resolution")
-_DECLARED_EFFECT_UNITS = {"current_limit": "A", "delay": "s"}
+_DECLARED_EFFECT_UNITS = {"current_limit": "A", "delay": "s", "bandwidth": "Hz"}
 
 
 def field_units(field: str) -> tuple[str, ...]:
@@ -40,6 +40,10 @@ def field_units(field: str) -> tuple[str, ...]:
     Raises:
         KeyError: If no field of this name holds a quantity.
     """
+    if field == "voltage_range":
+        return tuple(dict.fromkeys(kind.unit() for kind in map(DRIVE_KINDS.get, DRIVE_KINDS)))
+    if field == "Kt":
+        return FIXED_UNITS[field], "1"
     if field == "gear_ratio":
         return tuple(UNITS[kind]["rad/position"] for kind in UNITS)
     if field in _OF_SENSOR:
@@ -144,32 +148,44 @@ class DriveEntry(Table):
 
     Attributes:
         name: Name of the drive.
-        channel: Column of its voltage in recordings, for example v1_V. Positive voltage accelerates the coordinate in
-            positive direction.
+        kind: What its command is: "voltage" (default), "current" or "torque" of an amplifier that controls it, or a
+            registered kind.
+        channel: Column of its command in recordings, for example v1_V, i1_A or torque1_Nm. A positive command
+            accelerates the coordinate in positive direction.
         coordinate: Name of the coordinate that it drives.
-        Kt: Torque constant of the motor, Nm/A.
-        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it.
-        resistance: Resistance between the terminals, ohm.
+        Kt: Torque constant of the motor, Nm/A. For the kind "torque" the true torque per commanded torque, with the
+            unit "1"; 1 if it is left out.
+        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it. Only
+            for the kind "voltage".
+        resistance: Resistance between the terminals, ohm. Only for the kind "voltage".
         gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a carriage.
             There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the gear.
-        rated_voltage: Voltage that an action of 1 in the environment applies, V.
+        rated_voltage: Voltage that an action of 1 in the environment applies, V. Only for the kind "voltage".
+        rated_current: Current that an action of 1 commands, A, for the kind "current".
+        rated_torque: Torque of the motor shaft that an action of 1 commands, Nm, for the kind "torque".
         converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
-        voltage_range: Largest voltage of the converter in either direction, V. Default: the rated voltage.
+        voltage_range: Largest command of the converter in either direction, V, A or Nm. Default: the rated one.
         current_limit: Largest current, A (declares the effect current_limit). Default: unlimited.
+        bandwidth: Bandwidth of a drive that controls its current or torque, Hz: the time constant of the effect
+            electrical_lag is 1 / (2 pi bandwidth). Default: unlimited.
         delay: Delay of the voltage, s (declares the effect input_delay). Default: no delay.
     """
 
     name: Name
+    kind: str = "voltage"
     channel: str
     coordinate: str
-    Kt: Annotated[QuantityEntry, _quantity("Kt")]
-    Ke: Annotated[QuantityEntry, _quantity("Ke")]
-    resistance: Annotated[QuantityEntry, _quantity("resistance")]
+    Kt: Annotated[QuantityEntry | None, _quantity("Kt")] = None
+    Ke: Annotated[QuantityEntry | None, _quantity("Ke")] = None
+    resistance: Annotated[QuantityEntry | None, _quantity("resistance")] = None
     gear_ratio: Annotated[QuantityEntry, _quantity("gear_ratio")]
-    rated_voltage: Annotated[QuantityEntry, _quantity("rated_voltage")]
+    rated_voltage: Annotated[QuantityEntry | None, _quantity("rated_voltage")] = None
+    rated_current: Annotated[QuantityEntry | None, _quantity("rated_current")] = None
+    rated_torque: Annotated[QuantityEntry | None, _quantity("rated_torque")] = None
     converter_bits: Annotated[int, Field(ge=0, le=32)] = 0
     voltage_range: Annotated[QuantityEntry | None, _quantity("voltage_range")] = None
     current_limit: Annotated[QuantityEntry | None, _quantity("current_limit")] = None
+    bandwidth: Annotated[QuantityEntry | None, _quantity("bandwidth")] = None
     delay: Annotated[QuantityEntry | None, _quantity("delay")] = None
 
 

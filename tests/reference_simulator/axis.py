@@ -27,6 +27,8 @@ class Axis:
         coulomb: Dry friction, Nm.
         torque_constant: Nm/A; also the back-EMF constant, Vs/rad.
         resistance: Of the motor, ohm.
+        bandwidth_hz: Of an amplifier that controls the current; 0 for one that applies the commanded voltage.
+        limit_A: Largest current of such an amplifier.
     """
 
     inertia: float = 2e-4
@@ -34,6 +36,8 @@ class Axis:
     coulomb: float = 0.004
     torque_constant: float = 0.03
     resistance: float = 1.5
+    bandwidth_hz: float = 0.0
+    limit_A: float = float("inf")
 
 
 class Record(NamedTuple):
@@ -41,7 +45,7 @@ class Record(NamedTuple):
 
     Attributes:
         time_s: Times, s.
-        command: Command that is held until the next row, V.
+        command: Command that is held until the next row, V or A.
         position: Angle, rad.
         speed: rad/s.
         acceleration: rad/s^2.
@@ -61,23 +65,32 @@ def record(axis: Axis, command: Callable[[int], float], rows: int, period_s: flo
 
     Args:
         axis: The axis.
-        command: Function from the number of a row to the command that is held until the next row, V.
+        command: Function from the number of a row to the command that is held until the next row, V or A.
         rows: Number of rows.
         period_s: Time between two rows, s; a multiple of 10 us.
     """
     steps, h = round(period_s / STEP_S), STEP_S
-    q = v = volts = acceleration = 0.0
+    q = v = sent = acceleration = lagged = 0.0
+    decay = np.exp(-2.0 * np.pi * axis.bandwidth_hz * h)
     table = np.empty((rows, 5))
+
+    def amps() -> float:
+        """Return the current of the motor, A."""
+        if axis.bandwidth_hz:
+            return min(max(lagged, -axis.limit_A), axis.limit_A)
+        return (sent - axis.torque_constant * v) / axis.resistance
+
     for row in range(rows):
-        current = (volts - axis.torque_constant * v) / axis.resistance
+        current = amps()
         force = axis.torque_constant * current - axis.viscous * v
         if row:
             held = min(max(force, -axis.coulomb), axis.coulomb) if v == 0.0 else np.copysign(axis.coulomb, v)
             acceleration = (force - held) / axis.inertia
-        volts = command(row)
-        table[row] = volts, q, v, acceleration, current
+        sent = command(row)
+        table[row] = sent, q, v, acceleration, current
         for _ in range(steps):
-            torque = axis.torque_constant * (volts - axis.torque_constant * v) / axis.resistance - axis.viscous * v
+            lagged = sent + (lagged - sent) * decay
+            torque = axis.torque_constant * amps() - axis.viscous * v
             free = v + h * torque / axis.inertia
             impulse = h * axis.coulomb / axis.inertia
             after = free - impulse if free > impulse else free + impulse if free < -impulse else 0.0

@@ -92,7 +92,7 @@ class ParameterizedMachine:
 
     def _with_values(self, component: Coordinate | Drive) -> Any:
         """Return a component whose parameters may be arrays or expressions; its formulas work on them, too."""
-        values = {key: self.parameter(f"{component.name}.{key}") for key in component.PARAMETERS}
+        values = {key: self.parameter(f"{component.name}.{key}") for key in component.parameter_names}
         return dataclasses.replace(component, **values)
 
     def radius(self, i: int) -> Value:

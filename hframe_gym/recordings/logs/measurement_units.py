@@ -130,6 +130,9 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
     if channel == TIME:
         return "time"
     if channel in machine.input_channels:
+        drive = machine.drives[machine.input_channels.index(channel)]
+        if drive.kind != "voltage":
+            return _COMMANDS[drive.command_unit]
         unit = split_unit(channel)[1]
         return _COMMANDS.get(unit, "voltage")
     return _DIMENSION_OF_UNIT[machine.sensor_unit(machine.sensor(channel))]
