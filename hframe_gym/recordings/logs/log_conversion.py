@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...machine import Machine
+from ..cleaning import GAP_PERIODS
 from ..quantization import exact_quantum
 from ..recording import Recording, recording_from_columns
 from ..table_file import Array, refuse_decreasing_times
@@ -27,6 +28,7 @@ Values = dict[str, NDArray[Any]]  # values of the log's columns by header
 
 # Samples of several time columns that differ by less than this fraction of the shortest sampling period form one row.
 _SAME_TIME = 1e-3
+_MOST_INSERTED = 20  # rows between two merged rows; a longer step is a gap whatever its cause
 _LONG_STEP = 0.5  # s; times without a unit at longer steps are probably in another unit than seconds
 # Likely unit of times without a unit by their step: below a limit, unit, steps per second. Logs have 20 Hz to 20 kHz.
 _TIME_UNITS = ((50.0, "ms", 1e3), (50e3, "us", 1e6), (np.inf, "ns", 1e9))
@@ -111,7 +113,7 @@ class LogConverter:
             remarks.append(f"time_s counts from midnight{date}; time zones are ignored")
         by_header.clear()  # so that the values of a long log are in memory only once
         if len(tables) > 1:
-            time_s, columns = _merge(tables)
+            time_s, columns = _without_false_gaps(*_merge(tables), [times for times, _ in tables])
             lengths = [
                 f"{len(t)} of {time.column.header}" for (t, _), time in zip(tables, times, strict=True) if time.column
             ]
@@ -340,6 +342,32 @@ def _merge(tables: Sequence[tuple[Array, dict[str, Array]]]) -> tuple[Array, dic
             columns[channel][rows] = values
         start += len(time_s)
     return merged, columns
+
+
+def _without_false_gaps(
+    time_s: Array, columns: dict[str, Array], tables: Sequence[Array]
+) -> tuple[Array, dict[str, Array]]:
+    """Insert empty rows where merged rows are unevenly spaced although no table lacks rows, so that no gap is seen."""
+    steps = np.diff(time_s)
+    period = float(np.median(steps)) if len(steps) else 0.0
+    uneven = np.flatnonzero(steps > GAP_PERIODS * period)
+    for times in tables:
+        own = np.diff(times)
+        if len(own):
+            step = np.searchsorted(times, time_s[uneven], "right") - 1
+            lost = own[np.clip(step, 0, len(own) - 1)] > GAP_PERIODS * np.median(own)
+            uneven = uneven[~(lost & (step >= 0) & (step < len(own)))]
+    counts = np.rint(steps[uneven] / period).astype(int) - 1
+    uneven, counts = uneven[counts <= _MOST_INSERTED], counts[counts <= _MOST_INSERTED]
+    if not len(uneven):
+        return time_s, columns
+    number = np.concatenate([np.arange(1, count + 1) for count in counts])
+    row = np.repeat(uneven, counts)
+    inserted = time_s[row] + steps[row] * number / (np.repeat(counts, counts) + 1)
+    order = np.argsort(np.concatenate([time_s, inserted]), kind="stable")
+    empty = np.full(len(inserted), np.nan)
+    filled = {channel: np.concatenate([values, empty])[order] for channel, values in columns.items()}
+    return np.concatenate([time_s, inserted])[order], filled
 
 
 def _hold_inputs(

@@ -127,3 +127,17 @@ def test_a_time_without_a_unit_is_refused_with_its_likely_unit(
 ) -> None:
     with pytest.raises(InputError, match=rf"has no unit and steps of {step:g}, .* by --unit time_s={unit} \(rows at"):
         imported(tmp_path, axis, "t", [str(k * step) for k in range(100)])
+
+
+def test_two_clocks_of_one_rate_leave_no_gaps(axis: Machine, tmp_path: Path) -> None:
+    kept = np.array([k for k in range(50) if k not in (30, 31)])
+    rows = [f"{0.02 * k:.3f};{0.01 * k:.2f};{0.02 * k + 0.006:.3f};{1e-4 * k:.4f}" for k in kept]
+    (tmp_path / "log.csv").write_text("\n".join(["t_s;v_V;time_s.2;x_m", *rows]))
+    lines: list[str] = []
+    settings = ImportSettings(MappingOptions({"time_s": "t_s,time_s.2"}))
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, settings, lines.append)
+    (run,) = load_recordings(tmp_path / "runs", axis)
+    measured = np.isfinite(run.outputs[:, 0])
+    np.testing.assert_allclose(run.time_s[measured], 0.02 * kept + 0.006, atol=1e-9)
+    np.testing.assert_allclose(run.inputs[measured, 0], 0.01 * kept)
+    assert any(line.startswith("  1 gap in time") for line in lines)  # that of the rows that are missing
