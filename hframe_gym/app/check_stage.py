@@ -6,7 +6,7 @@ import dataclasses
 import html
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from nicegui import run, ui
 
@@ -24,6 +24,14 @@ _LEGEND = "Blue: measured. Orange: simulated from the inputs with the machine as
 _MOST_CHARTS = 12  # findings that are drawn at once; the others on request
 
 
+class _Wanted(NamedTuple):
+    """Curves that are to be drawn: where, of which run, and which channels."""
+
+    place: Any
+    path: Path
+    channels: set[str]
+
+
 class CheckStage(Stage):
     """Check the runs before anything is fitted."""
 
@@ -38,7 +46,7 @@ class CheckStage(Stage):
         """Create the stage."""
         super().__init__(page)
         self._run = ""
-        self._charts: list[tuple[Any, Path, list[Curve]]] = []
+        self._wanted: list[_Wanted] = []
 
     def missing(self) -> tuple[str, str] | None:
         """Return that runs must come first."""
@@ -65,7 +73,7 @@ class CheckStage(Stage):
     def show(self) -> None:
         """Build the stage."""
         self.command_box()
-        self._charts = []
+        self._wanted = []
         findings = self._findings()
         machine = self.session.machine
         if findings is None or machine is None:
@@ -94,7 +102,7 @@ class CheckStage(Stage):
         heading("The runs")
         ui.label(_LEGEND).classes("hf-muted")
         self._show_run(machine)
-        ui.timer(0.1, self._simulate, once=True)
+        ui.timer(0.1, self._draw, once=True)
 
     def _show_run(self, machine: Machine) -> None:
         """Show all channels of a run that the user chooses."""
@@ -103,69 +111,61 @@ class CheckStage(Stage):
         choice = ui.select(list(paths), value=self._run, label="run")
         choice.props("dense outlined options-dense").style("max-width: 22rem; width: 100%")
         place = ui.element("div").classes("hf-chart")
-
-        def draw() -> None:
-            self._run = choice.value
-            place.clear()
-            with place:
-                self._chart(run_curves(paths[self._run], machine), paths[self._run])
+        channels = {*machine.input_channels, *machine.output_channels}
+        self._wanted.append(_Wanted(place, paths[self._run], channels))
 
         async def choose() -> None:
-            draw()
-            await self._simulate()
+            self._run = choice.value
+            place.clear()
+            self._wanted.append(_Wanted(place, paths[self._run], channels))
+            await self._draw()
 
-        draw()
         choice.on_value_change(choose)
 
     def _show_finding(self, finding: Finding, machine: Machine, *, draw: bool) -> None:
-        """Show a finding and the curves of the run and channel that it names."""
+        """Show a finding and, below it, the curves of the run and channel that it names."""
         tone, word = _TONES[finding.severity]
         subject = ", ".join(filter(None, (finding.run, finding.channel)))
         with ui.element("article").classes(f"hf-finding hf-{tone}"):
             title = f"<b>{word}</b> {html.escape(subject)}"
             ui.html(f"{title}<br>{html.escape(finding.message)}", sanitize=False)
-            curves, path = self._curves(finding, machine) if draw else ([], None)
-            if curves and path is not None:
-                self._chart(curves, path)
+            shown_by = self._shown_by(finding, machine) if draw else None
+            if shown_by is not None:
+                self._wanted.append(_Wanted(ui.element("div").classes("hf-chart"), *shown_by))
 
-    def _curves(self, finding: Finding, machine: Machine) -> tuple[list[Curve], Path | None]:
-        """Return the curves that show a finding, its channel with the inputs, and the file of the run."""
+    def _shown_by(self, finding: Finding, machine: Machine) -> tuple[Path, set[str]] | None:
+        """Return the run and the channels that show a finding, an output together with the inputs; None if none do."""
         by_name = {run_name(path): path for path in self.session.runs}
-        name = finding.run.split(" and ")[0].split(",")[0].strip()
-        run = by_name.get(name)
+        path = by_name.get(finding.run.split(" and ")[0].split(",")[0].strip())
         coordinate = {sensor.channel: sensor.coordinate for sensor in machine.sensors}
         coordinate |= {c: d.coordinate for c, d in zip(machine.input_channels, machine.drives, strict=True)}
         words = {word.strip(".,:;()") for word in finding.message.split()}
-        named = [c for c in coordinate if c == finding.channel or c in words]
-        named = named or [c for c, name in coordinate.items() if name == finding.channel]
-        if run is None and named:
-            run = next(iter(by_name.values()), None)
-        if run is None or not named:
-            return [], None
-        try:
-            curves = run_curves(run, machine)
-        except InputError:
-            return [], None
-        outputs = set(named) & set(machine.output_channels)
-        wanted = set(named) | (set(machine.input_channels) if outputs else set())
-        return [dataclasses.replace(c, note=run_name(run)) for c in curves if c.name in wanted], run
+        named = {c for c in coordinate if c == finding.channel or c in words}
+        named = named or {c for c, name in coordinate.items() if name == finding.channel}
+        if not named or not by_name:
+            return None
+        inputs = set(machine.input_channels) if named & set(machine.output_channels) else set()
+        return path or next(iter(by_name.values())), named | inputs
 
-    def _chart(self, curves: list[Curve], path: Path) -> None:
-        """Draw curves of a run; `_simulate` adds what the declared machine would have measured."""
-        options = curves_chart(curves, dark=self.page.dark, x_name="time, s")
-        names = ", ".join(curve.name for curve in curves)
-        chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves)) - 24}px")
-        chart.props(f'role=img aria-label="Curves of {html.escape(names)}"')
-        self._charts.append((chart, path, curves))
-
-    async def _simulate(self) -> None:
-        """Add to the charts what the declared machine would have measured."""
+    async def _draw(self) -> None:
+        """Draw the curves that are wanted, then add to them what the declared machine would have measured."""
         machine = self.session.machine
-        charts, self._charts = self._charts, []
-        for chart, path, curves in charts:
-            if machine is None or chart.is_deleted or not path.exists():
-                continue
-            simulated = await run.io_bound(simulated_outputs, path, machine)
+        wanted, self._wanted = self._wanted, []
+        if machine is None:
+            return
+        drawn: list[tuple[Any, Path, list[Curve]]] = []
+        for place, path, channels in wanted:
+            try:
+                all_curves = await run.io_bound(run_curves, path, machine) if path.exists() else None
+            except InputError as error:
+                all_curves = None
+                self._warn(place, str(error))
+            if all_curves is not None and not place.is_deleted:
+                curves = [curve for curve in all_curves if curve.name in channels]
+                with place:
+                    drawn.append((self._chart(curves), path, curves))
+        for chart, path, curves in drawn:
+            simulated = await run.io_bound(simulated_outputs, path, machine) if path.exists() else None
             if not simulated or chart.is_deleted:
                 continue
             both = [
@@ -175,3 +175,17 @@ class CheckStage(Stage):
             chart.options.clear()
             chart.options.update(curves_chart(both, dark=self.page.dark, x_name="time, s"))
             chart.update()
+
+    @staticmethod
+    def _warn(place: Any, text: str) -> None:
+        """Say in a place why there are no curves."""
+        if not place.is_deleted:
+            with place:
+                banner("warning", "", text)
+
+    def _chart(self, curves: list[Curve]) -> Any:
+        """Draw curves of a run."""
+        options = curves_chart(curves, dark=self.page.dark, x_name="time, s")
+        names = ", ".join(curve.name for curve in curves)
+        chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves)) - 24}px")
+        return chart.props(f'role=img aria-label="Curves of {html.escape(names)}"')

@@ -21,7 +21,7 @@ from ..recordings import TIME, ChannelSource, Log, MappingOptions, Recording, lo
 Array = NDArray[np.float64]
 POINTS = 1600  # of a curve: two for each of 800 pixels
 _FILES_KEPT = 4  # logs whose values stay in memory
-_RUNS_KEPT = 64
+_RUNS_KEPT, _SIZES_KEPT = 16, 4096
 _MOST_SIMULATED = 200_000  # rows of a run that is simulated while somebody waits; a second of processor time
 
 
@@ -221,6 +221,22 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
     return [Curve(n, "", run.time_s, c, h) for n, c, h in zip(names, columns, held, strict=True)]
 
 
+def run_size(path: Path, machine: Machine) -> tuple[int, float]:
+    """Return the size of an imported run.
+
+    Args:
+        path: File of the run.
+        machine: Machine that was recorded.
+
+    Returns:
+        Number of rows, and duration, s.
+
+    Raises:
+        InputError: If the run is faulty.
+    """
+    return _size(path, path.stat().st_mtime_ns, _Recorded(machine))
+
+
 def simulated_outputs(path: Path, machine: Machine) -> dict[str, Array]:
     """Simulate a machine over an imported run, as `hframe simulate` does.
 
@@ -259,3 +275,10 @@ class _Recorded:
 def _run(path: Path, modified: int, recorded: _Recorded) -> Recording:
     """Return a run, which stays in memory."""
     return load_recording(path, recorded.machine)
+
+
+@lru_cache(maxsize=_SIZES_KEPT)
+def _size(path: Path, modified: int, recorded: _Recorded) -> tuple[int, float]:
+    """Return the number of rows and the duration, s, of a run."""
+    time_s = load_recording(path, recorded.machine).time_s
+    return len(time_s), float(time_s[-1] - time_s[0])

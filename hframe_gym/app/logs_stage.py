@@ -22,7 +22,7 @@ from ..recordings import (
     run_of,
 )
 from .charts import curves_chart, height_of, with_selection, with_zoom
-from .log_columns import LogView, open_log, run_curves, thinned, view_log
+from .log_columns import LogView, open_log, run_size, thinned, view_log
 from .session import CONTROL, EXPORTS, FINDINGS, RESULT, RUNS, ImportChoices, import_command
 from .stage import Stage, State, banner, heading, table
 
@@ -392,16 +392,26 @@ class LogsStage(Stage):
 
     def _runs_table(self, machine: Machine) -> None:
         """List the imported runs."""
-        runs = self.session.runs
-        if not runs:
+        paths = self.session.runs
+        if not paths:
             return
-        rows = []
-        for path in runs[:_MOST_RUNS]:
-            curves = run_curves(path, machine)
-            time = curves[0].time
-            rate = (len(time) - 1) / max(float(time[-1] - time[0]), 1e-9)
-            rows.append((path.name, f"{len(time)}", f"{time[-1] - time[0]:.3g}", f"{rate:.4g}"))
         heading("Imported")
-        table(("run", "rows", "duration, s", "rate, Hz"), rows, numbers=(1, 2, 3))
-        if len(runs) == 1:
+        place = ui.element("div").classes("w-full")
+
+        async def fill() -> None:
+            rows = []
+            for path in paths[:_MOST_RUNS]:
+                size = await run.io_bound(run_size, path, machine) if path.exists() else None
+                if size is not None:
+                    count, seconds = size
+                    rate = (count - 1) / max(seconds, 1e-9)
+                    rows.append((path.name, f"{count}", f"{seconds:.3g}", f"{rate:.4g}"))
+            if not place.is_deleted:
+                with place:
+                    table(("run", "rows", "duration, s", "rate, Hz"), rows, numbers=(1, 2, 3))
+
+        ui.timer(0.1, fill, once=True)
+        if len(paths) > _MOST_RUNS:
+            ui.label(f"and {len(paths) - _MOST_RUNS} more").classes("hf-muted")
+        if len(paths) == 1:
             banner("warning", "One run only.", "Identification needs at least two, because one is held out: cut it.")
