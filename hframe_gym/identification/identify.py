@@ -94,8 +94,11 @@ def identify(
     evaluated = evaluate(outcome, machine, ranges, validation, recordings, criteria)
     evaluated, reason = judged(evaluated, checked.differing, ranges, recordings, criteria, log)
 
+    evaluated = evaluated._replace(outcome=with_verdict(evaluated.outcome, reason))
     any_name = bool(evaluated.outcome.selected)
-    plain, evaluated, delivered = at_least_plain(evaluated, checked.plain, machine, ranges, recordings, criteria, log)
+    plain, evaluated, delivered = at_least_plain(
+        evaluated, checked.plain, machine, ranges, recordings, criteria, log, budget
+    )
     if any_name and not evaluated.outcome.selected:
         reason = delivered
     outcome = with_verdict(evaluated.outcome, reason)

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import identify, prepare
-from hframe_gym.identification.fit.plain_fit import better_start, outside_limits, plain_fit
+from hframe_gym.identification import SelectionCriteria, identify, prepare
+from hframe_gym.identification.budget import Budget
+from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit.plain_fit import better_start, equally_weighted, outside_limits, plain_fit
+from hframe_gym.identification.search.description import describe_remainder
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -86,3 +89,18 @@ def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_fact
     assert any(warning.startswith("x.mass is") for warning in result.limit_warnings)
     report = result.as_json()
     assert set(report["plain"]) == {"held_out", "missing_force_percent", "terms", "delivered"}
+
+
+def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> None:
+    """A force over speed that the machine lacks: the description removes most of the error of complete runs."""
+    true = axis(TRUE).with_effects(EFFECTS["quadratic_drag"].at("x", c=40.0))
+    data = prepare(measure(true), axis(TRUE))
+    plain = plain_fit(axis(TRUE), data)
+    assert plain is not None
+    before = prediction_cost(plain.machine, equally_weighted(data), 0.0)
+    found = describe_remainder(plain.simulated, data, SelectionCriteria(), print, Budget())
+    assert found is not None
+    fitted, labels = found
+    assert labels == ("quadratic_drag@x",)
+    assert prediction_cost(fitted.machine, equally_weighted(data), 0.0) < 0.01 * before
+    assert describe_remainder(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)) is None

@@ -267,3 +267,29 @@ def is_worse_than_plain(ratio: float) -> bool:
         ratio: Ratio of its simulation error to that of the plain fit.
     """
     return ratio > AS_GOOD_AS_PLAIN
+
+
+# Multiple of the noise that is left on the held-out runs, from which a description of it is worth its time.
+_DESCRIBED_FROM = 2.0
+# Ratio of errors on the held-out runs below which a description is delivered; it has two effects more.
+_DESCRIPTION_HELPS = 0.9
+
+
+def needs_description(verdict: Verdict, names: int, left: float) -> bool:
+    """Return whether what is left should be described, because no cause of it is named.
+
+    Args:
+        verdict: Verdict of the search.
+        names: Number of effects that are named.
+        left: Simulation error on the held-out runs in units of the noise; not a number if the machine diverges.
+    """
+    return verdict == "unexplained" and not names and not left < _DESCRIBED_FROM
+
+
+def description_helps(ratio: float) -> bool:
+    """Return whether a machine with a description is delivered in place of the one without.
+
+    Args:
+        ratio: Ratio of their simulation errors on the held-out runs.
+    """
+    return ratio < _DESCRIPTION_HELPS

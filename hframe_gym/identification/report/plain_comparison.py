@@ -1,4 +1,7 @@
-"""Compare the machine of the search with a plain fit of inertia and friction, and deliver no worse one."""
+"""Compare the machine of the search with a plain fit of inertia and friction, and deliver no worse one.
+
+Where the search names nothing, the remaining error of complete runs is described beside the better of both.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,14 @@ from collections.abc import Sequence
 from ...machine import Machine
 from ...preparation.sensor_properties import Range
 from ...recordings import Recording
+from ..budget import Budget
 from ..evidence.tried_effects import Log
-from ..fit.plain_fit import PlainFit, refined_equally
+from ..fit.estimation import prediction_cost
+from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..judge.criteria import SelectionCriteria
-from ..judge.verdict import is_worse_than_plain
+from ..judge.verdict import description_helps, is_worse_than_plain, needs_description
+from ..predict.prediction import SIMULATION
+from ..search.description import describe_remainder
 from .evaluation import Evaluated, evaluate, without_names
 from .recording_simulation import ModelEvaluation, error_ratio, evaluate_held_out
 from .result import PlainResult
@@ -25,6 +32,10 @@ _PLAIN_DELIVERED = (
     "The machine that is delivered is the plain fit of inertia and friction, because that of the search has {:.3g} "
     "times its error on the held-out runs; terms beside them: {}."
 )
+_DESCRIPTION = (
+    "The machine that is delivered describes the remaining error by {}. They are no causes: other effects with similar "
+    "forces might describe these runs as well. With them, the error on the held-out runs is {:.3g} times that without."
+)
 
 
 def at_least_plain(
@@ -35,6 +46,7 @@ def at_least_plain(
     recordings: Sequence[Recording],
     criteria: SelectionCriteria,
     log: Log,
+    budget: Budget,
 ) -> tuple[PlainResult | None, Evaluated, str]:
     """Compare the outcome with the plain fit on the held-out runs, and deliver no machine that predicts them worse.
 
@@ -46,6 +58,7 @@ def at_least_plain(
         recordings: All recordings as measured.
         criteria: Thresholds of the identification.
         log: Called with a line of text.
+        budget: Budget of the identification, of which a description may use a part.
 
     Returns:
         The plain fit with its errors, the outcome that is delivered, and a sentence about what replaced the machine of
@@ -61,6 +74,10 @@ def at_least_plain(
     reference = errors_of(plain.machine.replace(name=f"{machine.name}-plain"))
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
+    if not machine.belts:
+        described = _described(evaluated, plain, reference, machine, ranges, recordings, criteria, log, budget)
+        if described is not None:
+            return result, *described
     if not is_worse_than_plain(error_ratio(evaluated.after, reference)):
         return result, evaluated, ""
     if outcome.selected:  # their parameters were fitted to short predictions
@@ -76,3 +93,36 @@ def at_least_plain(
     outcome = outcome._replace(before=plain.simulated, after=plain.simulated)
     delivered = evaluate(outcome, machine, ranges, validation, recordings, criteria)
     return dataclasses.replace(result, delivered=True), delivered, sentence
+
+
+def _described(
+    evaluated: Evaluated,
+    plain: PlainFit,
+    reference: ModelEvaluation,
+    machine: Machine,
+    ranges: dict[str, Range],
+    recordings: Sequence[Recording],
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+) -> tuple[Evaluated, str] | None:
+    """Return an outcome without names whose machine describes what is left, and a sentence about it.
+
+    None if effects are named, only noise is left, or the held-out runs are predicted no better with a description.
+    """
+    outcome = evaluated.outcome
+    if not needs_description(outcome.verdict, len(outcome.selected), evaluated.after.held_out.noise_ratio):
+        return None
+    refit = refined_equally(outcome.before, outcome.data)
+    cost = prediction_cost(refit.machine, equally_weighted(outcome.data), SIMULATION)
+    start = min((plain.simulated, dataclasses.replace(refit, cost=cost)), key=lambda fitted: fitted.cost)
+    found = describe_remainder(start, outcome.data, criteria, log, budget)
+    if found is None:
+        return None
+    fitted, labels = found
+    plain_is_better = is_worse_than_plain(error_ratio(evaluated.before, reference))
+    trial = outcome._replace(before=plain.simulated if plain_is_better else outcome.before, after=fitted)
+    again = evaluate(trial, machine, ranges, evaluated.validation, recordings, criteria)
+    ratio = error_ratio(again.after, reference if plain_is_better else evaluated.before)
+    log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
+    return (again, _DESCRIPTION.format(", ".join(labels), ratio)) if description_helps(ratio) else None
