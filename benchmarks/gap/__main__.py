@@ -53,7 +53,9 @@ def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE
         results.write(path, content)
         print(f"{name} plant {row['plant']}", flush=True)
 
-    protocol.score_plants(make, seed, indices, cache, done, keep)
+    of_seed = [other for other in read_all(out).values() if other["seed"] == seed]
+    known = {(row["plant"], row["key"]): row for other in of_seed for row in other["plants"] if "key" in row}
+    protocol.score_plants(make, seed, indices, cache, done, known, keep)
     return path
 
 

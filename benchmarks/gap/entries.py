@@ -21,6 +21,7 @@ import dataclasses
 import hashlib
 import importlib
 import inspect
+import json
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -89,6 +90,13 @@ class GapEntry(ABC):
         """Return what a result should say about the preparation on this plant, as plain data."""
         return {}
 
+    def key(self) -> str | None:
+        """Return a hash of all that determines the control of the plant, or None if it is not known.
+
+        Results of entries with equal keys on the same plant are equal, and are not computed twice.
+        """
+        return None
+
     @classmethod
     def files(cls) -> list[Path]:
         """Return the files that determine the entry besides its class, such as weights."""
@@ -134,20 +142,28 @@ def posterior_covariance(machine: Machine) -> Array | None:
 
     Returns:
         Covariance, shape (k, k); None if the machine has none. A parameter that was not identified, such as the one
-        motor constant that defines the unit of force, has the standard deviation of the floor, 2 %.
+        motor constant that defines the unit of force, has the standard deviation of the floor, 2 %; one that was
+        identified badly has that of a declared value.
     """
     if machine.uncertainty is None:
         return None
     observed = observed_machine(machine, "machine")
     assert observed is not None
-    names = StateEstimator(observed, PERIOD_S).augmented.names
+    declared = StateEstimator(observed, PERIOD_S).augmented
+    names = declared.names
     known = {name: i for i, name in enumerate(machine.uncertainty.names)}
     covariance = _FLOOR**2 * np.eye(len(names))
     pairs = [(row, known[name], machine.parameters[name]) for row, name in enumerate(names) if name in known]
     for row, i, value in pairs:
         for column, j, other in pairs:
             covariance[row, column] += machine.uncertainty.covariance[i, j] / (value * other)
-    return covariance
+    return _limited(covariance, declared.covariance)
+
+
+def _limited(covariance: Array, prior: Array) -> Array:
+    """Return a covariance with standard deviations of at most those of a prior, and the same correlations."""
+    scale = np.sqrt(np.minimum(1.0, np.diag(prior) / np.diag(covariance)))
+    return np.asarray(covariance * np.outer(scale, scale))
 
 
 class DeclaredController(GapEntry):
@@ -183,6 +199,15 @@ class IdentifiedController(DeclaredController):
         self.machine = self.found.plain if self.model == "plain" else self.found.corrected
         self.covariance = posterior_covariance(self.machine) if self.model == "posterior" else None
 
+    def key(self) -> str | None:
+        """Return a hash of controller, machine and covariance: without effects, plain and corrected are the same."""
+        machine = self.machine
+        sensors = [[s.channel, s.noise, s.resolution, s.zero] for s in machine.sensors]
+        covariance = None if self.covariance is None else self.covariance.tolist()
+        effects = [effect.label for effect in machine.effects]
+        content = [self.registered, machine.parameters, effects, sensors, covariance]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
     def about(self) -> dict[str, object]:
         """Return verdict, effects and processor time of the identification."""
         effects = list(self.found.found)
@@ -210,11 +235,9 @@ class OnlineController(DeclaredController):
         self.machine = self.machine.replace(
             {name: values[name] * float(ratio) for name, ratio in zip(names, ratios, strict=True)}
         )
-        prior = estimator.augmented.covariance
         after = estimator.parameter_covariance[0] + _FLOOR**2 * np.eye(len(names))
         # Not wider than before the episode: an inflated covariance says that the model lacks something.
-        scale = np.sqrt(np.minimum(1.0, np.diag(prior) / np.diag(after)))
-        self.covariance = after * np.outer(scale, scale)
+        self.covariance = _limited(after, estimator.augmented.covariance)
 
 
 class ShippedAgent(GapEntry):

@@ -105,17 +105,20 @@ def check() -> None:
         )
 
 
-def score(entry: GapEntry, plant: GapPlant, folder: Path) -> dict[str, Any]:
+def score(
+    entry: GapEntry, plant: GapPlant, folder: Path, known: Mapping[tuple[int, str], dict[str, Any]] | None = None
+) -> dict[str, Any]:
     """Score an entry on a plant.
 
     Args:
         entry: New object of the entry.
         plant: The plant.
         folder: Folder of the plant, in which entries keep identified machines and trained agents.
+        known: Results of other entries by plant and key (`GapEntry.key`), which are not computed again.
 
     Returns:
         By key, as plain data: "values" of all episodes by part and metric, "prepare_cpu_s", "control_us" per episode
-        and period, and "about" of the entry.
+        and period, "about" of the entry, and "key" if it has one.
 
     Raises:
         InputError: If the entry cannot run.
@@ -125,18 +128,18 @@ def score(entry: GapEntry, plant: GapPlant, folder: Path) -> dict[str, Any]:
     if entry.track == "online":
         _practice(entry, plant)
     prepared = time.process_time()
+    row = {"plant": plant.index, "prepare_cpu_s": round(prepared - began, 2), "about": entry.about()}
+    if key := entry.key():
+        row["key"] = key
+        same = (known or {}).get((plant.index, key))
+        if same:
+            return row | {name: same[name] for name in ("values", "control_us")}
     values, timed = {}, []
     for part, task in PARTS.items():
         timed.append(_Timed(entry.controller(task)))
         values[part] = episode_values(control(timed[-1], plant, task, starts(plant, part), _NOISE))
     actions = sum(t.actions for t in timed)
-    return {
-        "plant": plant.index,
-        "values": values,
-        "prepare_cpu_s": round(prepared - began, 2),
-        "control_us": round(1e6 * sum(t.cpu_s for t in timed) / actions, 1),
-        "about": entry.about(),
-    }
+    return row | {"values": values, "control_us": round(1e6 * sum(t.cpu_s for t in timed) / actions, 1)}
 
 
 def _practice(entry: GapEntry, plant: GapPlant) -> None:
@@ -238,6 +241,7 @@ def score_plants(
     indices: list[int],
     folder: Path,
     done: Mapping[int, dict[str, Any]],
+    known: Mapping[tuple[int, str], dict[str, Any]],
     each: Callable[[dict[str, Any]], None],
 ) -> None:
     """Score an entry on plants that are not scored yet.
@@ -248,10 +252,11 @@ def score_plants(
         indices: Numbers of the plants.
         folder: Folder of all plants.
         done: Results by the number of the plant, of an earlier run.
+        known: Results of other entries by plant and key.
         each: Called with the result of each plant.
     """
     for index in indices:
         if index in done:
             continue
         plant = draw_plant(seed, index)
-        each(score(make(), plant, folder / plant.name))
+        each(score(make(), plant, folder / plant.name, known))

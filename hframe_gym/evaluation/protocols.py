@@ -48,6 +48,7 @@ from .undeclared_effects import effect_rules, with_absent_effects
 Draws = dict[str, list[float | None]]
 DECIMALS = 6  # of the values in results, s and mm: hides differences between processors, far below any effect
 SEED_OF_RESULTS, SEED_OF_HARD = 1000, 71_000  # draws of these seeds decide nothing: no tuning, no selection of agents
+GAP = "gap-v1"  # runs in a clone of the repository only
 FIXED_OPTIONS = ("machine", "task", "path", "randomize", "sensors", "period", "episodes", "seed")
 
 
@@ -192,6 +193,11 @@ def get_protocol(name: str) -> Protocol:
     Raises:
         InputError: If there is no such protocol.
     """
+    if name == GAP:
+        raise InputError(
+            f"protocol {GAP} has plants of the independent simulator, which is not installed with the package: run "
+            "python -m benchmarks.gap run ENTRY in a clone of the repository (docs/gap.md)"
+        )
     if name not in PROTOCOLS:
         raise InputError(f"protocol {name!r} is unknown; choose one of {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]

@@ -241,15 +241,17 @@ def test_posterior_of_the_parameters() -> None:
     assert posterior_covariance(machine) is None
     names = ("x.mass", "y.mass", "phi1.coulomb")
     values = np.array([machine.parameters[name] for name in names])
-    relative = np.array([[0.01, 0.005, 0.0], [0.005, 0.02, 0.0], [0.0, 0.0, 0.04]])
+    relative = np.array([[1e-3, 5e-4, 0.0], [5e-4, 2e-3, 0.0], [0.0, 0.0, 9.0]])
     known = machine.replace(uncertainty=Uncertainty(names, relative * np.outer(values, values)))
     covariance = posterior_covariance(known)
     assert covariance is not None
     observed = observed_machine(known, "machine")
     assert observed is not None
     of = StateEstimator(observed, 0.01).augmented.names
-    rows = [of.index(name) for name in names]
-    np.testing.assert_allclose(covariance[np.ix_(rows, rows)], relative + 4e-4 * np.eye(3), atol=1e-12)
+    rows = [of.index(name) for name in names[:2]]
+    np.testing.assert_allclose(covariance[np.ix_(rows, rows)], relative[:2, :2] + 4e-4 * np.eye(2), atol=1e-12)
+    worst = of.index("phi1.coulomb")  # hardly identified: no worse than declared, a standard deviation of 0.4
+    assert covariance[worst, worst] == pytest.approx(0.4**2)
     assert covariance[of.index("motor1.Kt"), of.index("motor1.Kt")] == pytest.approx(4e-4)
     with pytest.raises(InputError, match="parameter_covariance"):
         StateEstimator(observed, 0.01, np.eye(2))
@@ -285,6 +287,31 @@ def test_run_continues_and_keeps_the_result(tmp_path: Path) -> None:
     assert again["plants"][0] == first["plants"][0]
     assert [row["plant"] for row in again["plants"]] == [0, 1]
     assert "still" in overview(read_all(tmp_path))
+
+
+def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = declared_machine()
+    heavier = machine.replace({"x.mass": 5.0})
+    found = [machines.Identified(machine, corrected, "no_effect", (), 1.0, 0.0) for corrected in (machine, heavier)]
+    runs = []
+
+    def fake_control(*arguments: Any) -> GapEpisodes:
+        runs.append(arguments)
+        arguments[0].actions += 1
+        error = np.full((1, 1501), 1e-5)
+        return _episodes(error, np.zeros((1, 150, 2)))
+
+    monkeypatch.setattr(protocol, "control", fake_control)
+    monkeypatch.setattr(protocol, "EPISODES", {"reach": 1, "circle": 1, "square": 1})
+    monkeypatch.setattr(results, "EPISODES", {"reach": 1, "circle": 1, "square": 1})
+    monkeypatch.setattr("benchmarks.gap.entries._standard", lambda declared, recorder, folder: found[len(runs) >= 6])
+    rows = []
+    for name in ("pid-plain", "pid-corrected", "predictive-plain", "predictive-corrected"):
+        known = {(row["plant"], row["key"]): row for row in rows}
+        rows.append(protocol.score(get_entry(name)(), IDEAL, tmp_path, known))
+    assert len(runs) == 9
+    assert rows[0]["key"] == rows[1]["key"]
+    assert len({row["key"] for row in rows}) == 3
 
 
 def test_edited_and_impossible_results_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

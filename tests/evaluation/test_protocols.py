@@ -80,6 +80,8 @@ def test_the_protocols_of_the_issue_have_512_draws_that_do_not_overlap() -> None
     assert PROTOCOLS["hard-v1"].seed > PROTOCOLS["reach-v1"].seed + 512
     with pytest.raises(InputError, match="choose one of reach-v1, track-v1, hard-v1"):
         get_protocol("reach-v2")
+    with pytest.raises(InputError, match=r"python -m benchmarks\.gap run ENTRY in a clone"):
+        get_protocol("gap-v1")
 
 
 def test_two_runs_give_the_same_bytes(tmp_path: Path) -> None:
