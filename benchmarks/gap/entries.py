@@ -305,7 +305,7 @@ class TrainedAgent(GapEntry):
 
 def _standard(declared: Machine, recorder: Recorder, folder: Path) -> Identified:
     """Return the machines that the standard session identifies; all entries of a plant share them."""
-    return identified(standard_session(recorder), declared, folder / "standard")
+    return identified(lambda: standard_session(recorder), recorder.session, declared, folder / "standard")
 
 
 AGENTS = ("ppo", "sac", "apg", "apg_wide", "residual")  # shipped for both tasks

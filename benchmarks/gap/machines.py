@@ -1,7 +1,8 @@
 """Identify a plant from its recordings, once: the machines are kept in the folder of the results.
 
-A folder of an identification holds the answer of `hframe identify` and `recordings.json` with a hash of the recordings
-to which it belongs. It is made again if the recordings, or the budget of the identification, have changed.
+A folder of an identification holds the answer of `hframe identify` and `recordings.json` with hashes of the session
+(the plant and what was recorded) and of the recordings to which it belongs. A plant is recorded again if the session
+has changed, and identified again if the recordings, or the budget of the identification, have changed.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,24 +44,29 @@ class Identified(NamedTuple):
     cpu_s: float
 
 
-def identified(recordings: Sequence[Recording], declared: Machine, folder: Path) -> Identified:
+def identified(record: Callable[[], Sequence[Recording]], session: str, declared: Machine, folder: Path) -> Identified:
     """Identify a plant, or load what an earlier call has identified.
 
     Args:
-        recordings: Runs of the plant.
+        record: Records the runs of the plant; called if the folder does not belong to the session.
+        session: Hash of what will be recorded.
         declared: Declared machine.
         folder: Folder of the identification; made if it does not exist.
 
     Returns:
         The machines.
     """
-    key = _key(recordings)
     note = folder / "recordings.json"
-    if not note.is_file() or json.loads(note.read_text("utf-8"))["sha256"] != key:
-        began = time.process_time()
-        write_result(identify(recordings, declared, budget=IDENTIFY_S), folder)
-        content = {"sha256": key, "cpu_s": round(time.process_time() - began, 1)}
-        write_text(note, json.dumps(content) + "\n")
+    known = json.loads(note.read_text("utf-8")) if note.is_file() else {}
+    if known.get("session") != session:
+        recordings = record()
+        key = _key(recordings)
+        if known.get("sha256") != key:
+            began = time.process_time()
+            write_result(identify(recordings, declared, budget=IDENTIFY_S), folder)
+            known = {"sha256": key, "cpu_s": round(time.process_time() - began, 1)}
+        known["session"] = session
+        write_text(note, json.dumps(known) + "\n")
     report = json.loads((folder / "report.json").read_text("utf-8"))
     return Identified(
         load_machine(folder / "before.json"),
@@ -68,7 +74,7 @@ def identified(recordings: Sequence[Recording], declared: Machine, folder: Path)
         report["verdict"],
         tuple(f"{e['name']}@{e['site']}" for e in report["effects"]),
         report.get("left"),
-        json.loads(note.read_text("utf-8"))["cpu_s"],
+        known["cpu_s"],
     )
 
 

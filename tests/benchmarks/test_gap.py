@@ -21,7 +21,7 @@ from hframe_gym.controllers import Controller, StateEstimator
 from hframe_gym.envs import Reach, Track, observed_machine
 from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine, Uncertainty
-from hframe_gym.recordings import save_machine
+from hframe_gym.recordings import Recording, save_machine
 from tests.reference_simulator import Array, Rig, simulate
 from tests.rigs.random_rigs import Residue
 
@@ -95,6 +95,7 @@ def test_a_plant_follows_from_its_seed_and_index() -> None:
     assert first.describe() == again.describe()
     assert first.stage == again.stage
     assert first.stage != other.stage
+    assert Recorder(first).session == Recorder(again).session != Recorder(other).session
 
 
 def test_recordings_are_those_of_the_plant_and_repeat() -> None:
@@ -368,7 +369,7 @@ def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         return "result"
 
     def fake_write(result: str, folder: Path) -> None:
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         for name in ("before", "machine"):
             save_machine(declared_machine(), folder / f"{name}.json")
         report = {"verdict": "effect_found", "effects": [{"name": "cogging", "site": "motor1"}], "left": 1.5}
@@ -376,10 +377,21 @@ def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(machines, "identify", fake_identify)
     monkeypatch.setattr(machines, "write_result", fake_write)
-    session = (Recorder(IDEAL).excite("steps"),)
-    found = [machines.identified(session, declared_machine(), tmp_path / "standard") for _ in range(2)]
+    runs, recorded = (Recorder(IDEAL).excite("steps"),), []
+
+    def record() -> tuple[Recording, ...]:
+        recorded.append(runs)
+        return runs
+
+    def found(session: str) -> machines.Identified:
+        return machines.identified(record, session, declared_machine(), tmp_path / "standard")
+
+    first, again = found("a"), found("a")
     assert calls == [machines.IDENTIFY_S]
-    assert found[0][2:] == found[1][2:] == ("effect_found", ("cogging@motor1",), 1.5, found[0].cpu_s)
+    assert len(recorded) == 1
+    assert first[2:] == again[2:] == ("effect_found", ("cogging@motor1",), 1.5, first.cpu_s)
+    found("b")  # recorded again, and found to be the same
+    assert (len(calls), len(recorded)) == (1, 2)
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
