@@ -447,19 +447,22 @@ def gap(results: dict[str, Any]) -> str:
             f"`{name}`",
             s["track"],
             s["knowledge"],
+            f"{s['plants']}",
             number(s["over_bound"], 3),
+            number(s["settling_s"], 3),
             f"{100 * s['success'][0]:.1f} %",
             number([1e3 * v for v in s["circle_mm"]], 0),
             number([1e3 * v for v in s["square_mm"]], 0),
             f"{s['belt_force_N']:.0f}",
             f"{100 * s['saturated'][0]:.1f} %",
             f"{100 * s['left'][0]:.1f} %",
-            f"{s['prepare_cpu_s'][0] + s.get('identify_cpu_s', 0.0):.0f}",
+            f"{s['prepare_cpu_s'][0]:.0f}",
             f"{s['control_us'][0]:.0f}",
         ]
         for name, s in results["entries"].items()
     ]
-    header = ["entry", "track", "knows", "moves: over the bound", "within 0.2 mm", "circle, um rms", "square, um rms"]
+    header = ["entry", "track", "knows", "plants", "moves: over the bound", "until 0.2 mm, s", "within 0.2 mm"]
+    header += ["circle, um rms", "square, um rms"]
     header += ["largest belt force, N", "at the limit", "left the workspace", "preparation, s", "control, us"]
     return markdown(header, rows)
 
@@ -473,9 +476,9 @@ def gap_steps(results: dict[str, Any]) -> str:
             mean, low, high = c["ratio"]
             cells.append(f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})")
             cells.append(f"{mean:.3f} ({low:.3f} to {high:.3f})")
-        rows.append([f"`{name}`", *cells])
+        rows.append([f"`{name}`", f"{parts['reach']['plants']}", *cells])
     titles = [title for part in ("moves", "circle", "square") for title in (f"{part}: better, worse", "ratio")]
-    return markdown(["entry, against its declared model", *titles], rows)
+    return markdown(["entry, against its declared model", "plants", *titles], rows)
 
 
 def gap_plants(results: dict[str, Any]) -> str:

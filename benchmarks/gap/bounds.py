@@ -23,6 +23,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.evaluation import BANDS, BOUND_BAND
 from hframe_gym.machine import Machine
 from tests.reference_simulator import Array
+from tests.rigs.outside_effects import OutsideEffect
 
 MOVES = 4  # of each plant, the first ones, whose bounds are computed: each takes half a second or more
 FOLDER = Path(__file__).parent / "bounds"
@@ -67,29 +68,41 @@ def compute(plant: GapPlant, start: Array, goal: Array) -> dict[str, Any]:
     """
     from hframe_gym.controllers.time_optimal import TimeOptimalReach
 
-    solver, left_out = None, [e.label for e in plant.effects if not getattr(e, "in_library", False)]
-    machine = plant.near_machine
+    solver, machine = None, plant.near_machine
     while solver is None:
         try:
             solver = TimeOptimalReach(machine, band=BANDS[BOUND_BAND])
         except InputError:
-            machine, label = _without_one(machine)
-            left_out.append(label)
+            machine = without_unsupported(machine)
+    present = {effect.name for effect in machine.effects}
+    left_out = [e.label for e in plant.effects if isinstance(e, OutsideEffect) or e.name not in present]
     motions = [solver.solve(a, b) for a, b in zip(start[:MOVES], goal[:MOVES], strict=True)]
-    times = [round(m.time_s, 6) if m.solved else None for m in motions] + [None] * (len(start) - MOVES)
+    times = [round(m.time_s, 6) if m.solved else None for m in motions]
+    times += [None] * (len(start) - len(times))
     return {"plant": plant.index, "left_out": left_out, "times_s": times}
 
 
-def _without_one(machine: Machine) -> tuple[Machine, str]:
-    """Return a machine without an effect that the solver does not support, and the label of the effect."""
+def without_unsupported(machine: Machine) -> Machine:
+    """Return a machine without one effect: one that the solver does not support.
+
+    Args:
+        machine: Machine with effects that are not supported.
+
+    Raises:
+        InputError: If the machine has no effect.
+    """
     from hframe_gym.controllers.casadi_model import check_supported
 
-    for effect in machine.effects:
+    if not machine.effects:
+        raise InputError(f"machine {machine.name!r} is not supported without effects either")
+    for effect in reversed(machine.effects):
+        reduced = machine.replace(effects=tuple(e for e in machine.effects if e is not effect))
         try:
-            check_supported(machine.replace(effects=(effect,)))
+            check_supported(reduced)
         except InputError:
-            return machine.replace(effects=tuple(e for e in machine.effects if e is not effect)), effect.label
-    raise InputError(f"machine {machine.name!r}: its effects together are not supported")
+            continue
+        return reduced
+    return machine.replace(effects=machine.effects[:-1])  # several are not supported
 
 
 def write(seed: int, plants: list[dict[str, Any]]) -> None:

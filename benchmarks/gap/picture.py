@@ -28,19 +28,23 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
 
     steps = ("declared", *STEPS)
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6))
-    shown = [name for name in CONTROLLERS if name in contents]
-    for offset, name in zip(np.linspace(-0.12, 0.12, max(len(shown), 2)), shown, strict=False):
-        names = [name if step == "declared" else f"{name}-{step}" for step in steps]
-        rows = [(i, plant_scores(contents[entry])) for i, entry in enumerate(names) if entry in contents]
-        at = np.array([i for i, _ in rows]) + offset
-        moves = [interval([s.over_bound for s in scores.values()]) for _, scores in rows]
-        circles = [interval([float(s.circle_mm.mean()) for s in scores.values()]) for _, scores in rows]
-        for axis, values, scale in zip(axes, (moves, circles), (1.0, 1e3), strict=True):
-            mean, low, high = scale * np.array(values).T
+    shown = [name for name in CONTROLLERS if f"{name}-corrected" in contents]
+    scores = {name: plant_scores(content) for name, content in contents.items()}
+    entries = {name: [name if step == "declared" else f"{name}-{step}" for step in steps] for name in shown}
+    # The same plants for all points, where an entry has not been scored on all of them.
+    plants = set.intersection(*(set(scores[e]) for names in entries.values() for e in names if e in scores))
+    for offset, (name, names) in zip(np.linspace(-0.08, 0.08, max(len(shown), 2)), entries.items(), strict=False):
+        present = [
+            (i, [scores[entry][plant] for plant in sorted(plants)]) for i, entry in enumerate(names) if entry in scores
+        ]
+        at = np.array([i for i, _ in present]) + offset
+        moves = [interval([float(s.settling_s.mean()) for s in rows]) for _, rows in present]
+        circles = [interval([float(s.circle_mm.mean()) for s in rows]) for _, rows in present]
+        for axis, values in zip(axes, (moves, circles), strict=True):
+            mean, low, high = 1e3 * np.array(values).T
             error = [mean - low, high - mean]
             axis.errorbar(at, mean, error, fmt="o-", color=COLORS[name], capsize=2, markersize=4, label=name)
-    axes[0].axhline(1.0, color="0.5", linewidth=0.8)
-    axes[0].set_ylabel("settling time over the bound")
+    axes[0].set_ylabel("settling time within 0.2 mm, ms")
     axes[1].set_ylabel("distance to the circle, um rms")
     axes[1].set_ylim(bottom=0.0)
     for axis in axes:
@@ -48,8 +52,8 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
         axis.grid(axis="y", linewidth=0.4)
         axis.spines[["top", "right"]].set_visible(False)
     axes[1].legend(frameon=False)
-    axes[0].set_title("24 plants: moves", fontsize=10)
-    axes[1].set_title("24 plants: circle", fontsize=10)
+    axes[0].set_title(f"{len(plants)} plants: moves", fontsize=10)
+    axes[1].set_title(f"{len(plants)} plants: circle", fontsize=10)
     figure.tight_layout()
     path = FIGURES / "gap.png"
     save_figure(figure, path)

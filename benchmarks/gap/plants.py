@@ -117,8 +117,8 @@ class GapPlant:
         rig = self.stage[0]
         machine = declared_machine().replace(base_parameters(rig), name="plant")
         for effect in self.effects:
-            if isinstance(effect, OutsideEffect) or not effect.in_library:
-                continue
+            if isinstance(effect, OutsideEffect) or not effect.in_library or EFFECTS[effect.name].structure:
+                continue  # the bound supports no further coordinates
             values = library_parameters(effect, rig)
             for site in effect.library_sites():
                 if effect.name == "current_limit":

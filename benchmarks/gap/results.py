@@ -19,7 +19,6 @@ import numpy as np
 from benchmarks.gap.bounds import stored_bounds
 from benchmarks.gap.control_loop import DURATION_S
 from benchmarks.gap.entries import GapEntry, sha256_of
-from benchmarks.gap.plants import COUNT, PUBLIC_SEED
 from benchmarks.gap.protocol import DIGEST, EPISODES, NAME, PARTS
 from hframe_gym.atomic_files import write_text
 from hframe_gym.errors import InputError
@@ -241,12 +240,3 @@ def compare(content: dict[str, Any], other: dict[str, Any], part: str) -> Compar
         counts[2] += difference.mean() > 0.0
         counts[3] += low > 0.0
     return Comparison(*map(int, counts), interval(ratios), len(ratios))
-
-
-def complete(content: dict[str, Any]) -> bool:
-    """Return whether a result file holds all published plants.
-
-    Args:
-        content: Content of the file.
-    """
-    return bool(content["seed"] == PUBLIC_SEED and len(content["plants"]) == COUNT)

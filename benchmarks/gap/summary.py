@@ -68,7 +68,7 @@ def _scores(content: dict[str, Any]) -> dict[str, Any]:
         "belt_force_N": max(s.belt_force_N for s in scores),
         "saturated": interval([s.saturated for s in scores]),
         "left": interval([s.left for s in scores]),
-        "prepare_cpu_s": interval([row["prepare_cpu_s"] for row in rows]),
+        "prepare_cpu_s": interval([row["about"].get("cpu_s", row["prepare_cpu_s"]) for row in rows]),
         "control_us": interval([row["control_us"] for row in rows]),
     }
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.gap import machines, protocol, results
+from benchmarks.gap import bounds, machines, protocol, results
 from benchmarks.gap.__main__ import run
 from benchmarks.gap.control_loop import CLOCK_S, DURATION_S, RESTING_S, GapEpisodes, Starts, control, starts_of
 from benchmarks.gap.entries import GapEntry, entry_names, get_entry, posterior_covariance
@@ -23,6 +23,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.recordings import Recording, save_machine
 from tests.reference_simulator import Array, Rig, simulate
+from tests.rigs.random_effects import draw_effect
 from tests.rigs.random_rigs import Residue
 
 REACH = Reach()
@@ -395,6 +396,25 @@ def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
-def test_published_results_are_complete(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_published_results_are_valid(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
-    assert results.complete(results.read(path))
+    content = results.read(path)
+    assert content["seed"] == PUBLIC_SEED
+    assert len({row["plant"] for row in content["plants"]}) == len(content["plants"]) >= 12
+
+
+def test_the_bound_leaves_out_what_the_optimization_does_not_support() -> None:
+    pytest.importorskip("casadi")
+    rng = np.random.default_rng(0)
+    names = (("belt_play", "belts"), ("bridge_yaw", "machine"), ("cogging", "motor1"))
+    effects = tuple(draw_effect(name, site, 1.0, rng) for name, site in names)
+    row = bounds.compute(GapPlant(1, 0, effects, Residue()), np.zeros((2, 2)), np.array([[0.05, 0.0], [0.1, 0.1]]))
+    assert row["left_out"] == ["belt_play@belts", "bridge_yaw@machine"]
+    assert 0.03 < row["times_s"][0] < row["times_s"][1] < 0.4
+
+
+def test_bounds_belong_to_the_moves() -> None:
+    for times in bounds.stored_bounds(PUBLIC_SEED).values():
+        assert len(times) == 12
+        assert np.isfinite(times[: bounds.MOVES]).any()
+        assert np.nanmin(times) > 0.02
