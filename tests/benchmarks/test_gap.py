@@ -63,6 +63,7 @@ def _few_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(protocol, "EPISODES", {"reach": 3, "circle": 1, "square": 1})
     monkeypatch.setattr(results, "EPISODES", {"reach": 3, "circle": 1, "square": 1})
     monkeypatch.setattr(protocol, "check", lambda: None)
+    monkeypatch.setattr(results, "stored_bounds", lambda seed: {})
 
 
 def test_published_plants_are_those_of_the_digest(monkeypatch: pytest.MonkeyPatch) -> None:
