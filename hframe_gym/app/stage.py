@@ -5,19 +5,47 @@ from __future__ import annotations
 import html
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, Protocol
 
 from nicegui import ui
 
 from ..errors import InputError
 from .jobs import Job
-from .session import command_text
-
-if TYPE_CHECKING:
-    from .window import Page
+from .session import Session, command_text
 
 State = Literal["", "done", "running", "problem"]
+
+
+class Jobs(Protocol):
+    """What stages need to know of the window: the jobs of all tabs."""
+
+    jobs: dict[str, Job]
+
+    @property
+    def running(self) -> Job | None:
+        """The job in progress; None if there is none."""
+
+
+class Tab(Protocol):
+    """What a stage needs of the page that shows it, a `window.Page`."""
+
+    session: Session
+    dark: bool
+
+    @property
+    def window(self) -> Jobs:
+        """The window."""
+
+    @property
+    def stages(self) -> Mapping[str, Stage]:
+        """All stages by their keys."""
+
+    def go(self, key: str) -> None:
+        """Show a stage."""
+
+    def changed(self) -> None:
+        """Show all stages anew."""
 
 
 class Stage(ABC):
@@ -37,7 +65,7 @@ class Stage(ABC):
 
     container: Any
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Tab) -> None:
         """Create a stage.
 
         Args:

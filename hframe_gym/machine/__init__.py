@@ -23,10 +23,7 @@ from .diagram import draw_machine
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .machine import Machine
 from .motion import (
-    SIMULATORS,
     MotionLimits,
-    Simulator,
-    Trajectory,
     motion_limits,
     observed_coordinates,
     pulley_names,
@@ -36,6 +33,7 @@ from .motion import (
 )
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 from .stage_geometry import BeltGeometry, Box, CoreXYGeometry, Point, StageGeometry, stage_geometry
+from .trajectory import SIMULATORS, Simulator, Trajectory
 
 __all__ = [
     "BUILTIN_MACHINES",

@@ -12,16 +12,13 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Real
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 from ..errors import InputError
-
-if TYPE_CHECKING:
-    from .machine import Machine
 
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
 Hook = Callable[..., Any]
@@ -30,6 +27,42 @@ HOOKS = (
     *("energy_slope", "belt_travel", "lever_arm", "rest_angle_offset", "measurement", "measurement_delay"),
     *("next_state", "initial_spread"),
 )
+
+
+class Named(Protocol):
+    """A component with a name."""
+
+    @property
+    def name(self) -> str:
+        """Name of the component."""
+
+
+class Components(Protocol):
+    """What an effect needs to know of a `Machine`: the components on which effects can act."""
+
+    @property
+    def name(self) -> str:
+        """Name of the machine."""
+
+    @property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+
+    @property
+    def drives(self) -> Sequence[Named]:
+        """The drives."""
+
+    @property
+    def belts(self) -> Sequence[Named]:
+        """The belts."""
+
+    @property
+    def output_channels(self) -> tuple[str, ...]:
+        """Names of the sensors' channels."""
+
+    @property
+    def effects(self) -> Sequence[AppliedEffect]:
+        """Effects that the machine has."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +209,7 @@ class Effect:
                 return parameter
         raise KeyError(f"effect {self.name!r} has no parameter {name!r}")
 
-    def possible_sites(self, machine: Machine) -> tuple[str, ...]:
+    def possible_sites(self, machine: Components) -> tuple[str, ...]:
         """List the components of a machine on which the effect can act, by the kind of component (attribute `site`).
 
         "drives" and "belts" stand for all drives or belts at once, "machine" for the whole machine. The
@@ -254,7 +287,7 @@ class AppliedEffect:
         """Name and component, e.g. "stribeck_friction@x"; full names of the effect's parameters begin with it."""
         return f"{self.definition.name}@{self.site}"
 
-    def components(self, machine: Machine) -> tuple[str, ...]:
+    def components(self, machine: Components) -> tuple[str, ...]:
         """Return the components of a machine on which the effect acts.
 
         They are all drives for the site "drives", all belts for "belts", and all coordinates for "machine";
@@ -272,7 +305,7 @@ class AppliedEffect:
         """Return a copy of the effect with other values, SI, of all parameters; names and bounds are not checked."""
         return dataclasses.replace(self, parameters=dict(parameters))
 
-    def check_site(self, machine: Machine) -> None:
+    def check_site(self, machine: Components) -> None:
         """Check that a machine has the component on which the effect acts, and does not have the effect there already.
 
         Raises:

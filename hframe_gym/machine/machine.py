@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import Array
 from .components import FIXED_UNITS, SENSOR_KINDS, UNITS, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
 from .effect import AppliedEffect, SiteKind
-from .motion import SIMULATORS, Trajectory
+from .trajectory import SIMULATORS, Trajectory
 
 
 @dataclass(frozen=True)

@@ -1,51 +1,16 @@
-"""Motion of a machine: observed coordinates, states at rest, motions that stretch no belt, interface of simulators."""
+"""Motion of a machine: observed coordinates, states at rest, motions that stretch no belt."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
-from ..registry import Registry
-
-if TYPE_CHECKING:
-    from .machine import Machine
+from .machine import Machine
 
 _RIGID_EXTENSION = 1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """The simulated motion of a machine at n samples.
-
-    Attributes:
-        time_s: Sample times, s, shape (n,).
-        positions: Positions of the coordinates, m or rad, shape (n, coordinates).
-        velocities: Velocities of the coordinates, m/s or rad/s, shape (n, coordinates).
-        outputs: Noise-free sensor readings, in the channels' units, shape (n, sensors).
-        channels: Names of the output channels.
-    """
-
-    time_s: Array
-    positions: Array
-    velocities: Array
-    outputs: Array
-    channels: tuple[str, ...]
-
-
-class Simulator(Protocol):
-    """Type of a function that simulates a machine; `import hframe_gym` registers one in `SIMULATORS`."""
-
-    def __call__(
-        self, machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
-    ) -> Trajectory:
-        """Simulate a machine over a voltage history.
-
-        `time_s`, `inputs`, `initial` and the result are those of `Machine.simulate`, with their shapes: shape (N, ...).
-        """
 
 
 def observed_coordinates(machine: Machine) -> tuple[str, ...]:
@@ -59,10 +24,6 @@ def observed_coordinates(machine: Machine) -> tuple[str, ...]:
 def pulley_names(machine: Machine) -> tuple[str, ...]:
     """List the pulleys of a machine: its rotary coordinates, except those that a spring holds, such as bridge yaw."""
     return tuple(c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded)
-
-
-# This package does not depend on the integrator. Whoever provides one registers it under the name "default".
-SIMULATORS: Registry[Simulator] = Registry("simulator")
 
 
 def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:

@@ -21,7 +21,8 @@ from ..recordings import (
     Recording,
     fill_gaps,
 )
-from .encoder_zeros import EncoderZeros, common_encoder_zeros
+from .common_zeros import common_encoder_zeros
+from .encoder_zeros import EncoderZeros
 from .initial_state import measured_initial_state, model_initial_states
 from .rest_measurement import InitialState, estimate_initial_state, free_zeros, has_zero
 from .sensor_properties import (

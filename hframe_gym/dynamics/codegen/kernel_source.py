@@ -8,15 +8,12 @@ machine in each SIMD lane.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 from ...machine import HOOKS, Machine, argument_names
 from ..physics.equations import Equations
 from ..symbolic.elementwise import exp
 from ..symbolic.expressions import function_source
 from ..symbolic.tracing import Trace
-from .step_trace import StepTrace, row_name
+from .step_trace import Layout, StepTrace, row_name
 
 FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measurement_delays")  # of the generated text
 
@@ -24,22 +21,6 @@ FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measuremen
 # directions of motion where viscous friction depends on the direction.
 PER_COORDINATE = ("mass", "per_mass", "coulomb", "correction_gain")
 PER_DIRECTION = ("viscous", "correction_damping", "decay", "speed_gain", "first_weight", "last_weight")
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Row of each quantity in the arrays `parameters` and `derived` of a compiled simulation kernel.
-
-    Both arrays have one column per machine.
-
-    Attributes:
-        parameters: Row of each machine parameter by full name, for example "x.mass".
-        derived: Row of each constant that the generated function `prepare` derives from parameters and step length h,
-            for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
-    """
-
-    parameters: Mapping[str, int]
-    derived: Mapping[str, int]
 
 
 def feels_forces(machine: Machine) -> bool:

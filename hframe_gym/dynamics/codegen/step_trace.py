@@ -13,10 +13,12 @@ The scheme is of second order and needs two force evaluations and one division p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from ...machine import Machine
 from ..physics.belts import combination
 from ..physics.equations import Equations, ForceBalance
 from ..physics.parameterized_machine import MotionPoint
@@ -24,8 +26,37 @@ from ..symbolic.elementwise import fma, minimum, named, where
 from ..symbolic.expressions import Expression
 from ..symbolic.tracing import Trace, first_of
 
-if TYPE_CHECKING:
-    from .kernel_source import KernelSource
+
+@dataclass(frozen=True)
+class Layout:
+    """Row of each quantity in the arrays `parameters` and `derived` of a compiled simulation kernel.
+
+    Both arrays have one column per machine.
+
+    Attributes:
+        parameters: Row of each machine parameter by full name, for example "x.mass".
+        derived: Row of each constant that the generated function `prepare` derives from parameters and step length h,
+            for example "coordinate_0.decay", the factor exp(-b h / m) of the first coordinate.
+    """
+
+    parameters: Mapping[str, int]
+    derived: Mapping[str, int]
+
+
+class KernelShape(Protocol):
+    """What the trace of a step needs to know of the kernel, a `kernel_source.KernelSource`, which explains it."""
+
+    machine: Machine
+    forced: bool
+    layout: Layout
+    felt: int
+    states: int
+    delayed: bool
+    nonlinear_belts: bool
+    uses_time: bool
+
+    def directions(self, i: int) -> tuple[str, ...]:
+        """Return the suffixes of the names of step constants of coordinate i."""
 
 
 def row_name(component: str, index: int, key: str) -> str:
@@ -45,7 +76,7 @@ class _PreparedEquations(Equations):
         trace: Trace of the function `advance`.
     """
 
-    def __init__(self, source: KernelSource, trace: Trace) -> None:
+    def __init__(self, source: KernelShape, trace: Trace) -> None:
         rows = source.layout.parameters.items()
         super().__init__(source.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
         self._trace = trace
@@ -79,7 +110,7 @@ class StepTrace:
         trace: Statements of the function.
     """
 
-    def __init__(self, source: KernelSource) -> None:
+    def __init__(self, source: KernelShape) -> None:
         self.trace = trace = Trace("advance(state, parameters, derived, inputs, external_forces, h: float, steps: int)")
         self._begin(source)
         count, first = len(self.coordinates), 2 * len(self.coordinates) + 1
@@ -95,7 +126,7 @@ class StepTrace:
         if source.felt:
             self._store_felt(source.states - source.felt)
 
-    def _begin(self, source: KernelSource) -> None:
+    def _begin(self, source: KernelShape) -> None:
         """Trace what comes before the first step: the state is loaded."""
         self.source, trace = source, self.trace
         self.coordinates = range(len(source.machine.coordinates))

@@ -8,17 +8,36 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from .tracing import Trace
+from typing import Any, Protocol
 
 # Binding strength of operators in Python: a stronger one needs no brackets inside a weaker one.
 _COMPARISONS = dict.fromkeys(("<", "<=", ">", ">=", "==", "!="), 1)
 _BINDING = {**_COMPARISONS, "|": 2, "&": 3, "+": 4, "-": 4, "*": 5, "/": 5, "neg": 6}
 _ATOM = 7  # names, numbers and calls
+
+
+class Recorder(Protocol):
+    """What an expression needs of the record of the function to which it belongs, a `tracing.Trace`."""
+
+    signature: str
+    names: dict[Expression, str]
+    statements: list[Statement]
+
+    def node(self, operation: str, *operands: Any) -> Expression:
+        """Return the expression of an operation."""
+
+    def expression(self, value: Any) -> Expression:
+        """Return the expression of a number, or the expression itself."""
+
+    def let(self, role: str, index: int, value: Any) -> Expression:
+        """Give an expression a name in the source text."""
+
+    def update_if_any(
+        self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
+    ) -> list[Expression]:
+        """Append a block that updates values only if a condition is true for one of the machines."""
 
 
 class Expression:
@@ -36,7 +55,7 @@ class Expression:
     __slots__ = ("invariant", "operands", "operation", "trace", "variables")
     __array_ufunc__ = None  # NumPy scalars leave mixed operations to this class
 
-    def __init__(self, trace: Trace, operation: str, operands: tuple[Any, ...], *, invariant: bool) -> None:
+    def __init__(self, trace: Recorder, operation: str, operands: tuple[Any, ...], *, invariant: bool) -> None:
         self.trace = trace
         self.operation = operation
         self.operands = operands
@@ -185,7 +204,7 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
     return None
 
 
-def function_source(trace: Trace) -> str:
+def function_source(trace: Recorder) -> str:
     """Write the source text of a function from its recorded operations, for the module `lane_compiler`.
 
     Raises:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.initial_state import refine_encoder_zeros
+from ...preparation.refined_zeros import refine_encoder_zeros
 from ...preparation.rest_measurement import InitialState
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError, is_enough, only_noise_is_left, required_gain

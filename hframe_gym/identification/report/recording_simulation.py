@@ -20,7 +20,8 @@ from ...machine import Machine, Trajectory
 from ...machine.motion import rigid_motions
 from ...preparation.dataset import Dataset, PreparedRecording, prepare, without_unknown_voltage
 from ...preparation.encoder_zeros import EncoderZeros
-from ...preparation.initial_state import measured_initial_state, model_initial_states, refine_encoder_zeros
+from ...preparation.initial_state import measured_initial_state, model_initial_states
+from ...preparation.refined_zeros import refine_encoder_zeros
 from ...preparation.rest_measurement import (
     InitialState,
     free_zeros,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,6 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import Verdict
 from .experiment_design import FILE, ExperimentDesign
 from .recording_simulation import ModelEvaluation, PredictionErrors
-
-if TYPE_CHECKING:
-    from .formulas import TableComparison
 
 Array = NDArray[np.float64]
 SCHEMA = 1
@@ -325,11 +322,18 @@ class IdentificationResult:
         }
 
 
+class ReportEntry(Protocol):
+    """Part of report.json, such as the formulas that may replace a table (`formulas.TableComparison`)."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entry of report.json."""
+
+
 def write_result(
     result: IdentificationResult,
     folder: Path,
     warnings: Sequence[str] = (),
-    formulas: Sequence[TableComparison] = (),
+    formulas: Sequence[ReportEntry] = (),
 ) -> None:
     """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
 
