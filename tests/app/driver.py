@@ -248,6 +248,7 @@ def newcomers_session(visitor: Visitor) -> dict[str, str]:
     texts["logs"] = visitor.run("logs", 60.0)
     visitor.go("check")
     texts["check"] = visitor.run("check", 120.0)
+    visitor.until("document.querySelector('main[data-stage=check] canvas')", 30.0)
     visitor.go("identify")
     texts["identify"] = visitor.run("identify", 240.0)
     visitor.go("results")
