@@ -21,6 +21,7 @@ from ..dynamics import Equations, MotionPoint, NotFiniteError
 from ..envs import MachineLike, RandomizationLike, SensorsLike, TaskLike
 from ..errors import InputError
 from ..machine import Machine
+from ..recordings import recorded_commands
 from .metrics import score_episodes, stored_bounds
 from .scenario import Episodes, Scenario, environments_of, make_controller, period_concern
 
@@ -248,6 +249,6 @@ def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count:
     lines = [",".join(["episode", "time_s", *names])]
     for episode in range(min(count, len(episodes.position))):
         columns = [episodes.time_s[:, None], episodes.position[episode], episodes.goal[episode]]
-        table = np.hstack([*columns, episodes.volts[episode][periods]])
+        table = np.hstack([*columns, recorded_commands(machine, episodes.volts[episode])[periods]])
         lines += [f"{episode}," + ",".join(f"{value:.9g}" for value in row) for row in table.tolist()]
     write_text(Path(path), "\n".join(lines) + "\n")

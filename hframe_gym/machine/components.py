@@ -158,13 +158,15 @@ class DriveKind:
     current has Ke 0 and resistance 1: its amplifier supplies whatever voltage is necessary.
 
     Attributes:
-        command: Quantity of the command: "voltage", "current" or "torque" (of the motor shaft).
+        command: Quantity of the command in simulations: "voltage", "current" or "torque" (of the motor shaft).
+        fraction: Whether recordings have the command as a fraction of the supply voltage, from -1 to 1.
         rated: Field of machine.json that states the command of an action of 1.
         parameters: Parameters of a drive of this kind that can be identified or randomized.
         fixed: Values of the parameters that a drive of this kind does not have.
     """
 
     command: ClassVar[str] = "voltage"
+    fraction: ClassVar[bool] = False
     rated: ClassVar[str] = "rated_voltage"
     parameters: ClassVar[tuple[str, ...]] = ("Kt", "Ke", "resistance", "gear_ratio")
     fixed: ClassVar[Mapping[str, float]] = {}
@@ -181,6 +183,17 @@ DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind")
 @DRIVE_KINDS.register("voltage")
 class VoltageDrive(DriveKind):
     """An amplifier or bridge that applies a voltage to the motor."""
+
+
+@DRIVE_KINDS.register("duty-cycle")
+class DutyCycleDrive(DriveKind):
+    """A bridge whose recorded command is a duty cycle, from -1 to 1: the voltage is that fraction of the supply's.
+
+    Reading a recording multiplies the duty cycle by the measured supply (`Drive.supply`), or by the rated voltage in a
+    recording without that column. Everything else knows voltages only.
+    """
+
+    fraction = True
 
 
 @DRIVE_KINDS.register("current")
@@ -227,6 +240,8 @@ class Drive:
         voltage_range: Largest voltage of the converter in either direction, V. None for the rated voltage.
         kind: Name in `DRIVE_KINDS`. For the kinds "current" and "torque", `rated_voltage` and `voltage_range` are
             currents, A, or torques, Nm.
+        supply: Column of the recordings with the measured supply voltage, V, of a drive of the kind "duty-cycle"; "" if
+            it is not measured. Drives may share it.
     """
 
     name: str
@@ -240,6 +255,7 @@ class Drive:
     converter_bits: int = 0
     voltage_range: float | None = None
     kind: str = "voltage"
+    supply: str = ""
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

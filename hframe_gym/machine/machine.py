@@ -59,6 +59,11 @@ class Machine:
         return tuple(d.channel for d in self.drives)
 
     @cached_property
+    def supply_channels(self) -> tuple[str, ...]:
+        """Names of the channels of measured supply voltages, each once."""
+        return tuple(dict.fromkeys(d.supply for d in self.drives if d.supply))
+
+    @cached_property
     def output_channels(self) -> tuple[str, ...]:
         """Names of the measured channels, in the order of the sensors."""
         return tuple(s.channel for s in self.sensors)

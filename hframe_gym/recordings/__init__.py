@@ -39,7 +39,15 @@ from .machine_reader import implausible_values
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
 from .quantization import exact_quantum, quantum_of
-from .recording import Recording, load_recording, load_recordings, run_name, write_recording, write_trajectory
+from .recording import (
+    Recording,
+    load_recording,
+    load_recordings,
+    recorded_commands,
+    run_name,
+    write_recording,
+    write_trajectory,
+)
 from .table_file import read_path, recording_files
 from .template_questions import TEMPLATE_QUESTIONS, template_value
 from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
@@ -93,6 +101,7 @@ __all__ = [
     "quantum_of",
     "read_mapping_file",
     "read_path",
+    "recorded_commands",
     "recording_files",
     "repetitions",
     "run_name",

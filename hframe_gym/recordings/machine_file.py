@@ -103,6 +103,8 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         entry = {"name": drive.name, "channel": drive.channel, "coordinate": drive.coordinate}
         if drive.kind != "voltage":
             entry["kind"] = drive.kind
+        if drive.supply:
+            entry["supply"] = drive.supply
         keys = [*drive.parameter_names, *(["voltage_range"] if drive.voltage_range is not None else [])]
         entry |= {key: quantity(drive.name, key, getattr(drive, key)) for key in keys}
         rated = DRIVE_KINDS.get(drive.kind).rated

@@ -92,7 +92,7 @@ class MachineReader:
             description=file.description,
         )
         names = [*self._kinds, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
-        channels = [*machine.input_channels, *machine.output_channels]
+        channels = [*machine.input_channels, *machine.supply_channels, *machine.output_channels]
         for what, labels in (("names of coordinates, belts and drives", names), ("channels", channels)):
             repeated = next((label for i, label in enumerate(labels) if label in labels[:i]), None)
             if repeated is not None:
@@ -223,6 +223,11 @@ class MachineReader:
             units["voltage_range"] = kind.unit()
         values: dict[str, Any] = {"Kt": 1.0, **kind.fixed} | self._values(field, entry, units)
         values["rated_voltage"] = values.pop(kind.rated)
+        if entry.supply is not None:
+            self._check_text(f"{field}.supply", entry.supply, column=True)
+            if not kind.fraction:
+                raise self._error(f"{field}.supply", "only a drive of the kind 'duty-cycle' has one")
+            values["supply"] = entry.supply
         if entry.bandwidth is not None and kind.command == "voltage":
             raise self._error(f"{field}.bandwidth", "only a drive that controls its current or torque has one")
         return Drive(

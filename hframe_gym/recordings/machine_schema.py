@@ -148,19 +148,22 @@ class DriveEntry(Table):
 
     Attributes:
         name: Name of the drive.
-        kind: What its command is: "voltage" (default), "current" or "torque" of an amplifier that controls it, or a
-            registered kind.
+        kind: What its command is: "voltage" (default), "duty-cycle" (fraction of the supply voltage, from -1 to 1),
+            "current" or "torque" of an amplifier that controls it, or a registered kind.
         channel: Column of its command in recordings, for example v1_V, i1_A or torque1_Nm. A positive command
             accelerates the coordinate in positive direction.
+        supply: Column of the measured supply voltage in recordings, V, for example vbus_V. Drives may share it. Only
+            for the kind "duty-cycle"; without it, a duty cycle is one of the rated voltage.
         coordinate: Name of the coordinate that it drives.
         Kt: Torque constant of the motor, Nm/A. For the kind "torque" the true torque per commanded torque, with the
             unit "1"; 1 if it is left out.
-        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it. Only
-            for the kind "voltage".
-        resistance: Resistance between the terminals, ohm. Only for the kind "voltage".
+        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it. Not
+            for the kinds "current" and "torque".
+        resistance: Resistance between the terminals, ohm. Not for the kinds "current" and "torque".
         gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a carriage.
             There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the gear.
-        rated_voltage: Voltage that an action of 1 in the environment applies, V. Only for the kind "voltage".
+        rated_voltage: Voltage that an action of 1 in the environment applies, V. Not for the kinds "current" and
+            "torque".
         rated_current: Current that an action of 1 commands, A, for the kind "current".
         rated_torque: Torque of the motor shaft that an action of 1 commands, Nm, for the kind "torque".
         converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
@@ -174,6 +177,7 @@ class DriveEntry(Table):
     name: Name
     kind: str = "voltage"
     channel: str
+    supply: str | None = None
     coordinate: str
     Kt: Annotated[QuantityEntry | None, _quantity("Kt")] = None
     Ke: Annotated[QuantityEntry | None, _quantity("Ke")] = None

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..atomic_files import atomic_file
 from ..errors import InputError
-from ..machine import Machine, Trajectory
+from ..machine import DRIVE_KINDS, Drive, Machine, Trajectory
 from .quantities import split_unit
 from .table_file import (
     SUFFIXES,
@@ -38,6 +38,7 @@ _COMPRESSION = 4  # level of gzip; higher levels take several times as long and 
 # The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
 # if it is larger.
 _LARGEST = {"_m": (20.0, "mm"), "_rad": (2000 * 2 * np.pi, "deg")}
+_LARGEST_DUTY = 1.05  # the noise of a measured duty cycle may exceed 1
 # A channel that spans more than this multiple of its coordinate's range is in another unit.
 _MAX_SPAN = 3.0
 # Ratios of measured to plausible travel that suggest degrees (57.3) and millimeters (1000); the limits leave room for
@@ -181,13 +182,13 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
         raise InputError(f"{path}: no rows below the header")
     for name, column in columns.items():
         refuse_rows(path, name, column, np.isinf(column), "is infinite")
-    for name in ("time_s", *machine.input_channels):
+    for name in ("time_s", *machine.input_channels, *(c for c in machine.supply_channels if c in columns)):
         reason = "is empty. Times and inputs must have no gaps"
         reason += "" if name == "time_s" else "; hframe import keeps the value before it"
         refuse_rows(path, name, columns[name], np.isnan(columns[name]), reason)
     refuse_decreasing_times(path, time_s)
     _refuse_gaps(path, time_s)
-    inputs = np.column_stack([columns[c] for c in machine.input_channels])
+    inputs = np.column_stack([_voltages(path, columns, drive) for drive in machine.drives])
     unmeasured = np.full(len(time_s), np.nan)
     outputs = np.column_stack([columns.get(c, unmeasured) for c in machine.output_channels])
     if any(c in columns for c in machine.output_channels) and np.all(np.isnan(outputs)):
@@ -195,6 +196,30 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     recording = Recording(run_name(path), time_s, inputs, outputs)
     _check_units(path, recording, machine)
     return recording
+
+
+def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
+    """Return the commands of a drive, in the unit of simulations; a duty cycle times the supply voltage is one."""
+    values = columns[drive.channel]
+    if not DRIVE_KINDS.get(drive.kind).fraction:
+        return values
+    refuse_rows(path, drive.channel, values, np.abs(values) > _LARGEST_DUTY, "is no duty cycle from -1 to 1")
+    return values * columns.get(drive.supply, np.asarray(drive.rated_voltage))
+
+
+def recorded_commands(machine: Machine, inputs: Array) -> Array:
+    """Convert the inputs of a simulation to the commands that a recording without supply voltages has.
+
+    Args:
+        inputs: Inputs of the drives, V (A, Nm for drives of the kinds "current" and "torque"), shape (n, drives).
+
+    Returns:
+        Commands in the units of the channels, shape (n, drives): a duty cycle is that of the rated voltage.
+    """
+    fractions = [DRIVE_KINDS.get(drive.kind).fraction for drive in machine.drives]
+    if not any(fractions):
+        return inputs
+    return np.asarray(inputs / np.where(fractions, [drive.rated_voltage for drive in machine.drives], 1.0))
 
 
 def _refuse_gaps(path: Path, time_s: Array) -> None:
@@ -228,7 +253,7 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
         OSError: If the file cannot be written.
     """
     header = ["time_s", *machine.input_channels, *machine.output_channels]
-    table = np.column_stack([trajectory.time_s, inputs, trajectory.outputs])
+    table = np.column_stack([trajectory.time_s, recorded_commands(machine, inputs), trajectory.outputs])
     with atomic_file(path) as file, compressed_by_name(Path(path), file) as stream:
         np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
 
@@ -247,7 +272,7 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
         InputError: If the file is .parquet and pyarrow is not installed.
     """
     names = ["time_s", *machine.input_channels, *machine.output_channels]
-    columns = [recording.time_s, *recording.inputs.T, *recording.outputs.T]
+    columns = [recording.time_s, *recorded_commands(machine, recording.inputs).T, *recording.outputs.T]
     if path.suffix == ".parquet":
         try:
             import pyarrow
@@ -299,7 +324,7 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
     for name in header:
         if header.count(name) > 1:
             raise InputError(f"{path}, column {name}: appears twice")
-        if name in expected:
+        if name in expected or name in machine.supply_channels:
             continue
         plain_name, unit = split_unit(name)
         wanted = [c for c in expected if split_unit(c)[0].lower() == plain_name.lower()]

@@ -1,4 +1,10 @@
-"""Drives that control their current or torque, from the file to identification, environment and control."""
+"""Kinds of drives (current, torque, duty cycle), from the file to identification, environment and control."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -10,8 +16,8 @@ from hframe_gym.effects import get_effect
 from hframe_gym.errors import InputError
 from hframe_gym.identification import identify
 from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
-from hframe_gym.recordings import Recording, machine_to_dict, save_machine
-from tests.reference_simulator.axis import Axis, held_levels, record
+from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
+from tests.reference_simulator.axis import Axis, Record, held_levels, record
 
 ROWS, PERIOD, BANDWIDTH, LIMIT = 1000, 2e-3, 40.0, 1.6
 TRUE = Axis(bandwidth_hz=BANDWIDTH, limit_A=LIMIT)
@@ -69,8 +75,6 @@ def test_a_machine_file_states_the_kind(kind: str, tmp_path) -> None:
 
 
 def test_the_file_declares_the_bandwidth_and_refuses_what_the_kind_lacks(tmp_path) -> None:
-    import json
-
     content = machine_to_dict(motor("current", 2e-4, 1e-4, 0.004, 40.0, None))
     content["effects"] = []
     content["drives"][0]["bandwidth"] = {"value": 40.0, "unit": "Hz"}
@@ -81,6 +85,91 @@ def test_the_file_declares_the_bandwidth_and_refuses_what_the_kind_lacks(tmp_pat
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"drives\.motor\.resistance: a drive of the kind 'current' has none"):
         load_machine(path)
+
+
+def duty_motor(supply: str = "vbus_V") -> Machine:
+    shaft = Coordinate("shaft", 2.6e-4, 5e-5, 0.006, "rotary", 0.01)
+    drive = Drive("motor", "duty_pu", "shaft", 0.03, 0.03, 1.5, 1.0, 12.0, kind="duty-cycle", supply=supply)
+    return Machine("motor", (shaft,), (), (drive,), (ENCODER,))
+
+
+def duty_log(path: Path, run: int, header: str = "time_s,duty_pu,vbus_V,phi_rad", full: float = 1.0) -> Record:
+    """Write a run of the independent simulator whose supply sags slowly and with the duty cycle."""
+    levels = held_levels(run, ROWS, 40, 0.7)
+    duty = np.array([levels(row) for row in range(ROWS)])
+    supply = 12.5 - np.linspace(0.0, 2.5, ROWS) - 2.0 * np.abs(duty)
+    motion = record(Axis(), lambda row: float(duty[row] * supply[row]), ROWS, PERIOD)
+    angle = np.rint(motion.position / ENCODER.resolution) * ENCODER.resolution
+    table = np.column_stack([motion.time_s, full * duty, supply, angle])
+    np.savetxt(path, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    return motion
+
+
+@pytest.mark.oracle
+def test_a_duty_cycle_is_multiplied_by_the_measured_supply(tmp_path) -> None:
+    machine = duty_motor()
+    motions = [duty_log(tmp_path / f"run_{run}.csv", run) for run in range(4)]
+    recordings = [load_recording(tmp_path / f"run_{run}.csv", machine) for run in range(4)]
+    for motion, recording in zip(motions, recordings, strict=True):
+        np.testing.assert_allclose(recording.inputs[:, 0], motion.command, atol=1e-12)
+    assert [f for f in check_recordings(recordings, machine) if f.severity == "fault"] == []
+    result = identify(recordings, machine)
+    assert result.verdict == "no_effect"
+    found = result.after.machine.parameters
+    assert found["shaft.mass"] == pytest.approx(2e-4, rel=1e-3)
+    assert found["shaft.coulomb"] == pytest.approx(0.004, rel=5e-3)
+    # Without the measurement, the sag of the supply remains as an error.
+    constant = [dataclasses.replace(r, inputs=12.0 * r.inputs / s[:, None]) for r, s in _with_supplies(recordings)]
+    assert identify(constant, machine).before.held_out.channels["phi_rad"].noise_ratio > 10.0
+
+
+def _with_supplies(recordings: list[Recording]) -> list[tuple[Recording, np.ndarray]]:
+    """Return each recording with its supply voltage, shape (n,)."""
+    pairs = []
+    for run, recording in enumerate(recordings):
+        levels = held_levels(run, ROWS, 40, 0.7)
+        duty = np.abs([levels(row) for row in range(ROWS)])
+        pairs.append((recording, 12.5 - np.linspace(0.0, 2.5, ROWS) - 2.0 * duty))
+    return pairs
+
+
+def test_files_have_the_duty_cycle_and_refuse_a_voltage(tmp_path) -> None:
+    machine = duty_motor()
+    save_machine(machine, tmp_path / "motor.json")
+    assert load_machine(tmp_path / "motor.json").drives == machine.drives
+    duty_log(tmp_path / "run.csv", 0)
+    recording = load_recording(tmp_path / "run.csv", machine)
+    write_recording(tmp_path / "written.csv", recording, machine)  # of the rated voltage
+    again = load_recording(tmp_path / "written.csv", machine)
+    np.testing.assert_allclose(again.inputs, recording.inputs, rtol=1e-15)
+    duty_log(tmp_path / "volts.csv", 0, full=12.0)
+    with pytest.raises(InputError, match=r"volts\.csv, row \d+, column duty_pu: .*is no duty cycle from -1 to 1"):
+        load_recording(tmp_path / "volts.csv", machine)
+
+
+def test_import_maps_duty_cycle_and_supply(tmp_path) -> None:
+    machine, out = duty_motor(), tmp_path / "out"
+    save_machine(machine, tmp_path / "motor.json")
+    motion = duty_log(tmp_path / "log.csv", 0, "Time [s],Duty [%],Battery [V],phi [rad]", 100.0)
+    arguments = ["import", "log.csv", "--machine", "motor.json", "--out", str(out)]
+    arguments += ["--map", "duty_pu=Duty [%]", "--map", "vbus_V=Battery [V]"]
+    run = subprocess.run([sys.executable, "-m", "hframe_gym", *arguments], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+    (written,) = out.glob("*.csv*")
+    recording = load_recording(written, machine)
+    np.testing.assert_allclose(recording.inputs[:, 0], motion.command, rtol=1e-12, atol=1e-12)
+
+
+def test_the_environment_of_duty_cycles_has_the_rated_supply() -> None:
+    machine = load_machine("hframe")
+    drives = [dataclasses.replace(d, kind="duty-cycle", supply="vbus_V") for d in machine.drives]
+    actions = [np.array([0.3, -0.1], np.float32)] * 5
+    envs = [gym.make("HFrame-v0", machine=m) for m in (machine, machine.replace(drives=tuple(drives)))]
+    ends = []
+    for env in envs:
+        env.reset(seed=0)
+        ends.append([env.step(action)[0]["observation"] for action in actions][-1])
+    np.testing.assert_array_equal(*ends)
 
 
 def stage() -> Machine:

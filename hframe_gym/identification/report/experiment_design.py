@@ -27,6 +27,7 @@ from ...dynamics import simulate_batch
 from ...dynamics.simulation import Motion
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
+from ...recordings import recorded_commands
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit
 from ..predict.linearization import forward_differences
@@ -86,7 +87,7 @@ class ExperimentDesign:
         return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
     def write(self, path: Path, machine: Machine) -> None:
-        """Write the sample times, s, and voltages, V, as a CSV file with the columns time_s and one per input channel.
+        """Write the sample times, s, and commands as a CSV file with the columns time_s and one per input channel.
 
         Args:
             path: File to write; it appears only when it is complete.
@@ -97,7 +98,7 @@ class ExperimentDesign:
         """
         with atomic_file(path) as file:
             header = ",".join(["time_s", *machine.input_channels])
-            table = np.column_stack([self.time_s, self.inputs])
+            table = np.column_stack([self.time_s, recorded_commands(machine, self.inputs)])
             np.savetxt(file, table, fmt="%.9g", delimiter=",", header=header, comments="")
 
 

@@ -375,7 +375,7 @@ def _hold_inputs(
 ) -> tuple[Array, dict[str, Array]]:
     """Hold inputs over empty cells, leave out the first rows if an input has no value there; append to the remarks."""
     begin = 0
-    for channel in machine.input_channels:
+    for channel in (*machine.input_channels, *machine.supply_channels):
         values = columns[channel]
         has_value = ~np.isnan(values)
         if has_value.all() or not has_value.any():

@@ -41,6 +41,7 @@ _FIRST_LETTERS: dict[Dimension, str] = {
     "current": "i",
     "torque": "tm",
     "force": "f",
+    "duty cycle": "d",
     "linear speed": "v",
     "angular speed": "wo",
     "linear acceleration": "a",
@@ -148,7 +149,7 @@ class _LogMapping:
 
     def __init__(self, log: Log, machine: Machine, options: MappingOptions) -> None:
         self.log, self.machine, self.options = log, machine, options
-        self.channels = (*machine.input_channels, *machine.output_channels)
+        self.channels = (*machine.input_channels, *machine.supply_channels, *machine.output_channels)
 
     def sources(self) -> list[ChannelSource]:
         """Return the sources of the times and of all channels, see `map_columns`."""
@@ -195,7 +196,7 @@ class _LogMapping:
         """Refuse a machine with the input current_A or torque_Nm whose drive takes it for a voltage."""
         for channel, drive in zip(self.machine.input_channels, self.machine.drives, strict=True):
             dimension = channel_dimension(self.machine, channel)
-            if dimension != "voltage" and drive.Ke != 0.0:
+            if dimension not in ("voltage", "duty cycle") and drive.Ke != 0.0:
                 problem = f"{channel} is a {dimension} by its name, but its drive {drive.name} has a back-EMF"
                 advice = f"an amplifier that controls the {dimension} has Ke 0 and resistance 1 (docs/own_machine.md)"
                 raise InputError(f"machine {self.machine.name!r}: {problem}; {advice}")
@@ -472,7 +473,8 @@ class _LogMapping:
 
     def _channels_text(self) -> str:
         """Return a sentence with the channels of the machine."""
-        inputs, outputs = ", ".join(self.machine.input_channels), ", ".join(self.machine.output_channels)
+        inputs = ", ".join((*self.machine.input_channels, *self.machine.supply_channels))
+        outputs = ", ".join(self.machine.output_channels)
         return f"Machine {self.machine.name!r} has {TIME}, inputs {inputs} and outputs {outputs}"
 
 

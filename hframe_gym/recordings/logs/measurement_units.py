@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ...machine import Drive, Machine
+from ...machine import DRIVE_KINDS, Drive, Machine
 from ..quantities import COUNT_UNITS, QUANTITIES, Factors, split_unit
 
 TIME = "time_s"  # column of the sample times in recordings
@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Dimension = Literal[
     "time",
     "voltage",
+    "duty cycle",
     "current",
     "torque",
     "force",
@@ -36,6 +37,7 @@ SPEED_UNITS: dict[Dimension, Factors] = {
 }
 ALL_SPEED_UNITS = tuple(unit for units in SPEED_UNITS.values() for unit in units)
 SI_UNITS: dict[Dimension, str] = {dimension: next(iter(units)) for dimension, units in UNITS.items()}
+SI_UNITS["duty cycle"] = "pu"
 _DIMENSION_OF_UNIT: dict[str, Dimension] = {unit: dimension for dimension, unit in SI_UNITS.items()}
 # Units of a duty cycle, which a log may have in place of a voltage: the value at which the drive's rated voltage is
 # applied.
@@ -131,10 +133,14 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
         return "time"
     if channel in machine.input_channels:
         drive = machine.drives[machine.input_channels.index(channel)]
+        if DRIVE_KINDS.get(drive.kind).fraction:
+            return "duty cycle"
         if drive.kind != "voltage":
             return _COMMANDS[drive.command_unit]
         unit = split_unit(channel)[1]
         return _COMMANDS.get(unit, "voltage")
+    if channel in machine.supply_channels:
+        return "voltage"
     return _DIMENSION_OF_UNIT[machine.sensor_unit(machine.sensor(channel))]
 
 
@@ -171,7 +177,7 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
             speed = Conversion(*factors).scaled(1.0 / drive.gear_ratio)
             remark = f"speed of {drive.name} in {unit}, {gear}, {_INTEGRATED}"
             conversions[unit] = UnitConversion(speed, True, remark)
-    if channel in machine.input_channels:
+    if channel in machine.input_channels and dimension != "duty cycle":
         conversions |= _input_units(machine, channel, dimension)
     return conversions
 

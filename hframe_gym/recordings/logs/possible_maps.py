@@ -57,6 +57,8 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
         return family in _COUNTS and (scaled or unit is not None)
     if family == "count" or (family == "row number" and scaled and channel in machine.output_channels):
         return True  # counts of an encoder, which are also called ticks
+    if channel in machine.supply_channels:
+        return scaled or unit in _VOLTS
     if channel in machine.output_channels:
         if family == "speed":
             if unit is None:
