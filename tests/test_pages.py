@@ -158,11 +158,49 @@ def test_the_keyboard_reaches_and_unfolds_the_details(pages: dict[str, Path], dr
     assert driver.execute_script("return document.activeElement.parentElement.open")
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_a_part_of_a_run_is_enlarged_and_curves_are_hidden(
+    width: int, scheme: str, pages: dict[str, Path], driver: Any
+) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    open_page(driver, pages["effect"], width, scheme)
+    plot = driver.find_element("css selector", ".plot")
+
+    def shown_s() -> tuple[float, float]:
+        text = plot.find_element("css selector", "svg").get_attribute("aria-label")
+        match = re.search(r"from ([\d.]+) to ([\d.]+) s:", text)
+        assert match is not None
+        return float(match[1]), float(match[2])
+
+    def press(text: str) -> None:
+        driver.find_element("xpath", f"//button[.='{text}']").click()
+
+    whole = shown_s()
+    assert whole == pytest.approx((0.0, 0.499), abs=1e-3)
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+    drag = ActionChains(driver).move_to_element(plot).click_and_hold().move_by_offset(60, 3).release()
+    drag.perform()
+    start, end = shown_s()
+    seconds_per_pixel = 0.499 / (plot.size["width"] - 66)  # 66 px: the margins of the axes
+    assert end - start == pytest.approx(60 * seconds_per_pixel, rel=0.05)
+    press("Zoom out")
+    assert shown_s()[1] - shown_s()[0] == pytest.approx(2 * (end - start), rel=0.02)
+    press("Whole run")
+    assert shown_s() == whole
+    curves = len(plot.find_elements("css selector", "path"))
+    press("refitted")
+    assert len(plot.find_elements("css selector", "path")) == curves - 2  # its simulation and its error
+
+
 @pytest.mark.parametrize("kind", PAGES)
 def test_the_page_is_self_contained(kind: str, pages: dict[str, Path]) -> None:
     text = pages[kind].read_text()
     assert "://" not in text
-    assert "<script" not in text
+    for attributes in re.findall("<script([^>]*)>", text):
+        assert attributes in ("", ' type="application/json" id="curve-data"')  # no script from elsewhere
+    assert len(text) < 3e6
     style = text[text.index("<style>") : text.index("</style>")]
     for light, dark in COLORS.values():
         assert light in style

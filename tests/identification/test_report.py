@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import json
 import re
@@ -16,11 +17,12 @@ from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.fit.residual import ChannelError, Dependence
+from hframe_gym.identification.report.curves import page_curves, worst_first
 from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
-from hframe_gym.identification.report.page import build_report, verdict_sentence
+from hframe_gym.identification.report.page import build_report, tone_of_remainder, verdict_sentence
 from hframe_gym.identification.report.plots import report_panels
 from hframe_gym.identification.report.recording_simulation import PredictionErrors
-from hframe_gym.identification.report.result import Hint, Unfinished, Verdict, plot_data
+from hframe_gym.identification.report.result import Hint, PlainResult, Unfinished, Verdict, plot_data
 from hframe_gym.identification.report.saved_result import next_command
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
@@ -142,6 +144,78 @@ def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -
 def test_an_effect_that_makes_held_out_runs_worse_is_called_so(data: Dataset, tmp_path: Path) -> None:
     page = page_of(result_of(data, "effect_found", STRIBECK, gain=-0.0914), tmp_path)
     assert "It increases the squared error of the held-out runs by 9.14 %." in page
+
+
+def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Dataset) -> None:
+    result = result_of(data, "effect_found", STRIBECK)
+    report, curves = result.as_json(), plot_data(result)
+    noise = report["after"]["held_out"]["x_m"]["rmse"] / report["after"]["held_out"]["x_m"]["noise_ratio"]
+    for name, factor in (("run_8", 1.0), ("run_9", 3.0)):  # two more runs, the second of which is the worst
+        curves |= {f"{name}/{key}": curves[f"run_2/{key}"] for key in ("time_s", "measured", "declared", "before")}
+        curves[f"{name}/after"] = factor * noise * np.ones((500, 1))
+    report["runs"]["held_out"] = ["run_8", "run_9"]
+    drawn = page_curves(report, curves, ["x_m"])
+    assert [run["label"] for run in drawn["runs"]] == ["run_9: 3 × noise", "run_8: 1 × noise"]
+    assert [machine["key"] for machine in drawn["machines"]] == ["declared", "before", "after"]
+    (channel,) = drawn["runs"][0]["channels"]
+    error = np.frombuffer(base64.b64decode(channel["errors"]["before"]), "<f4")
+    assert error == pytest.approx(curves["run_9/before"][:, 0], rel=1e-6)
+    curves["run_8/after"] = np.full((500, 1), np.nan)  # diverges
+    assert worst_first(report, curves, ["x_m"]) == ["run_8", "run_9"]
+
+
+def test_a_long_curve_keeps_its_peaks_and_the_page_stays_small(data: Dataset) -> None:
+    report = result_of(data, "effect_found", STRIBECK).as_json()
+    report["runs"]["held_out"] = [f"run_{k}" for k in range(20)]
+    time_s = 1e6 + 1e-3 * np.arange(100_000)
+    errors = 1e-5 * np.sin(time_s)[:, None]
+    errors[54_321] = 7e-3
+    values = dict.fromkeys(("measured", "declared", "before", "after", "plain"), errors) | {"time_s": time_s}
+    curves = {f"{run}/{key}": value for run in report["runs"]["held_out"] for key, value in values.items()}
+    drawn = page_curves(report, curves, ["x_m"])
+    assert [machine["label"] for machine in drawn["machines"]] == [
+        "as declared",
+        "plain fit",
+        "refitted",
+        "with effects",
+    ]
+    assert len(json.dumps(drawn)) < 2e6
+    (channel,) = drawn["runs"][0]["channels"]
+    error, times = (
+        np.frombuffer(base64.b64decode(text), "<f4") for text in (channel["errors"]["after"], channel["time"])
+    )
+    assert times[np.argmax(error)] == pytest.approx(54.321, abs=1e-4)
+    assert error.max() == pytest.approx(7e-3)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "left", "percent", "tone"),
+    [
+        ("effect_found", 1.1, 0.2, "good"),
+        ("no_effect", 1.1, 0.2, "good"),
+        ("no_effect", 1.1, 30.0, "warning"),  # the noise is a third of the motion
+        ("effect_found", 3205.0, 0.4, "neutral"),
+        ("effect_found", 3205.0, 12.0, "warning"),
+        ("effect_found", 3205.0, None, "warning"),
+        ("unexplained", 1.1, 0.2, "neutral"),
+        ("unexplained", 900.0, 9.0, "warning"),
+        ("no_effect", None, None, "warning"),  # diverges
+    ],
+)
+def test_the_tone_of_the_page_is_that_of_what_is_left(
+    verdict: str, left: float | None, percent: float | None, tone: str
+) -> None:
+    errors = {"x_m": {"rmse": 1e-3, "noise_ratio": left, "percent_of_motion": percent}, "force_error": 0.1}
+    assert tone_of_remainder({"verdict": verdict, "left": left, "after": {"held_out": errors}}) == tone
+
+
+def test_the_plain_fit_stands_beside_the_other_machines(data: Dataset, tmp_path: Path) -> None:
+    result = result_of(data, "effect_found", STRIBECK)
+    result = dataclasses.replace(result, plain=PlainResult(result.before, ("constant_force@x",)))
+    page = page_of(result, tmp_path)
+    assert "The plain fit has inertia and friction from the recordings alone, with constant force at x" in page
+    assert '<th scope="col">plain fit</th>' in page
+    assert '"label": "plain fit"' in page
 
 
 def test_errors_by_run_are_those_of_the_machines(data: Dataset, tmp_path: Path) -> None:

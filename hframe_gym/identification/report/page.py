@@ -16,16 +16,21 @@ from ...errors import InputError
 from ...machine import BUILTIN_MACHINES, Machine
 from ...web_page import number, write_page
 from ..fit.parameter_diagnostics import parameter_doubts, sum_text
+from ..judge.criteria import SelectionCriteria
+from .curves import channel_noise, page_curves, worst_first
 from .plots import readable_unit, report_panels, save_plots, slow_fractions
 from .result import STAGES, reason_of_remainder
 from .saved_result import SavedResult, load_result, next_command
 
 Array = NDArray[np.float64]
-_VERDICTS = {  # heading and tone of the page
-    "effect_found": ("Missing effects found", "good"),
-    "no_effect": ("No missing effect found", "neutral"),
-    "unexplained": ("Unexplained error", "warning"),
+_HEADINGS = {
+    "effect_found": "Missing effects found",
+    "no_effect": "No missing effect found",
+    "unexplained": "Unexplained error",
 }
+_LEFT = {"good": "", "neutral": ", a small error is left", "warning": ", a large error is left"}  # by tone of the page
+# Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
+_SMALL_PERCENT_OF_MOTION = 1.0
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
 _DIVERGES = "infinitely many (its simulation diverges)"
 _NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
@@ -59,19 +64,21 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     saved = load_result(folder)
     report, machine, curves = saved.report, saved.machine, saved.curves
     channels = list(machine.output_channels)
-    heading, tone = _VERDICTS[report["verdict"]]
-    panels, effects = report_panels(report, curves, machine), _effect_rows(report, machine)
+    tone = tone_of_remainder(report)
+    runs = worst_first(report, curves, channels)
+    panels, effects = report_panels(report, curves, machine, runs), _effect_rows(report, machine)
     values = {
         "title": f"Identification of {saved.declared.name}",
         "report": report,
-        "heading": heading,
+        "heading": _HEADINGS[report["verdict"]] + ("" if report["verdict"] == "unexplained" else _LEFT[tone]),
         "tone": tone,
         "sentence": verdict_sentence(report, channels),
         "tiles": _tiles(report, channels),
         "channels": [_channel_row(report, c) for c in channels],
         "force": _force_row(report),
         "plain": _plain_sentence(report),
-        "runs": [_run_row(report, curves, channels, run) for run in report["runs"]["held_out"]],
+        "runs": [_run_row(report, curves, channels, run) for run in runs],
+        "curves": page_curves(report, curves, channels),
         "effects": effects,
         "parameters": _parameter_rows(machine, saved.declared),
         "determined": _determined_sums(report, machine),
@@ -87,6 +94,29 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     except OSError as error:
         raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
     return folder / "report.html"
+
+
+def tone_of_remainder(report: Mapping[str, Any]) -> str:
+    """Return the tone of the page, which follows from the error that is left and not from the names that were found.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        "good" if noise explains the error and the noise is small against the motion; "neutral" if the error is at most
+        1 % of the motion of every channel; "warning" if it is larger, or the simulation diverges. An error that the
+        verdict calls unexplained is never "good".
+    """
+    criteria, left = SelectionCriteria(), report.get("left")
+    errors = report["after"]["held_out"].values()
+    percents = [e["percent_of_motion"] for e in errors if isinstance(e, dict) and e.get("percent_of_motion")]
+    largest = max(percents, default=0.0)
+    if left is None:
+        return "warning"
+    at_noise = left <= criteria.max_noise_ratio_explained and largest <= 100.0 * criteria.max_motion_error
+    if at_noise and report["verdict"] != "unexplained":
+        return "good"
+    return "neutral" if percents and largest <= _SMALL_PERCENT_OF_MOTION else "warning"
 
 
 def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
@@ -274,12 +304,11 @@ def _run_row(report: Mapping[str, Any], curves: Mapping[str, Array], channels: l
     """Return the errors of one held-out run before and after, by channel in units of the noise."""
 
     def ratio(stage: str, j: int) -> str:
-        errors = report["after"]["held_out"][channels[j]]
+        noise = channel_noise(report, channels[j])
         residual = curves[f"{run}/{stage}"][:, j]
         residual = residual[np.isfinite(residual)]
-        if not errors["rmse"] or not errors["noise_ratio"] or len(residual) == 0:
+        if noise is None or len(residual) == 0:
             return ""
-        noise = errors["rmse"] / errors["noise_ratio"]
         return f"{float(np.sqrt(np.mean(residual**2))) / noise:.3g}"
 
     return {"name": run, "errors": [f"{ratio('before', j)} → {ratio('after', j)}" for j in range(len(channels))]}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,9 @@ _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows i
 }
 
 
-def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> Panels:
+def report_panels(
+    report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine, runs: Sequence[str] = ()
+) -> Panels:
     """Prepare the plots of an identification report as panels: axes with title, description and drawing function.
 
     They show the errors by channel and over time, the force that the model lacks (residual force), the tables (forces
@@ -45,6 +47,7 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
         report: Content of report.json.
         curves: Curves by name, such as "force/after", SI, shape (m,) or (n, sensors); `result.plot_data` lists all.
         machine: Identified machine with the selected effects (deviations from the nominal model).
+        runs: Names of the held-out runs, those first whose errors are drawn over time. Default: as in the report.
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (one panel per channel for each of the first two
@@ -56,7 +59,7 @@ def report_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machin
         "error_by_channel": [_error_by_channel(report, channels)],
         "error_over_time": [
             _error_over_time(curves, run, channel, j, _compared_stages(report))
-            for run in report["runs"]["held_out"][:_MAX_RUNS]
+            for run in list(runs or report["runs"]["held_out"])[:_MAX_RUNS]
             for j, channel in enumerate(channels)
             if np.isfinite(curves[f"{run}/measured"][:, j]).any()
         ],

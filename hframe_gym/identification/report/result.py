@@ -352,7 +352,7 @@ def write_result(
         InputError: If another process writes to the folder.
         OSError: If a file cannot be written.
     """
-    arrays: dict[str, Any] = {name: values.astype(np.float32) for name, values in plot_data(result).items()}
+    arrays: dict[str, Any] = {name: _stored(name, values) for name, values in plot_data(result).items()}
     unfinished = [str(result.unfinished)] if result.unfinished else []
     warnings = [*unfinished, *warnings, *result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
@@ -371,6 +371,11 @@ def write_result(
         else:
             remove_file(folder / FILE)
         write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
+
+
+def _stored(name: str, values: Array) -> NDArray[np.floating[Any]]:
+    """Return a curve as it is stored; times of a clock that began long ago need 64 bits."""
+    return values if name.endswith("/time_s") else values.astype(np.float32)
 
 
 def reason_of_remainder(report: Mapping[str, Any]) -> str:
@@ -412,6 +417,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         - ``RUN/measured``: its measurements minus the sensors' zeros, m or rad, shape (n, sensors).
         - ``RUN/declared``, ``RUN/before``, ``RUN/after``: simulation errors of the declared, refitted and corrected
           machine, m or rad, shape (n, sensors).
+        - ``RUN/plain``: the same of the plain fit; absent if there is none.
         - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
           SI, shape (m,); absent if there is none.
         - ``force/before``, ``force/after``: residual force of the refitted and of the corrected machine at these
@@ -422,7 +428,8 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
     curves: dict[str, Array] = {}
     for run in result.held_out.runs:
         curves |= {f"{run.name}/time_s": run.time_s, f"{run.name}/measured": run.outputs}
-        for name, evaluation in result.evaluations.items():
+        plain = {"plain": result.plain.evaluation} if result.plain else {}
+        for name, evaluation in (result.evaluations | plain).items():
             evaluated = evaluation.errors.get(run.name)
             error = simulation_error(evaluation.machine, run, result.held_out) if evaluated is None else evaluated
             curves[f"{run.name}/{name}"] = error

@@ -159,6 +159,13 @@ class _Unfinished(_Entry):
     reason: str
 
 
+class _Plain(_Evaluation):
+    """Errors of the plain fit."""
+
+    terms: list[str] = []
+    delivered: bool = False
+
+
 class _Report(_Entry):
     """Content of report.json that the report uses."""
 
@@ -168,6 +175,7 @@ class _Report(_Entry):
     declared: _Evaluation
     before: _Evaluation
     after: _Evaluation
+    plain: _Plain | None = None
     effects: list[_EffectEntry]
     residual: _Residual
     explained: FiniteFloat | None = None
@@ -298,12 +306,13 @@ def _check_report(saved: SavedResult, path: Path) -> None:
     machine, channels = saved.machine, saved.machine.output_channels
     if saved.declared.output_channels != channels:
         raise _damaged(path.with_name("declared.json"), "has other sensors than machine.json")
-    for stage in STAGES:
+    for stage in (*STAGES, *(["plain"] if saved.report["plain"] else [])):
         errors = saved.report[stage]["held_out"]
         for channel in channels:
             if not isinstance(errors.get(channel), dict):
                 raise _damaged(path, f"{stage}.held_out has no errors of {channel}")
-        if ("force_error" in errors) != ("force_error" in saved.report["after"]["held_out"]):
+        compared = saved.report["after"]["held_out"] if stage in STAGES else errors
+        if ("force_error" in errors) != ("force_error" in compared):
             raise _damaged(path, "force_error is given for some of declared, before and after only")
         if not isinstance(errors.get("force_error", 0.0), float):
             raise _damaged(path, f"{stage}.held_out.force_error is not a number")
@@ -330,6 +339,8 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
     for run in saved.report["runs"]["held_out"]:
         needed |= {f"{run}/time_s": 1}
         needed |= {f"{run}/{name}": 2 for name in ("measured", *STAGES)}
+        if f"{run}/plain" in curves:  # results of older versions have none
+            needed |= {f"{run}/plain": 2}
     if "force/variable" in curves:
         needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
         if not saved.report["residual"]["depends_on"]:

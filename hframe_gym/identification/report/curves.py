@@ -1,0 +1,210 @@
+"""Curves of the held-out runs for the page: measurements, simulations and their errors, the worst run first.
+
+The page draws them by a script of its own (`templates/curves.js`), because a reader zooms into them. Libraries for such
+plots have a megabyte or more, draw into a bitmap without text, and take no colors from the style sheet.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...web_page import number
+from .plots import readable_unit
+
+Array = NDArray[np.float64]
+# Names of the machines in the order in which their curves are drawn: what is delivered comes last, on top.
+_LABELS = {"declared": "as declared", "plain": "plain fit", "before": "refitted", "after": "with effects"}
+_COLORS = {"declared": "declared", "plain": "series3", "before": "before", "after": "after"}
+_MAX_BYTES = 1_500_000  # of all curves in the page, so that a page of many runs stays below 3 MB
+_MAX_ROWS, _MIN_ROWS = 3000, 200  # of one curve; a screen has some 1000 columns
+_BYTES_PER_VALUE = 16 / 3  # 4 bytes as base64 text
+_FAR = 3.0  # Error relative to that of the refitted machine above which a curve is hidden at first.
+_KEPT_PER_BUCKET = 5  # first row, smallest and largest error of two machines
+
+
+def compared_machines(report: Mapping[str, Any], curves: Mapping[str, Array]) -> dict[str, str]:
+    """Return the machines whose simulations the page compares, with their labels.
+
+    Args:
+        report: Content of report.json.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+
+    Returns:
+        Labels by key of the machine: "declared", "plain" (if its curves are known), "before" and "after" (with effects;
+        absent if there are none, because it is then the refitted machine).
+    """
+    runs = report["runs"]["held_out"]
+    absent = set() if report["effects"] else {"after"}
+    if not all(f"{run}/plain" in curves for run in runs):
+        absent.add("plain")
+    return {key: label for key, label in _LABELS.items() if key not in absent}
+
+
+def channel_noise(report: Mapping[str, Any], channel: str) -> float | None:
+    """Return the standard deviation of a sensor's noise, m or rad; None if every machine diverges or it is not known.
+
+    Args:
+        report: Content of report.json.
+        channel: Name of the output channel.
+    """
+    for stage in ("after", "before", "declared"):
+        error = report[stage]["held_out"][channel]
+        if error["rmse"] and error["noise_ratio"]:
+            return float(error["rmse"] / error["noise_ratio"])
+    return None
+
+
+def run_ratio(
+    report: Mapping[str, Any], curves: Mapping[str, Array], run: str, channels: Sequence[str], stage: str = "after"
+) -> float | None:
+    """Return the simulation error of a held-out run over the sensors' noise, root mean square over the channels.
+
+    Args:
+        report: Content of report.json.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+        run: Name of the run.
+        channels: Names of the output channels.
+        stage: Machine: "declared", "before", "after" or "plain".
+
+    Returns:
+        The ratio, dimensionless; infinite if the simulation diverges on the run, None if nothing was measured.
+    """
+    measured, errors = curves[f"{run}/measured"], curves[f"{run}/{stage}"]
+    squares = []
+    for j, channel in enumerate(channels):
+        error = errors[:, j][np.isfinite(errors[:, j])]
+        if not len(error):
+            if np.isfinite(measured[:, j]).any():
+                return math.inf
+            continue
+        if noise := channel_noise(report, channel):
+            squares.append(float(np.mean(error**2)) / noise**2)
+    return math.sqrt(sum(squares) / len(squares)) if squares else None
+
+
+def worst_first(report: Mapping[str, Any], curves: Mapping[str, Array], channels: Sequence[str]) -> list[str]:
+    """Return the names of the held-out runs by decreasing error of the delivered machine.
+
+    Args:
+        report: Content of report.json.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+        channels: Names of the output channels.
+    """
+    ratios = {run: run_ratio(report, curves, run, channels) for run in report["runs"]["held_out"]}
+    return sorted(ratios, key=lambda run: -(ratios[run] or 0.0))
+
+
+def page_curves(report: Mapping[str, Any], curves: Mapping[str, Array], channels: Sequence[str]) -> dict[str, Any]:
+    """Return what the script of the page draws, as content of a JSON document.
+
+    Every run and channel has one set of rows for all its curves: the first of each interval of time, and those with the
+    smallest and the largest error of the refitted and of the corrected machine, so that no peak is lost. The number of
+    intervals is such that all curves together have at most 1.5 MB, if each keeps 200 rows.
+
+    Args:
+        report: Content of report.json.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+        channels: Names of the output channels.
+
+    Returns:
+        "machines": "key", "label" and "color" of each machine, and whether it is "shown" at first. "runs": worst first,
+        each with "name", "label" and "channels". A channel has "name", "quantity", the units and factors of values and
+        errors, "noise" (standard deviation, in the unit of the errors) and its curves as base64 text of 32-bit floats,
+        little-endian: "time" (s since the start of the run), "measured" and "errors" (measured minus simulated) by
+        machine.
+    """
+    machines = compared_machines(report, curves)
+    runs = worst_first(report, curves, channels)
+    count = max(1, len(runs) * len(channels) * (2 + len(machines)))
+    rows = int(np.clip(_MAX_BYTES / (_BYTES_PER_VALUE * count), _MIN_ROWS, _MAX_ROWS))
+    far = _far(report, curves, runs, channels)
+    return {
+        "machines": [
+            {"key": key, "label": label, "color": _COLORS[key], "shown": key not in far}
+            for key, label in machines.items()
+        ],
+        "runs": [
+            {
+                "name": run,
+                "label": _run_label(run_ratio(report, curves, run, channels), run),
+                "channels": [
+                    _channel_curves(report, curves, run, channel, j, list(machines), rows)
+                    for j, channel in enumerate(channels)
+                    if np.isfinite(curves[f"{run}/measured"][:, j]).any()
+                ],
+            }
+            for run in runs
+        ],
+    }
+
+
+def _far(
+    report: Mapping[str, Any], curves: Mapping[str, Array], runs: Sequence[str], channels: Sequence[str]
+) -> set[str]:
+    """Return the machines whose errors on the worst run are so large that those of the others would look like zero."""
+    ratios = {key: run_ratio(report, curves, runs[0], channels, key) for key in compared_machines(report, curves)}
+    limit = _FAR * (ratios["before"] or math.inf)
+    return {key for key in ("declared", "plain") if (ratios.get(key) or 0.0) > limit}
+
+
+def _run_label(ratio: float | None, run: str) -> str:
+    """Return the name of a run with its error."""
+    if ratio is None:
+        return run
+    return f"{run}: {number(ratio)} × noise" if math.isfinite(ratio) else f"{run}: diverges"
+
+
+def _channel_curves(
+    report: Mapping[str, Any],
+    curves: Mapping[str, Array],
+    run: str,
+    channel: str,
+    j: int,
+    machines: Sequence[str],
+    max_rows: int,
+) -> dict[str, Any]:
+    """Return the curves of one channel of a run."""
+    time_s, measured = curves[f"{run}/time_s"], curves[f"{run}/measured"][:, j]
+    errors = {key: curves[f"{run}/{key}"][:, j] for key in machines}
+    rows = _kept_rows([errors[key] for key in ("before", "after") if key in errors], max_rows)
+    factor, unit = readable_unit(channel, float(np.nanmax(np.abs(measured), initial=0.0)))
+    largest = max(float(np.nanmax(np.abs(error), initial=0.0)) for error in errors.values())
+    error_factor, error_unit = readable_unit(channel, largest)
+    noise = channel_noise(report, channel)
+    return {
+        "name": channel,
+        "quantity": channel.rpartition("_")[0] or channel,
+        "unit": unit,
+        "factor": factor,
+        "error_unit": error_unit,
+        "error_factor": error_factor,
+        "noise": None if noise is None else error_factor * noise,
+        "time": _encoded((time_s - time_s[0])[rows]),
+        "measured": _encoded(measured[rows]),
+        "errors": {key: _encoded(error[rows]) for key, error in errors.items()},
+    }
+
+
+def _kept_rows(errors: Sequence[Array], max_rows: int) -> NDArray[np.intp]:
+    """Return the rows of errors (n,) that remain of a curve, increasing."""
+    count = len(errors[0])
+    if count <= max_rows:
+        return np.arange(count)
+    kept = {count - 1}
+    for part in np.array_split(np.arange(count), max(1, max_rows // _KEPT_PER_BUCKET)):
+        kept.add(int(part[0]))
+        for error in errors:
+            values = np.nan_to_num(error[part])
+            kept |= {int(part[np.argmin(values)]), int(part[np.argmax(values)])}
+    return np.array(sorted(kept))
+
+
+def _encoded(values: Array) -> str:
+    """Return values as base64 text of 32-bit floats."""
+    return base64.b64encode(values.astype("<f4").tobytes()).decode("ascii")
