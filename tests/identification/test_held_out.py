@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -15,8 +14,12 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification import hold_out
 from hframe_gym.identification.evidence import held_out
 from hframe_gym.identification.evidence.held_out import spectral_differences
+from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit.force_sizes import force_error
+from hframe_gym.identification.predict.prediction import POLISH_STEP
 from hframe_gym.recordings import Recording
-from tests.identification.scripted_fits import AXIS, DATA, DRAG, FRAME, PUSH, runs, selected
+from tests.identification.axis_results import axis_runs
+from tests.identification.scripted_fits import AXIS, DRAG, FRAME, PUSH, selected
 
 pytestmark = pytest.mark.unit
 
@@ -150,50 +153,44 @@ def test_a_single_run_cannot_be_held_out() -> None:
         hold_out(recordings)
 
 
-def by_effects(values: Mapping[tuple[str, ...], float | None]) -> Callable[..., Any]:
-    """Return a function of a machine that looks up a value by its effects' names."""
-    return lambda machine, *rest, **more: values[tuple(e.name for e in machine.effects)]
+def test_the_held_out_gain_compares_forces_with_the_widest_observer_and_costs_otherwise() -> None:
+    """On a single axis, inverse dynamics gives the force; both show what a machine without the push lacks."""
+    both, with_drag = AXIS.with_effects(PUSH, DRAG), AXIS.with_effects(DRAG)
+    data = axis_runs(both, rows=1000, volts=6.0)
+    for bandwidth in (60.0, 0.0):
+        gain = held_out.held_out_gain(selected(PUSH), both, data, bandwidth)
+        assert gain == held_out.error_reduction(with_drag, both, data, bandwidth)
+        assert 0.5 < gain < 1.0
+        assert held_out.error_reduction(both, with_drag, data, bandwidth) < -1.0
+        assert held_out.is_excited(selected(PUSH), both, data, bandwidth)
+    forces = [force_error(machine, data) for machine in (with_drag, both)]
+    expected = 1.0 - (forces[1] / forces[0]) ** 2
+    assert held_out.error_reduction(with_drag, both, data, 60.0) == pytest.approx(expected)
+    costs = [prediction_cost(m, data, 0.0, longest_step=POLISH_STEP) for m in (with_drag, both)]
+    assert held_out.error_reduction(with_drag, both, data, 0.0) == pytest.approx(1.0 - costs[1] / costs[0])
 
 
-def test_the_held_out_gain_compares_forces_or_costs(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_both, with_drag = (dataclasses.replace(AXIS, effects=effects) for effects in ((PUSH, DRAG), (DRAG,)))
-    names = ("constant_force", "quadratic_drag"), ("quadratic_drag",), ()
-    monkeypatch.setattr(held_out, "force_error", by_effects(dict(zip(names, (0.1, 0.2, 0.4), strict=True))))
-    monkeypatch.setattr(held_out, "prediction_cost", by_effects(dict(zip(names, (30.0, 40.0, 60.0), strict=True))))
-    one = selected(PUSH)
-    assert held_out.held_out_gain(one, with_both, DATA, 60.0) == pytest.approx(0.75)
-    assert held_out.held_out_gain(one, with_both, DATA, 0.0) == pytest.approx(0.25)
-    assert held_out.error_reduction(with_both, with_drag, DATA, 0.0) == pytest.approx(-1.0 / 3.0)
-    monkeypatch.setattr(held_out, "force_error", by_effects(dict(zip(names, (0.1, None, 0.4), strict=True))))
-    assert held_out.error_reduction(with_drag, with_both, DATA, 60.0) == pytest.approx(0.25)
-
-
-def test_the_gain_of_an_effect_on_a_sensor_compares_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gain_of_an_effect_on_a_sensor_compares_predictions() -> None:
     """Inverse dynamics uses one sensor of each coordinate, and says nothing about the others."""
-    delay = EFFECTS["sensor_delay"].at("x_m", d=0.002)
-    with_both = dataclasses.replace(AXIS, effects=(PUSH, delay))
-    monkeypatch.setattr(held_out, "force_error", lambda machine, data: 0.2 if PUSH in machine.effects else 0.4)
-    monkeypatch.setattr(held_out, "prediction_cost", lambda m, *_, **__: 10.0 if delay in m.effects else 40.0)
-    assert held_out.held_out_gain(selected(delay), with_both, DATA, 60.0) == pytest.approx(0.75)
-    assert held_out.held_out_gain(selected(PUSH), with_both, DATA, 60.0) == pytest.approx(0.75)
-    assert held_out.error_reduction(AXIS, with_both, DATA, 60.0) == pytest.approx(0.75)
+    delayed = AXIS.with_effects(EFFECTS["sensor_delay"].at("x_m", d=0.004))
+    data = axis_runs(delayed, rows=1000, volts=6.0)
+    costs = [prediction_cost(m, data, 60.0, longest_step=POLISH_STEP) for m in (AXIS, delayed)]
+    gain = held_out.held_out_gain(selected(delayed.effects[0]), delayed, data, 60.0)
+    assert gain == pytest.approx(1.0 - costs[1] / costs[0])
+    assert gain > 0.5
 
 
-def test_the_gain_of_a_structure_compares_with_the_machine_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gain_of_a_structure_compares_with_the_machine_before_it() -> None:
     """Without the effect alone, its coordinate would stay."""
-    monkeypatch.setattr(held_out, "prediction_cost", by_effects({("frame_resonance",): 1.0, (): 4.0, ("x",): 9.0}))
-    gain = held_out.held_out_gain(selected(FRAME), dataclasses.replace(AXIS, effects=(FRAME,)), DATA, 0.0)
-    assert gain == pytest.approx(0.75)
+    framed = AXIS.with_effects(FRAME)
+    data = axis_runs(framed, rows=1000, volts=6.0)
+    gain = held_out.held_out_gain(selected(FRAME), framed, data, 0.0)
+    assert gain == held_out.error_reduction(AXIS, framed, data, 0.0)
+    assert gain > 0.5
 
 
-@pytest.mark.parametrize(("change", "excited"), [(0.51, True), (0.49, False), (np.nan, True)])
-def test_an_effect_that_hardly_changes_a_prediction_is_not_excited(
-    monkeypatch: pytest.MonkeyPatch, change: float, excited: bool
-) -> None:
-    """The change is compared with a twentieth of the error, which is 10; a machine that diverges without it changes."""
-    errors = {("constant_force",): np.full(50, 10.0), (): np.full(50, 10.0 + change)}
-    monkeypatch.setattr(
-        held_out, "prediction_residuals", lambda machine, *_, **__: errors[tuple(e.name for e in machine.effects)]
-    )
-    monkeypatch.setattr(held_out, "map_runs", lambda function, data: map(function, data.runs))
-    assert held_out.is_excited(selected(PUSH), dataclasses.replace(AXIS, effects=(PUSH,)), runs("c"), 60.0) == excited
+def test_an_effect_that_hardly_changes_a_prediction_is_not_excited() -> None:
+    """A force of a hundred thousandth of a newton is no more than a thousandth of the noise."""
+    tiny = EFFECTS["constant_force"].at("x", size=1e-5)
+    data = axis_runs(AXIS, rows=1000, volts=6.0)
+    assert not held_out.is_excited(selected(tiny), AXIS.with_effects(tiny), data, 60.0)
