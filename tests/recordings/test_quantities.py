@@ -128,9 +128,13 @@ def run_of(path: Path, machine: Machine, **options: dict[str, object]) -> Record
 IMPOSSIBLE = [
     # header of the input, options, what the message says
     ("current_A", {}, "current_A is a current in A, and v_V is a voltage; map the voltage that was applied, or, if"),
-    ("current_A", {"scales": {"v_V": 1.2}}, "Ke 0, resistance 1 and the channel current_A"),
+    ("current_A", {"scales": {"v_V": 1.2}}, "the kind current and the channel current_A"),
     ("current_A", {"units": {"v_V": "V"}}, "current_A is a current in A, and v_V is a voltage"),
-    ("torque__[%]", {}, r"torque \[%\] is a torque in percent, and v_V is a voltage.*Kt 1 and the channel torque_Nm"),
+    (
+        "torque__[%]",
+        {},
+        r"torque \[%\] is a torque in percent, and v_V is a voltage.*the kind torque and the channel torque_Nm",
+    ),
     ("torque__[%]", {"units": {"v_V": "%"}}, "is a torque in percent, and v_V is a voltage"),
     ("torque", {}, "torque is a torque by its name, and v_V is a voltage.*--unit v_V=V only if"),
     ("torque", {"units": {"v_V": "%"}}, "torque is a torque by its name"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ...errors import InputError
-from ...machine import Machine
+from ...machine import DRIVE_KINDS, Machine
 from ...operating_system import quoted
 from ..quantities import QUANTITIES, normalize_unit
 from .log import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
@@ -198,7 +198,8 @@ class _LogMapping:
             dimension = channel_dimension(self.machine, channel)
             if dimension not in ("voltage", "duty cycle") and drive.Ke != 0.0:
                 problem = f"{channel} is a {dimension} by its name, but its drive {drive.name} has a back-EMF"
-                advice = f"an amplifier that controls the {dimension} has Ke 0 and resistance 1 (docs/own_machine.md)"
+                form = f"the kind {dimension}" if dimension in DRIVE_KINDS else "Ke 0 and resistance 1"
+                advice = f"an amplifier that controls the {dimension} has {form} (docs/own_machine.md)"
                 raise InputError(f"machine {self.machine.name!r}: {problem}; {advice}")
 
     def _time_columns(self) -> list[LogColumn]:
