@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,7 +12,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit.estimation import prediction_cost
-from hframe_gym.identification.fit.plain_fit import better_start, equally_weighted, outside_limits, plain_fit
+from hframe_gym.identification.fit.plain_fit import _excerpt, better_start, equally_weighted, outside_limits, plain_fit
 from hframe_gym.identification.search.description import describe_remainder
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -104,3 +105,11 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
     assert labels == ("quadratic_drag@x",)
     assert prediction_cost(fitted.machine, equally_weighted(data), 0.0) < 0.01 * before
     assert describe_remainder(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)) is None
+
+
+def test_long_runs_are_simulated_in_part() -> None:
+    true = axis(TRUE)
+    long, short = measure(true, runs=1, seconds=200.0)[0], measure(true, runs=1, seconds=4.0)[0]
+    data = _excerpt(prepare([long, dataclasses.replace(short, name="run_02")], axis(TRUE)))
+    durations = [run.time_s[-1] - run.time_s[0] for run in data.runs]
+    assert durations == pytest.approx([116.0, 4.0], abs=0.01)

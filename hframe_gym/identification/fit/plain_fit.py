@@ -27,7 +27,7 @@ from scipy.optimize import nnls
 
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
-from ...preparation.dataset import Dataset
+from ...preparation.dataset import MIN_ROWS, Dataset
 from ...preparation.motion_windows import MotionWindows, determined_motion, leading_motions, motion_windows
 from ...recordings import comparison_window
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force
@@ -46,6 +46,7 @@ _ROBUST = 1.5  # residuals beyond this multiple of the median count less
 # regression shows no inertia at all.
 _SHORTEST_TIME_CONSTANT = 0.1
 _LEAST_RATIO = 1e-3  # of friction to the declared one; a fit in logarithms needs a value above zero
+_LONGEST_MOTION = 120.0  # s, of all runs together that are simulated; more takes long and adds little
 _WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a factor of 55
 _GUIDING_BANDWIDTH = 3.0  # rad/s, of an observer that leads an output-error fit to its solution
 _TERM_PRIOR = 10.0  # in typical sizes of a term
@@ -91,7 +92,7 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
     Returns:
         The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
     """
-    equal = equally_weighted(data)
+    equal = _excerpt(equally_weighted(data))
     starts = starting_values(machine, data)
     costs = [
         min(prediction_cost(m, equal, SIMULATION) for m in (start, start.with_effects(*offsets)))
@@ -117,6 +118,23 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
         if trial.cost < (1.0 - _LEAST_GAIN) * best.cost:
             best = trial
     return PlainFit(start, best)
+
+
+def _excerpt(data: Dataset) -> Dataset:
+    """Return the beginnings of the runs, as long as each run may be for two minutes of motion in all."""
+    durations = np.sort([float(run.time_s[-1] - run.time_s[0]) for run in data.runs])
+    longest, left = math.inf, _LONGEST_MOTION
+    for i, duration in enumerate(durations):
+        share = left / (len(durations) - i)
+        if duration > share:
+            longest = share
+            break
+        left -= duration
+    if math.isinf(longest):
+        return data
+    rows = [int(np.searchsorted(run.time_s - run.time_s[0], longest)) for run in data.runs]
+    runs = tuple(run.first_rows(max(count, MIN_ROWS)) for run, count in zip(data.runs, rows, strict=True))
+    return dataclasses.replace(data, runs=runs)
 
 
 def _output_error_fits(machine: Machine, free: Sequence[FreeParameter], data: Dataset) -> list[Fit]:

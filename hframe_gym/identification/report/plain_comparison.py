@@ -114,8 +114,8 @@ def _described(
     if not needs_description(outcome.verdict, len(outcome.selected), evaluated.after.held_out.noise_ratio):
         return None
     refit = refined_equally(outcome.before, outcome.data)
-    cost = prediction_cost(refit.machine, equally_weighted(outcome.data), SIMULATION)
-    start = min((plain.simulated, dataclasses.replace(refit, cost=cost)), key=lambda fitted: fitted.cost)
+    equal = equally_weighted(outcome.data)
+    start = min((plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION))
     found = describe_remainder(start, outcome.data, criteria, log, budget)
     if found is None:
         return None

@@ -13,7 +13,7 @@ import dataclasses
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError
 from ..evidence.tried_effects import Log
-from ..fit.estimation import Fit
+from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import equally_weighted, refined_equally
 from ..judge.criteria import SelectionCriteria
 from ..predict.prediction import SIMULATION
@@ -34,20 +34,22 @@ def describe_remainder(
         data: Runs to fit.
         criteria: Decision thresholds, of which the tests of single effects are used.
         log: Called with a line of text at each stage.
-        budget: Budget of the identification; a fifth of it, at most 30 s, may be used.
+        budget: Budget of the identification; what is left of it may be used, but at most a fifth of it and 30 s.
 
     Returns:
         Fit with the effects in simulation (theta, shape (k,)), and their labels; None if no effect passes the tests.
     """
-    seconds = min(_BUDGET_PART * budget.seconds, _LONGEST)
+    seconds = min(_BUDGET_PART * budget.seconds, _LONGEST, budget.seconds - budget.spent)
     if budget.interrupted or seconds <= 0.0:
         return None
     log("describing the remaining error of complete runs")
     equal, part = equally_weighted(data), Budget(seconds)
+    cost = prediction_cost(start.machine, equal, SIMULATION)
+    at_start = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
     search = EffectSearch(equal, start.machine, dataclasses.replace(criteria, max_effects=_MAX_EFFECTS), log)
     try:
         with part.limiting():
-            fitted, selected = search.run(dataclasses.replace(start, bandwidth=SIMULATION))
+            fitted, selected = search.run(at_start)
     except BudgetEndedError:
         if not search.reached:
             return None
