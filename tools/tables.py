@@ -145,6 +145,19 @@ def closed_loop_rigs(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+def public_axes(results: dict[str, Any]) -> str:
+    """Format the public recordings of motors and axes: errors of the machines, the fit to beat, verdict and time."""
+    rows = []
+    for r in results["sets"]:
+        named = ", ".join(f"`{label}`" for label in r["named"]) or f"`{r['verdict']}`"
+        stages = ("declared", "plain", "before", "after", "reference")
+        errors = ("-" if r["errors"][s] is None else f"{r['errors'][s]:.3g} {r['unit']}" for s in stages)
+        ratio = "-" if r["ratio"] is None else f"{r['ratio']:.2f}"
+        rows.append([f"{r['machine']} ({r['source']})", named, *errors, ratio, f"{r['cpu_seconds']:.0f} s"])
+    errors = ["declared", "plain fit", "refitted", "delivered", "to beat"]
+    return markdown(["recordings", "verdict", *errors, "ratio", "processor time"], rows)
+
+
 def outside_library(results: dict[str, Any]) -> str:
     """Format the rigs with an effect outside the library: names, errors on unseen runs, hints and time."""
     rows = []
@@ -643,6 +656,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "formulas": formulas,
     "other_simulator_rigs": other_simulator_rigs,
     "closed_loop_rigs": closed_loop_rigs,
+    "public_axes": public_axes,
     RANDOM_RIGS: random_rigs,
     "outside_library_2": outside_library,
     "first_step": first_step,
