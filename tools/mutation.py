@@ -42,14 +42,10 @@ _EQUATIONS = ("tests/effects/test_point_by_point.py",)
 _FRICTION = "tests/dynamics/test_friction.py"
 _IDENTIFICATION = "tests/identification/test_"
 _DECISIONS = (
-    *(f"{_IDENTIFICATION}{name}.py" for name in ("effect_size", "forward_selection", "held_out", "rivals", "search")),
-    f"{_IDENTIFICATION}model_error.py",
-    # These simulate.
-    f"--deselect={_IDENTIFICATION}effect_size.py::test_the_size_of_an_effect_is_its_force",
-    f"--deselect={_IDENTIFICATION}model_error.py::test_an_exact_model_is_simulated",
-    f"--deselect={_IDENTIFICATION}model_error.py::test_a_residue_requires_an_observer_and_its_size_is_estimated",
-    f"--deselect={_IDENTIFICATION}model_error.py::test_an_effect_of_one_run_is_not_confirmed_by_the_others",
-    f"--deselect={_IDENTIFICATION}model_error.py::test_colored_noise_has_a_large_long_run_variance",
+    "tests/identification/judge",
+    f"{_IDENTIFICATION}criteria.py",
+    f"{_IDENTIFICATION}verdict.py",
+    f"--deselect={_IDENTIFICATION}verdict.py::test_a_fit_that_explains_everything_does_not_lead_to_no_effect",  # simulates
 )
 # Files, relative to hframe_gym/, and the tests of each, which neither compile nor simulate; a pattern matches several.
 TARGETS: dict[str, tuple[str, ...]] = {
@@ -65,12 +61,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/effects/test_library.py",
         "--deselect=tests/effects/test_library.py::test_zero_amplitude_changes_nothing",
     ),
-    "identification/judge/criteria.py": ("tests/identification/test_criteria.py",),
-    "identification/evidence/significance.py": _DECISIONS,
-    "identification/search/forward_selection.py": _DECISIONS,
-    "identification/evidence/held_out.py": _DECISIONS,
-    "identification/fit/model_error.py": _DECISIONS,
-    "identification/search/search_effects.py": _DECISIONS,
+    "identification/judge/*.py": _DECISIONS,
 }
 # Mutants by "file: source line -> change" that no test can notice, with the reason.
 EQUIVALENT: dict[str, str] = {
