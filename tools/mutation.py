@@ -45,7 +45,8 @@ _DECISIONS = (
     "tests/identification/judge",
     f"{_IDENTIFICATION}criteria.py",
     f"{_IDENTIFICATION}verdict.py",
-    f"--deselect={_IDENTIFICATION}verdict.py::test_a_fit_that_explains_everything_does_not_lead_to_no_effect",  # simulates
+    # This one simulates.
+    f"--deselect={_IDENTIFICATION}verdict.py::test_a_fit_that_explains_everything_does_not_lead_to_no_effect",
 )
 # Files, relative to hframe_gym/, and the tests of each, which neither compile nor simulate; a pattern matches several.
 TARGETS: dict[str, tuple[str, ...]] = {
