@@ -140,7 +140,10 @@ def _inseparable_damping(bounds: Sequence[CramerRaoBound], machine: Machine) -> 
     """Return back-EMF constants that nothing separates from a viscous friction, its name, and its part of their sum."""
     correlated = {(b.name, b.partner) for b in bounds if b.correlation < -_INSEPARABLE}
     sums = {}
+    sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
     for drive in machine.drives:
+        if drive.name in sensed:
+            continue  # its current separates the two
         viscous, ke = f"{drive.coordinate}.viscous", f"{drive.name}.Ke"
         if correlated & {(viscous, ke), (ke, viscous)}:
             back_emf = drive.gain * drive.Ke * drive.gear_ratio  # N s/m or Nm s/rad

@@ -38,6 +38,7 @@ from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_reader import implausible_values
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
 from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
+from .quantities import split_unit
 from .quantization import exact_quantum, quantum_of
 from .recording import (
     Recording,
@@ -107,6 +108,7 @@ __all__ = [
     "run_name",
     "run_of",
     "save_machine",
+    "split_unit",
     "table_summary",
     "template_value",
     "unwrapped",

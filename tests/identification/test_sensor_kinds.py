@@ -13,6 +13,7 @@ from hframe_gym.dynamics import linearize, simulate
 from hframe_gym.envs import DeclaredSensors
 from hframe_gym.envs.spaces import sensor_signals
 from hframe_gym.identification import identify
+from hframe_gym.identification.report.plots import readable_unit
 from hframe_gym.machine import SENSOR_KINDS, Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
 from tests.reference_simulator import Rig, Stage
@@ -208,3 +209,8 @@ def test_a_recording_of_each_kind_is_written_and_read(tmp_path) -> None:
     (recording,) = runs(sensors, 1)
     write_recording(tmp_path / "run_0.csv", recording, machine)
     np.testing.assert_array_equal(load_recording(tmp_path / "run_0.csv", machine).outputs, recording.outputs)
+
+
+def test_reports_state_the_unit_of_each_kind() -> None:
+    units = [readable_unit(channel, 5.0)[1] for channel in ("x_m", "vx_m_s", "w_rad_s", "ay_m_s2", "i1_A")]
+    assert units == ["m", "m/s", "rad/s", "m/s^2", "A"]

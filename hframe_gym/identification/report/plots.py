@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...atomic_files import remove_file
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Machine
+from ...recordings import split_unit
 from ...web_page import Panel, color, legend_above, number, save_panels
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def readable_unit(channel: str, largest: float) -> tuple[float, str]:
         factor: Number by which values in the channel's unit are multiplied, for example 1e6.
         unit: Name of the readable unit, for example "µm"; the channel's unit if it is neither m nor rad.
     """
-    base = channel.rpartition("_")[2]
+    base = split_unit(channel)[1] or channel.rpartition("_")[2]
     return next((s for s in _SCALES.get(base, ()) if s[0] * largest < 1000.0), (1.0, base))
 
 
