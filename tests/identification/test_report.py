@@ -18,13 +18,14 @@ from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.fit.residual import ChannelError, Dependence
 from hframe_gym.identification.report.curves import page_curves, worst_first
+from hframe_gym.identification.report.effect_curves import effect_curve
 from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
 from hframe_gym.identification.report.page import build_report, tone_of_remainder, verdict_sentence
 from hframe_gym.identification.report.plots import report_panels
 from hframe_gym.identification.report.recording_simulation import PredictionErrors
 from hframe_gym.identification.report.result import Hint, PlainResult, Unfinished, Verdict, plot_data
 from hframe_gym.identification.report.saved_result import next_command
-from hframe_gym.machine import Machine, Uncertainty
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs
 
@@ -82,7 +83,7 @@ def test_the_page_describes_an_effect(data: Dataset, tmp_path: Path) -> None:
         assert text in page
     assert "://" not in page  # self-contained
     assert {p.stem for p in (tmp_path / "plots").iterdir()} == {
-        *("coverage", "error_by_channel", "error_over_time", "residual_force")
+        *("coverage", "effects", "error_by_channel", "error_over_time", "residual_force")
     }
 
 
@@ -207,6 +208,38 @@ def test_the_tone_of_the_page_is_that_of_what_is_left(
 ) -> None:
     errors = {"x_m": {"rmse": 1e-3, "noise_ratio": left, "percent_of_motion": percent}, "force_error": 0.1}
     assert tone_of_remainder({"verdict": verdict, "left": left, "after": {"held_out": errors}}) == tone
+
+
+def test_an_effect_is_drawn_with_the_band_of_its_parameters(data: Dataset) -> None:
+    """The level Fc + dF exp(-(v/vs)^2) has the variance of its linear terms; Fc and dF are anticorrelated."""
+    curves = plot_data(result_of(data, "effect_found", STRIBECK))
+    level = AXIS.coordinates[0].coulomb
+    covariance = np.array([[0.04, -0.018, 0.0], [-0.018, 0.01, 0.0], [0.0, 0.0, 1e-6]])
+    names = ("x.coulomb", "stribeck_friction@x.dF", "stribeck_friction@x.vs")
+    machine = STRIBECK.replace(uncertainty=Uncertainty(names, covariance))
+    curve = effect_curve(machine.effects[0], machine, curves)
+    assert curve is not None
+    assert (curve.variable, curve.quantity) == ("velocity of x, m/s", "dry friction on x, N")
+    assert curve.x.max() == pytest.approx(min(8 * 0.02, np.abs(curves["coverage/velocity of x"]).max()))
+    shape = np.exp(-((curve.x / 0.02) ** 2))
+    assert curve.y == pytest.approx(np.sign(curve.x) * (level + 0.8 * shape))
+    by_width = 0.8 * shape * 2 * curve.x**2 / 0.02**3
+    variance = 0.04 + 0.01 * shape**2 - 2 * 0.018 * shape + 1e-6 * by_width**2
+    assert curve.std == pytest.approx(np.sqrt(variance), rel=1e-3)
+    assert "effects" in report_panels(result_of(data, "effect_found", machine).as_json(), curves, machine)
+
+
+def test_a_periodic_torque_is_drawn_over_its_periods_and_a_state_has_no_curve(data: Dataset) -> None:
+    curves = plot_data(result_of(data, "effect_found", STRIBECK))
+    stage = BUILTIN_MACHINES["hframe"]().with_effects(EFFECTS["cogging"].at("motor1", A=0.01, n=50.0, p=0.3))
+    cogging = effect_curve(stage.effects[0], stage, curves)
+    assert cogging is not None
+    assert cogging.variable == "position of phi1, rad"
+    assert cogging.x[-1] == pytest.approx(12 * 2 * np.pi / 50)
+    assert cogging.y == pytest.approx(0.01 * np.sin(50 * cogging.x + 0.3))
+    assert not cogging.std.any()  # not known
+    assert effect_curve(PRESLIDING, AXIS.with_effects(PRESLIDING), curves) is None
+    assert effect_curve(TABLE.effects[0], TABLE, curves) is None
 
 
 def test_the_plain_fit_stands_beside_the_other_machines(data: Dataset, tmp_path: Path) -> None:

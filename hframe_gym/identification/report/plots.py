@@ -14,6 +14,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Machine
 from ...recordings import split_unit
 from ...web_page import Panel, color, legend_above, number, save_panels
+from .effect_curves import effect_curve
 
 Array = NDArray[np.float64]
 Panels = dict[str, list[Panel]]
@@ -52,10 +53,11 @@ def report_panels(
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (one panel per channel for each of the first two
-        held-out runs), residual_force, tables, coverage. The list of a plot without data, such as tables of a machine
-        without tables, is empty.
+        held-out runs), residual_force, effects (each over its own variable), tables, coverage. The list of a plot
+        without data, such as tables of a machine without tables, is empty.
     """
     channels = list(machine.output_channels)
+    found = [effect_curve(effect, machine, curves) for effect in machine.effects]
     return {
         "error_by_channel": [_error_by_channel(report, channels)],
         "error_over_time": [
@@ -65,6 +67,7 @@ def report_panels(
             if np.isfinite(curves[f"{run}/measured"][:, j]).any()
         ],
         "residual_force": [_residual_force(report, curves, machine)] if "force/variable" in curves else [],
+        "effects": [curve.panel() for curve in found if curve],
         "tables": [_table(e, machine) for e in machine.effects if e.definition.family == TABLE_FAMILY],
         "coverage": [
             _coverage(_with_unit(name.removeprefix("coverage/"), machine), values)

@@ -1,0 +1,209 @@
+"""Curves of the effects over their own variable, with the band that follows from their parameters' covariance."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects.smooth_table import TABLE_FAMILY
+from ...machine import AppliedEffect, Coordinate, Machine, argument_names
+from ...web_page import Panel, color, number
+
+Array = NDArray[np.float64]
+_POINTS = 400
+_BAND = 2.0  # standard deviations
+_MAX_PERIODS = 12  # of an effect that repeats; more of them cannot be told apart in a panel
+_SPEEDS = 8.0  # Largest speed drawn, in multiples of the speed that a parameter of the effect states.
+
+
+@dataclasses.dataclass(frozen=True)
+class EffectCurve:
+    """What an effect does, as a function of its own variable.
+
+    Attributes:
+        effect: The effect with its parameters.
+        variable: Name of the variable with its unit, for example "velocity of x, m/s".
+        quantity: Name of what is drawn with its unit, for example "friction on x, N".
+        x: Values of the variable, SI, shape (n,).
+        y: Values of the curve, SI, shape (n,).
+        std: Standard deviation of the curve, as far as it follows from that of the parameters, SI, shape (n,).
+    """
+
+    effect: AppliedEffect
+    variable: str
+    quantity: str
+    x: Array
+    y: Array
+    std: Array
+
+    def panel(self) -> Panel:
+        """Return the plot of the curve with a band of two standard deviations."""
+        spread = _BAND * self.std
+        low, high = self.y - spread, self.y + spread
+
+        def draw(axes: Any) -> None:
+            axes.fill_between(self.x, low, high, color=color("after"), alpha=0.25, lw=0)
+            axes.plot(self.x, self.y, color=color("after"), lw=1.6)
+            axes.set(xlabel=self.variable, ylabel=self.quantity)
+            axes.margins(x=0.01)
+
+        name = self.effect.label.replace("_", " ").replace("@", " at ")
+        unit = self.quantity.rpartition(", ")[2]
+        description = (
+            f"{name}: {self.quantity} against {self.variable}, from {number(float(self.y.min()))} to "
+            f"{number(float(self.y.max()))} {unit}; two standard deviations are at most "
+            f"{number(float(spread.max()))} {unit}."
+        )
+        return Panel(f"{name}, band: two standard deviations of its parameters", description, draw, 2.5)
+
+
+def effect_curve(effect: AppliedEffect, machine: Machine, curves: Mapping[str, Array]) -> EffectCurve | None:
+    """Compute the curve of an effect over its own variable, in the range of the fitted runs.
+
+    Drawn are the dry friction of a coordinate with the effect's change of it, the force of the effect, or its change of
+    a voltage.
+
+    Args:
+        effect: Effect of the identified machine.
+        machine: The machine, with its uncertainty where it is known.
+        curves: Curves of the result by name, such as "coverage/velocity of x", SI, shape (m,).
+
+    Returns:
+        The curve with n values each, shape (n,). None if the effect is no function of one variable (it has a state or
+        adds coordinates), it is a table, which has its own plot, or the range of its variable is not known.
+    """
+    definition, names = effect.definition, set(effect.parameters)
+    if definition.family == TABLE_FAMILY or definition.structure or definition.next_state:
+        return None
+    coordinate = _coordinate(effect, machine)
+    for hook, symbols in (("coulomb", "qvt"), ("force", "qvt"), ("voltage", "V")):
+        function = getattr(definition, hook)
+        if function is None:
+            continue
+        needed = set(argument_names(function)) - names - {"level"}
+        if len(needed) != 1 or not needed <= set(symbols):
+            return None
+        (symbol,) = needed
+        axis = _axis(symbol, effect, machine, coordinate, curves)
+        if axis is None:
+            return None
+        x, variable = axis
+        value, quantity = _value(hook, symbol, x, effect, coordinate)
+        if hook == "voltage":
+            quantity += variable.rpartition(",")[2]
+        y, std = _with_std(value, effect, machine, coordinate)
+        return EffectCurve(effect, variable, quantity, x, y, std) if np.isfinite(y).all() else None
+    return None
+
+
+def _coordinate(effect: AppliedEffect, machine: Machine) -> Coordinate | None:
+    """Return the coordinate on which an effect acts, None if it is no single one."""
+    of_drive = {drive.name: drive.coordinate for drive in machine.drives}
+    name = of_drive.get(effect.site, effect.site) if effect.definition.site == "motor" else effect.site
+    return machine.coordinate(name) if name in machine.coordinate_names else None
+
+
+def _axis(
+    symbol: str, effect: AppliedEffect, machine: Machine, coordinate: Coordinate | None, curves: Mapping[str, Array]
+) -> tuple[Array, str] | None:
+    """Return the values of a variable at which an effect is drawn, and the name of the variable with its unit."""
+    if symbol == "V":
+        drives = [drive for drive in machine.drives if effect.site in (drive.name, "drives")]
+        values = [curves[f"coverage/{d.channel}"] for d in drives if f"coverage/{d.channel}" in curves]
+        top = max((float(np.abs(v).max()) for v in values), default=0.0)
+        return _symmetric(top, f"command of {effect.site}, {drives[0].command_unit}") if drives else None
+    if coordinate is None:
+        return None
+    if symbol == "t":
+        ends = [values[-1] for name, values in curves.items() if name.endswith("/time_s") and len(values)]
+        return (np.linspace(0.0, max(ends), _POINTS), "time, s") if ends and max(ends) > 0.0 else None
+    unit = coordinate.unit("position" if symbol == "q" else "speed")
+    if symbol == "v":
+        seen = curves.get(f"coverage/velocity of {coordinate.name}")
+        top = math.inf if seen is None else float(np.abs(seen).max())
+        speeds = [abs(effect.parameters[p.name]) for p in effect.definition.parameters if p.unit == "speed"]
+        top = min(top, _SPEEDS * max(speeds)) if speeds else top
+        return _symmetric(top, f"velocity of {coordinate.name}, {unit}")
+    if symbol == "q":
+        label = f"position of {coordinate.name}, {unit}"
+        seen = curves.get(f"coverage/position of {coordinate.name}")
+        low, high = (float(seen.min()), float(seen.max())) if seen is not None else (0.0, 2.0 * math.pi)
+        if seen is None and coordinate.kind != "rotary":
+            return None
+        if period := _period(effect):
+            high = min(high, low + _MAX_PERIODS * period)
+        return (np.linspace(low, high, _POINTS), label) if high > low else None
+    return None
+
+
+def _period(effect: AppliedEffect) -> float | None:
+    """Return the distance after which an effect repeats, m or rad; None if it does not."""
+    for p in effect.definition.parameters:
+        value = abs(effect.parameters[p.name])
+        if p.role == "rate" and value > 0.0:
+            return 2.0 * math.pi / value
+        if p.role == "period" and value > 0.0:
+            return float(value)
+    return None
+
+
+def _symmetric(top: float, label: str) -> tuple[Array, str] | None:
+    """Return values around zero, with none at zero, where friction jumps."""
+    return (np.linspace(-top, top, _POINTS), label) if 0.0 < top < math.inf else None
+
+
+def _value(
+    hook: str, symbol: str, x: Array, effect: AppliedEffect, coordinate: Coordinate | None
+) -> tuple[Callable[[AppliedEffect, float], Array], str]:
+    """Return the function (effect, Coulomb friction) -> curve, and its name with the unit."""
+    if hook in ("force", "coulomb"):
+        assert coordinate is not None
+        site, unit = coordinate.name, coordinate.unit("force")
+        if hook == "force":
+            return (lambda e, _: np.broadcast_to(e(hook, **{symbol: x}), x.shape)), f"force on {site}, {unit}"
+        sign = np.sign(x) if symbol == "v" else 1.0
+        return (
+            lambda e, level: sign * (level + e(hook, **{symbol: np.abs(x) if symbol == "v" else x}, level=level)),
+            f"dry friction on {site}, {unit}",
+        )
+    return (lambda e, _: e(hook, **{symbol: x}) - x), f"change of the command of {effect.site},"
+
+
+def _with_std(
+    value: Callable[[AppliedEffect, float], Array],
+    effect: AppliedEffect,
+    machine: Machine,
+    coordinate: Coordinate | None,
+) -> tuple[Array, Array]:
+    """Return a curve and its standard deviation, linear in the parameters, from their covariance."""
+    level = coordinate.coulomb if coordinate is not None else 0.0
+    curve = np.asarray(value(effect, level), dtype=float)
+    uncertainty = machine.uncertainty
+    if uncertainty is None:
+        return curve, np.zeros_like(curve)
+    derivatives, rows = [], []
+    for name in uncertainty.names:
+        std = uncertainty.std(name) or 0.0
+        owner, _, key = name.rpartition(".")
+        is_level = coordinate is not None and name == f"{coordinate.name}.coulomb"
+        if std == 0.0 or not (is_level or (owner == effect.label and key in effect.parameters)):
+            continue
+        sides = []
+        for step in (-0.5 * std, 0.5 * std):
+            if is_level:
+                sides.append(value(effect, level + step))
+            else:
+                changed = {**effect.parameters, key: effect.parameters[key] + step}
+                sides.append(value(effect.with_parameters(changed), level))
+        derivatives.append((sides[1] - sides[0]) / std)
+        rows.append(uncertainty.names.index(name))
+    if not rows:
+        return curve, np.zeros_like(curve)
+    slopes = np.array(derivatives)
+    variance = np.einsum("in,ij,jn->n", slopes, uncertainty.covariance[np.ix_(rows, rows)], slopes)
+    return curve, np.sqrt(np.maximum(variance, 0.0))
