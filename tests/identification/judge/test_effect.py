@@ -118,7 +118,9 @@ def test_an_effect_must_reduce_the_error_beside_all_others(without: float, doubt
     assert reason == ("has no effect on the error" if doubted else "")
 
 
-@pytest.mark.parametrize(("without", "with_effect", "sure"), [(60.0, 1.1, True), (60.0, 3.0, False), (4.9, 1.0, False)])
+@pytest.mark.parametrize(
+    ("without", "with_effect", "sure"), [(60.0, 1.1, True), (60.0, 3.0, False), (5.1, 1.0, True), (4.9, 1.0, False)]
+)
 def test_an_effect_that_removes_a_clear_error_is_no_correction_of_a_form(
     without: float, with_effect: float, sure: bool
 ) -> None:

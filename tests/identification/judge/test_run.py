@@ -58,10 +58,10 @@ def test_a_suspect_is_used_unless_it_spoils_everything(explained: bool, chi2: fl
 
 
 @pytest.mark.parametrize(
-    ("different", "chi2", "differs"), [("c", 1.19, True), ("c", 1.21, False), ("a", 1.0, False), (None, 1.0, False)]
+    ("different", "chi2", "differs"), [("c", 2.38, True), ("c", 2.42, False), ("a", 2.0, False), (None, 2.0, False)]
 )
 def test_a_suspect_that_differs_in_a_parameter(different: str | None, chi2: float, differs: bool) -> None:
-    assert judge.differs_in_a_parameter("c", different, chi2, 1.0) == differs
+    assert judge.differs_in_a_parameter("c", different, chi2, 2.0) == differs
 
 
 @pytest.mark.parametrize(("chi2", "explained"), [(1.64, True), (1.66, False)])
