@@ -77,6 +77,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "channels": [_channel_row(report, c) for c in channels],
         "force": _force_row(report),
         "plain": _plain_sentence(report),
+        "delivered": not report["effects"] and report["after"]["held_out"] != report["before"]["held_out"],
         "runs": [_run_row(report, curves, channels, run) for run in runs],
         "curves": page_curves(report, curves, channels),
         "effects": effects,

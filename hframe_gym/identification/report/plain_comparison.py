@@ -90,7 +90,7 @@ def at_least_plain(
     sentence = _PLAIN_DELIVERED.format(error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none")
     log(sentence)
     outcome = without_names(outcome, _WORSE_THAN_PLAIN) if outcome.selected else outcome
-    outcome = outcome._replace(before=plain.simulated, after=plain.simulated)
+    outcome = outcome._replace(after=plain.simulated)
     delivered = evaluate(outcome, machine, ranges, validation, recordings, criteria)
     return dataclasses.replace(result, delivered=True), delivered, sentence
 
@@ -121,8 +121,7 @@ def _described(
         return None
     fitted, labels = found
     plain_is_better = is_worse_than_plain(error_ratio(evaluated.before, reference))
-    trial = outcome._replace(before=plain.simulated if plain_is_better else outcome.before, after=fitted)
-    again = evaluate(trial, machine, ranges, evaluated.validation, recordings, criteria)
+    again = evaluate(outcome._replace(after=fitted), machine, ranges, evaluated.validation, recordings, criteria)
     ratio = error_ratio(again.after, reference if plain_is_better else evaluated.before)
     log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
     return (again, _DESCRIPTION.format(", ".join(labels), ratio)) if description_helps(ratio) else None
