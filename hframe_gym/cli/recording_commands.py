@@ -236,7 +236,7 @@ def identify(
         recordings = _load_runs(runs_dir, declared, max_rows)
         with search_progress(log) as progress:
             result, findings = fit(runs_dir, recordings, log, progress)
-        contents, problem = _write_rig(result, findings, out, out, log)
+        contents, problem = _write_rig(result, findings, runs_dir, out, out, log)
         console.print(identification_table(contents, channels := list(declared.output_channels)))
         log(f"Result: {verdict_sentence(contents, channels)}")
         _log_notes(result, findings)
@@ -300,14 +300,16 @@ def _fit_rig(
 
 
 def _write_rig(
-    result: IdentificationResult, findings: Sequence[Finding], folder: Path, out: Path, log: _Log
+    result: IdentificationResult, findings: Sequence[Finding], runs_dir: Path, folder: Path, out: Path, log: _Log
 ) -> tuple[dict[str, Any], Exception | None]:
     """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
     from ..identification import write_result
     from ..identification.report.page import build_report
+    from ..recordings import recording_files
 
     with output_batch(folder):
-        write_result(result, folder, list(map(str, findings)), comparisons := proposed_formulas(result, log))
+        comparisons = proposed_formulas(result, log)
+        write_result(result, folder, list(map(str, findings)), comparisons, recording_files(runs_dir))
         contents = result.as_json() | {"proposed_formulas": [c.as_json() for c in comparisons]}
         try:
             build_report(folder, out)
@@ -375,7 +377,9 @@ def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _Identifie
         if isinstance(rig.recordings, InputError):
             raise rig.recordings
         result, findings = fit(rig.runs_dir, rig.recordings, log)
-        (contents, problem), files = files_of(lambda folder: _write_rig(result, findings, folder, rig.out, log))
+        (contents, problem), files = files_of(
+            lambda folder: _write_rig(result, findings, rig.runs_dir, folder, rig.out, log)
+        )
         if problem is not None and not isinstance(problem, ImportError):
             return _IdentifiedRig(describe_failure(problem)[1], files, INTERNAL_ERROR)
         verdict = verdict_sentence(contents, list(result.declared.machine.output_channels))

@@ -69,6 +69,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     panels, effects = report_panels(report, curves, machine, runs), _effect_rows(report, machine)
     values = {
         "title": f"Identification of {saved.declared.name}",
+        "declared_name": saved.declared.name,
         "report": report,
         "heading": _HEADINGS[report["verdict"]] + ("" if report["verdict"] == "unexplained" else _LEFT[tone]),
         "tone": tone,

@@ -25,6 +25,7 @@ from ..fit.residual import Dependence, dependence_variables, errors_by_channel, 
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import Verdict
 from .experiment_design import FILE, ExperimentDesign
+from .provenance import provenance
 from .recording_simulation import ModelEvaluation, PredictionErrors
 
 Array = NDArray[np.float64]
@@ -334,6 +335,7 @@ def write_result(
     folder: Path,
     warnings: Sequence[str] = (),
     formulas: Sequence[ReportEntry] = (),
+    files: Sequence[Path] = (),
 ) -> None:
     """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
 
@@ -347,6 +349,7 @@ def write_result(
         warnings: Findings about the recordings, one line of text each, for `warnings` in report.json.
         formulas: Formulas that may replace each table (force interpolated over one variable) of the machine, with their
             errors, for `proposed_formulas` in report.json.
+        files: Files of the recordings, for `made` in report.json, which tells where the result comes from.
 
     Raises:
         InputError: If another process writes to the folder.
@@ -356,6 +359,7 @@ def write_result(
     unfinished = [str(result.unfinished)] if result.unfinished else []
     warnings = [*unfinished, *warnings, *result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
+    report["made"] = provenance(files)
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")
         save_machine(result.before.machine, folder / "before.json")

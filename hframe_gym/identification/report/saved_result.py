@@ -159,6 +159,23 @@ class _Unfinished(_Entry):
     reason: str
 
 
+class _File(_Entry):
+    """A file of recordings."""
+
+    name: str
+    bytes: int
+    sha256: str
+
+
+class _Made(_Entry):
+    """Where the result comes from."""
+
+    software: str
+    time: str
+    by: str = ""
+    files: list[_File] = []
+
+
 class _Plain(_Evaluation):
     """Errors of the plain fit."""
 
@@ -191,6 +208,7 @@ class _Report(_Entry):
     hint: _Hint | None = None
     unfinished: _Unfinished | None = None
     proposed_formulas: list[_TableEntry] = []
+    made: _Made | None = None
 
 
 @dataclass(frozen=True)
