@@ -210,17 +210,22 @@ def test_the_page_is_self_contained(kind: str, pages: dict[str, Path]) -> None:
 
 def test_the_report_says_what_was_found_what_is_left_and_what_to_do(pages: dict[str, Path]) -> None:
     text = pages["effect"].read_text()
-    first = text[: text.index('<section id="errors">')]
+    first, last = text[: text.index('<section id="errors">')], text[text.index('<section id="next">') :]
     for words in (
         "Missing effects found",
         "Its force is 10 % of the drives' force (rms).",
         "It removes 90 % of the squared error of the held-out runs.",
         "consistent with the sensors' noise",
         "record the run, and identify again with it.",
+    ):
+        assert words.replace("'", "&#39;") in first or words in first, words
+    for words in (
+        "record the run, and identify again with it.",
+        "pid first, with a control period of 10 ms.",
         "Read the findings about the recordings (1)",
         f"hframe evaluate pid --machine {pages['effect'].parent / 'machine.json'}",
     ):
-        assert words.replace("'", "&#39;") in first or words in first, words
+        assert words.replace("'", "&#39;") in last or words in last, words
     assert re.search(r"<dd>[\d.]+ × noise<small>[\d.]+ (µm|mm) rms at x_m</small></dd>", first)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.cli.tables import identification_table
+from hframe_gym.controllers import TextbookPID
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
@@ -23,11 +24,12 @@ from hframe_gym.identification.fit.residual import ChannelError, Dependence
 from hframe_gym.identification.report.curves import page_curves, worst_first
 from hframe_gym.identification.report.effect_curves import effect_curve
 from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
+from hframe_gym.identification.report.instructions import next_steps
 from hframe_gym.identification.report.page import build_report, tone_of_remainder, verdict_sentence
 from hframe_gym.identification.report.plots import report_panels
 from hframe_gym.identification.report.recording_simulation import PredictionErrors
 from hframe_gym.identification.report.result import Hint, PlainResult, Unfinished, Verdict, plot_data
-from hframe_gym.identification.report.saved_result import next_command
+from hframe_gym.identification.report.saved_result import load_result, next_command
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs
@@ -265,6 +267,53 @@ def test_a_user_without_a_name_can_write_a_result(data: Dataset, tmp_path: Path,
 
     monkeypatch.setattr("getpass.getuser", nobody)
     assert "Identified on" in page_of(result_of(data, "no_effect", AXIS), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("variable", "text"),
+    [
+        ("velocity of x", "Record runs that isolate it, move x at six or more constant speeds in both directions"),
+        ("current of motor", "accelerate motor with voltages from small ones to the rated one"),
+        ("time", "begin cold, and repeat the same motion"),
+        ("v_V", "slow and fast, of one axis at a time and over the full travel"),
+    ],
+)
+def test_the_run_to_record_follows_from_the_dependence(variable: str, text: str, data: Dataset, tmp_path: Path) -> None:
+    write_result(result_of(data, "unexplained", AXIS), tmp_path)
+    saved = load_result(tmp_path)
+    saved.report["residual"]["depends_on"][0]["variable"] = variable
+    (step,) = next_steps(saved, tmp_path, (), ["run_2"])
+    assert text in step["text"]
+    assert step["command"].startswith("hframe identify RUNS --machine")
+
+
+def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(data: Dataset, tmp_path: Path) -> None:
+    write_result(result_of(data, "no_effect", AXIS), tmp_path, ("advice: odd",))
+    saved = load_result(tmp_path)
+    group = {"parameters": ["x.viscous", "motor.Ke"], "determined": [{"weights": {"x.viscous": 1.0, "motor.Ke": 5.0}}]}
+    saved.report.update({"not_separable": [group], "left": 1.0})
+    control, measure, findings = next_steps(saved, tmp_path, (), ["run_2"])
+    assert "determine motor.Ke (take it from the data sheet of the motor, or turn" in measure["text"]
+    assert "determine only x.viscous + 5 motor.Ke." in measure["text"]
+    assert "on the refitted machine, pid first, with a control period of 10 ms. A textbook PID" in control["text"]
+    assert control["command"].startswith("hframe evaluate pid")
+    assert "Read the findings about the recordings (1)" in findings["text"]
+    saved.report["left"] = 3205.0
+    assert any(
+        "Look at run_2, the run with the largest error" in s["text"] for s in next_steps(saved, tmp_path, (), ["run_2"])
+    )
+
+
+def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(data: Dataset, tmp_path: Path) -> None:
+    stage = BUILTIN_MACHINES["hframe"]()
+    periods = [p for p in (0.01, 0.005, 0.002, 0.001, 0.0005) if TextbookPID(stage, p).concern() is None]
+    write_result(result_of(data, "no_effect", AXIS), tmp_path)
+    saved = dataclasses.replace(load_result(tmp_path), machine=stage)
+    saved.report["left"] = 1.0
+    (step,) = next_steps(saved, tmp_path, (), ["run_2"])
+    expected = {0.01: "is stable at this period as well", 0.005: "needs 5 ms or less", 0.002: "needs 2 ms or less",
+                0.001: "needs 1 ms or less", 0.0005: "needs 0.5 ms or less"}  # fmt: skip
+    assert f"A textbook PID {expected[periods[0]]}." in step["text"]
 
 
 def test_the_plain_fit_stands_beside_the_other_machines(data: Dataset, tmp_path: Path) -> None:

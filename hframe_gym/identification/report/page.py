@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,15 @@ from numpy.typing import NDArray
 from ...atomic_files import output_batch
 from ...effects.smooth_table import TABLE_FAMILY
 from ...errors import InputError
-from ...machine import BUILTIN_MACHINES, Machine
+from ...machine import Machine
 from ...web_page import number, write_page
 from ..fit.parameter_diagnostics import parameter_doubts, sum_text
 from ..judge.criteria import SelectionCriteria
 from .curves import channel_noise, page_curves, worst_first
+from .instructions import next_steps
 from .plots import readable_unit, report_panels, save_plots, slow_fractions
 from .result import STAGES, reason_of_remainder
-from .saved_result import SavedResult, load_result, next_command
+from .saved_result import load_result
 
 Array = NDArray[np.float64]
 _HEADINGS = {
@@ -33,10 +33,6 @@ _LEFT = {"good": "", "neutral": ", a small error is left", "warning": ", a large
 _SMALL_PERCENT_OF_MOTION = 1.0
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
 _DIVERGES = "infinitely many (its simulation diverges)"
-_NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
-    "rivals": "No experiment is proposed: no tested run within rated voltages and travel reliably distinguishes",
-    "equivalent": "No recording can distinguish",
-}
 _DEVIATING = (
     "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
     "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
@@ -85,7 +81,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "parameters": _parameter_rows(machine, saved.declared),
         "determined": _determined_sums(report, machine),
         "left": _remaining_error(report),
-        "steps": _next_steps(saved, final_folder or folder, effects),
+        "steps": next_steps(saved, final_folder or folder, effects, runs),
         "slow": slow_fractions(curves),
         "panels": panels,
     }
@@ -387,49 +383,6 @@ def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
             f"{100 * d['share']:.0f} % of its variance."
         )
     return sentences
-
-
-def _next_steps(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
-    """Return what to do next: sentences, each with a command or an empty string."""
-    report, steps = saved.report, []
-    if report["warnings"]:
-        text = f"Read the findings about the recordings ({len(report['warnings'])}) at the end of this page."
-        steps.append({"text": text, "command": ""})
-    if report["next_experiment"]:
-        why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
-        text = f"{why} Apply the voltages of {folder / file}, record the run, and identify again with it."
-        steps.append({"text": text, "command": _again(saved, folder)})
-    elif causes := [(kind, e) for kind in _NO_EXPERIMENT for e in effects if e[kind]]:
-        kind, effect = causes[0]
-        text = f"{_NO_EXPERIMENT[kind]} {effect['name']} at {effect['site']} from {effect[kind][0]}."
-        steps.append({"text": text, "command": ""})
-    if report["proposed_formulas"]:
-        text = "A formula is proposed in place of the table; review it and write it as an effect."
-        steps.append({"text": text, "command": f"hframe effects new NAME --from {folder}"})
-    if report["verdict"] == "unexplained":
-        text = (
-            "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it, "
-            "slow and fast, of one axis at a time and over the full travel, and identify again with them."
-        )
-        return [*steps, {"text": text, "command": _again(saved, folder)}]
-    which = "corrected" if effects else "refitted"
-    command = next_command(report["verdict"], saved.machine, folder)
-    text = f'Design and compare controllers on the {which} machine; in Python: gym.make("HFrame-v0", machine=...).'
-    if not command.startswith("hframe evaluate"):
-        text = (
-            f"Simulate the {which} machine with other inputs (it has no workspace in which a controller is evaluated)."
-        )
-        command = (
-            f"hframe simulate --machine {shlex.quote(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv"
-        )
-    return [*steps, {"text": text, "command": command}]
-
-
-def _again(saved: SavedResult, folder: Path) -> str:
-    """Return the command that identifies further runs of the same machine."""
-    known = saved.declared == BUILTIN_MACHINES["hframe"]()
-    machine = "" if known else f" --machine {shlex.quote(str(folder / 'declared.json'))}"
-    return f"hframe identify RUNS{machine} --out {shlex.quote(str(folder))}"
 
 
 def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]:

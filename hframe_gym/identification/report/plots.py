@@ -134,6 +134,7 @@ def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
         axes.axvline(1.0, color=color("ink"), lw=1, ls="--")
         axes.set(xscale="log", yticks=range(len(channels)), yticklabels=channels)
         axes.set_xlabel("rms error / sensor noise (dashed: 1)")
+        axes.xaxis.get_major_locator().set_params(numticks=6)
         axes.xaxis.set_major_formatter(lambda value, _: number(value))
         axes.minorticks_off()
         axes.margins(x=0.18)

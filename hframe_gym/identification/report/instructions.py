@@ -1,0 +1,161 @@
+"""What to do after an identification: what to record, what to measure, and which controller to try at which period."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...controllers import TextbookPID
+from ...errors import InputError
+from ...machine import BUILTIN_MACHINES, Machine
+from ...web_page import number
+from ..fit.parameter_diagnostics import sum_text
+from ..judge.criteria import SelectionCriteria
+from .saved_result import SavedResult, next_command
+
+_NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
+    "rivals": "No experiment is proposed: no tested run within rated voltages and travel reliably distinguishes",
+    "equivalent": "No recording can distinguish",
+}
+_PERIODS_S = (0.01, 0.005, 0.002, 0.001, 0.0005)  # control periods at which controllers are tried
+_MOTIONS = {  # by the quantity of a variable: the run that shows a dependence on it
+    "velocity": "move {} at six or more constant speeds in both directions, from the slowest to the top speed",
+    "position": "move {} slowly and at constant speed over its full travel, several times in both directions",
+    "path": "repeat the same motion for several minutes without a pause",
+    "acceleration": "accelerate {} with several voltages from the same place, in both directions",
+    "current": "accelerate {} with voltages from small ones to the rated one, in both directions",
+    "load": "accelerate {} with voltages from small ones to the rated one, in both directions",
+    "heat": "begin cold, and repeat the same motion until its error does not change any more",
+    "time": "begin cold, and repeat the same motion until its error does not change any more",
+    "dwell": "let {} rest for different times, from tenths of a second to a minute, before each start",
+}
+_MEASUREMENTS = (  # by the ending of a parameter's name, those first that are measured most easily
+    (".rest_length", "measure it with a ruler"),
+    (".mass", "weigh the part, or compute its inertia from its drawing"),
+    (".Ke", "take it from the data sheet of the motor, or turn the motor by hand and measure its voltage and speed"),
+    (".Kt", "take it from the data sheet of the motor"),
+    (".R", "measure it with an ohmmeter"),
+    (".EA", "take it from the data sheet of the belt, or load the belt and measure how much it stretches"),
+)
+
+
+def next_steps(
+    saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]], runs: Sequence[str]
+) -> list[dict[str, str]]:
+    """Return what to do next, the most important step first.
+
+    Args:
+        saved: The result.
+        folder: Folder of the result that the commands name.
+        effects: Effects with the keys "name", "site", "rivals" and "equivalent".
+        runs: Names of the held-out runs, the worst first.
+
+    Returns:
+        Steps: sentences with the key "text", and "command", a command line or "".
+    """
+    report, machine = saved.report, saved.machine
+    findings = []
+    if report["warnings"]:
+        text = f"Read the findings about the recordings ({len(report['warnings'])}) in the section Recordings."
+        findings = [_step(text)]
+    steps = _recordings(saved, folder, effects)
+    if (report.get("left") or 0.0) > SelectionCriteria().max_noise_ratio_explained and report[
+        "verdict"
+    ] != "unexplained":
+        steps.append(
+            _step(f"Look at {runs[0]}, the run with the largest error, where measured and simulated curves part.")
+        )
+    if report["proposed_formulas"]:
+        text = "A formula is proposed in place of the table; review it and write it as an effect."
+        steps.append(_step(text, f"hframe effects new NAME --from {folder}"))
+    if report["verdict"] == "unexplained":
+        return [*findings, *steps, *_measurements(report)]
+    control = _control(report["verdict"], machine, folder, bool(effects))
+    return [*steps, control, *_measurements(report), *findings]
+
+
+def _step(text: str, command: str = "") -> dict[str, str]:
+    """Return one step."""
+    return {"text": text, "command": command}
+
+
+def _recordings(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """Return what to record: a proposed experiment, or runs that show what the missing force depends on."""
+    report = saved.report
+    if report["next_experiment"]:
+        why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
+        text = f"{why} Apply the voltages of {folder / file}, record the run, and identify again with it."
+        return [_step(text, _again(saved, folder))]
+    if report["verdict"] == "unexplained":
+        text = (
+            "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it, "
+            f"{_isolating(report)}, and identify again with them."
+        )
+        return [_step(text, _again(saved, folder))]
+    for kind, why in _NO_EXPERIMENT.items():
+        for effect in effects:
+            if effect[kind]:
+                return [_step(f"{why} {effect['name']} at {effect['site']} from {effect[kind][0]}.")]
+    return []
+
+
+def _isolating(report: Mapping[str, Any]) -> str:
+    """Return the run that isolates the variable on which the missing force depends most."""
+    for dependence in report["residual"]["depends_on"][:1]:
+        quantity, _, name = dependence["variable"].partition(" of ")
+        if quantity in _MOTIONS:
+            return _MOTIONS[quantity].format(name or "the machine")
+    return "slow and fast, of one axis at a time and over the full travel"
+
+
+def _measurements(report: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return the parameters that a user should measure, because the recordings determine only sums with them."""
+    steps = []
+    for group in report["not_separable"]:
+        found = [(name, how) for end, how in _MEASUREMENTS for name in group["parameters"] if name.endswith(end)]
+        name, how = found[0] if found else (group["parameters"][0], "measure it by itself")
+        sums = " and ".join(sum_text(entry["weights"]) for entry in group["determined"]) or "nothing of them"
+        text = (
+            f"If you need {' and '.join(group['parameters'])} one by one, determine {name} ({how}), write it to "
+            f"declared.json, and identify again: these runs determine only {sums}."
+        )
+        steps.append(_step(text))
+    return steps
+
+
+def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) -> dict[str, str]:
+    """Return the step that uses the machine: a controller with its control period, or a simulation."""
+    which = "corrected" if has_effects else "refitted"
+    command = next_command(verdict, machine, folder)
+    if not command.startswith("hframe evaluate"):
+        text = (
+            f"Simulate the {which} machine with other inputs (it has no workspace in which a controller is evaluated)."
+        )
+        return _step(
+            text,
+            f"hframe simulate --machine {shlex.quote(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv",
+        )
+    text = f"Design and compare controllers on the {which} machine, pid first, with a control period of 10 ms."
+    return _step(f'{text}{_textbook_period(machine)} In Python: gym.make("HFrame-v0", machine=...).', command)
+
+
+def _textbook_period(machine: Machine) -> str:
+    """Return a sentence about the control periods that a controller without a model of the belts permits."""
+    try:
+        stable = next((p for p in _PERIODS_S if TextbookPID(machine, p).concern() is None), None)
+    except InputError:  # the controller cannot control such a machine
+        return ""
+    if stable is None:
+        return f" A textbook PID is unstable at {number(1e3 * _PERIODS_S[-1])} ms and more."
+    if stable == _PERIODS_S[0]:
+        return " A textbook PID is stable at this period as well."
+    return f" A textbook PID needs {number(1e3 * stable)} ms or less."
+
+
+def _again(saved: SavedResult, folder: Path) -> str:
+    """Return the command that identifies further runs of the same machine."""
+    known = saved.declared == BUILTIN_MACHINES["hframe"]()
+    machine = "" if known else f" --machine {shlex.quote(str(folder / 'declared.json'))}"
+    return f"hframe identify RUNS{machine} --out {shlex.quote(str(folder))}"
