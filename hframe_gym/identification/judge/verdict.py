@@ -260,13 +260,17 @@ def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
 AS_GOOD_AS_PLAIN = 1.01
 
 
-def is_worse_than_plain(ratio: float) -> bool:
+def is_worse_than_plain(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
     """Return whether a machine predicts the held-out runs worse than a plain fit of inertia and friction.
+
+    What noise explains is no error: among machines that leave no more, the smaller error is chance.
 
     Args:
         ratio: Ratio of its simulation error to that of the plain fit.
+        left: Its simulation error in units of the noise; not a number if it diverges.
+        criteria: Decision threshold `max_noise_ratio_explained`.
     """
-    return ratio > AS_GOOD_AS_PLAIN
+    return ratio > AS_GOOD_AS_PLAIN and not left <= criteria.max_noise_ratio_explained
 
 
 # Multiple of the noise that is left on the held-out runs, from which a description of it is worth its time.

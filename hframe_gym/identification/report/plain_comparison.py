@@ -71,6 +71,9 @@ def at_least_plain(
     def errors_of(candidate: Machine) -> ModelEvaluation:
         return evaluate_held_out(candidate, outcome.data, validation, recordings, criteria)
 
+    def is_worse(after: ModelEvaluation) -> bool:
+        return is_worse_than_plain(error_ratio(after, reference), after.held_out.noise_ratio, criteria)
+
     reference = errors_of(plain.machine.replace(name=f"{machine.name}-plain"))
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
@@ -78,14 +81,14 @@ def at_least_plain(
         described = _described(evaluated, plain, reference, machine, ranges, recordings, criteria, log, budget)
         if described is not None:
             return result, *described
-    if not is_worse_than_plain(error_ratio(evaluated.after, reference)):
+    if not is_worse(evaluated.after):
         return result, evaluated, ""
     if outcome.selected:  # their parameters were fitted to short predictions
         after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
         refined = outcome._replace(after=after, selected=selected)
         again = evaluate(refined, machine, ranges, validation, recordings, criteria)
-        if not is_worse_than_plain(error_ratio(again.after, reference)):
+        if not is_worse(again.after):
             return result, again, _REFINED
     sentence = _PLAIN_DELIVERED.format(error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none")
     log(sentence)
@@ -120,7 +123,9 @@ def _described(
     if found is None:
         return None
     fitted, labels = found
-    plain_is_better = is_worse_than_plain(error_ratio(evaluated.before, reference))
+    plain_is_better = is_worse_than_plain(
+        error_ratio(evaluated.before, reference), evaluated.before.held_out.noise_ratio, criteria
+    )
     again = evaluate(outcome._replace(after=fitted), machine, ranges, evaluated.validation, recordings, criteria)
     ratio = error_ratio(again.after, reference if plain_is_better else evaluated.before)
     log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")

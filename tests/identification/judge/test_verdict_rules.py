@@ -125,3 +125,18 @@ def test_a_special_variable_must_explain_clearly_more() -> None:
 )
 def test_effects_name_the_causes(matches: list[list[bool]], named: bool) -> None:
     assert cause.names_causes(matches) == named
+
+
+@pytest.mark.parametrize(
+    ("ratio", "left", "worse"),
+    [
+        (5.7, 3.0, True),
+        (1.005, 3.0, False),  # chance
+        (5.7, 1.9, False),  # what noise explains is no error
+        (float("inf"), float("nan"), True),  # it diverges
+    ],
+)
+def test_a_machine_that_leaves_more_than_noise_may_be_worse_than_the_plain_fit(
+    ratio: float, left: float, worse: bool
+) -> None:
+    assert judge.is_worse_than_plain(ratio, left, CRITERIA) == worse
