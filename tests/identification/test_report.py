@@ -21,6 +21,7 @@ from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.fit.residual import ChannelError, Dependence
+from hframe_gym.identification.report.correlations import CONFIDENCE, correlation
 from hframe_gym.identification.report.curves import page_curves, worst_first
 from hframe_gym.identification.report.effect_curves import effect_curve
 from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
@@ -88,7 +89,7 @@ def test_the_page_describes_an_effect(data: Dataset, tmp_path: Path) -> None:
         assert text in page
     assert "://" not in page  # self-contained
     assert {p.stem for p in (tmp_path / "plots").iterdir()} == {
-        *("coverage", "effects", "error_by_channel", "error_over_time", "residual_force")
+        *("correlations", "coverage", "effects", "error_by_channel", "error_over_time", "residual_force")
     }
 
 
@@ -314,6 +315,19 @@ def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(d
     expected = {0.01: "is stable at this period as well", 0.005: "needs 5 ms or less", 0.002: "needs 2 ms or less",
                 0.001: "needs 1 ms or less", 0.0005: "needs 0.5 ms or less"}  # fmt: skip
     assert f"A textbook PID {expected[periods[0]]}." in step["text"]
+
+
+def test_white_noise_stays_in_the_region_and_a_late_response_does_not() -> None:
+    rng = np.random.default_rng(1)
+    noise, command = rng.normal(size=(2, 20_000))
+    limit = CONFIDENCE / np.sqrt(20_000)
+    outside = np.abs(correlation(command, noise, 400)) > limit
+    assert 0.0 < outside.mean() < 0.03  # 1 % on average
+    late = noise + 0.1 * np.concatenate([np.zeros(7), command[:-7]])
+    assert np.argmax(correlation(command, late, 400)) == 7
+    assert correlation(command, late, 400)[7] == pytest.approx(0.1, abs=0.02)
+    assert correlation(noise, noise, 3)[0] == pytest.approx(1.0)
+    assert not correlation(np.ones(100), noise[:100], 5).any()
 
 
 def test_the_plain_fit_stands_beside_the_other_machines(data: Dataset, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Machine
 from ...recordings import split_unit
 from ...web_page import Panel, color, legend_above, number, save_panels
+from .correlations import correlation_panels
 from .effect_curves import effect_curve
 
 Array = NDArray[np.float64]
@@ -53,8 +54,9 @@ def report_panels(
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (one panel per channel for each of the first two
-        held-out runs), residual_force, effects (each over its own variable), tables, coverage. The list of a plot
-        without data, such as tables of a machine without tables, is empty.
+        held-out runs), correlations (of the errors of the first run), residual_force, effects (each over its own
+        variable), tables, coverage. The list of a plot without data, such as tables of a machine without tables, is
+        empty.
     """
     channels = list(machine.output_channels)
     found = [effect_curve(effect, machine, curves) for effect in machine.effects]
@@ -67,6 +69,13 @@ def report_panels(
             if np.isfinite(curves[f"{run}/measured"][:, j]).any()
         ],
         "residual_force": [_residual_force(report, curves, machine)] if "force/variable" in curves else [],
+        "correlations": correlation_panels(
+            curves,
+            (list(runs) or report["runs"]["held_out"])[0],
+            channels,
+            machine.input_channels,
+            "after" if report["effects"] else "before",
+        ),
         "effects": [curve.panel() for curve in found if curve],
         "tables": [_table(e, machine) for e in machine.effects if e.definition.family == TABLE_FAMILY],
         "coverage": [

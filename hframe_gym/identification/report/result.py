@@ -421,6 +421,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         - ``RUN/measured``: its measurements minus the sensors' zeros, m or rad, shape (n, sensors).
         - ``RUN/declared``, ``RUN/before``, ``RUN/after``: simulation errors of the declared, refitted and corrected
           machine, m or rad, shape (n, sensors).
+        - ``RUN/inputs``: its inputs, in the drives' units, shape (n, drives).
         - ``RUN/plain``: the same of the plain fit; absent if there is none.
         - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
           SI, shape (m,); absent if there is none.
@@ -432,6 +433,7 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
     curves: dict[str, Array] = {}
     for run in result.held_out.runs:
         curves |= {f"{run.name}/time_s": run.time_s, f"{run.name}/measured": run.outputs}
+        curves[f"{run.name}/inputs"] = run.inputs
         plain = {"plain": result.plain.evaluation} if result.plain else {}
         for name, evaluation in (result.evaluations | plain).items():
             evaluated = evaluation.errors.get(run.name)

@@ -1,0 +1,94 @@
+"""Correlations of the simulation error of a run: with itself at a later time, and with the inputs.
+
+An error that is only noise is correlated with neither. An autocorrelation shows that something systematic is left; a
+correlation with an input that comes before the error shows that the machine responds otherwise than its model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from ...web_page import SERIES, Panel, color, legend_above, number
+
+Array = NDArray[np.float64]
+CONFIDENCE = 2.576  # standard deviations of a normal distribution that hold 99 % of the values
+_MAX_LAG_S = 0.2
+_MIN_ROWS = 50
+
+
+def correlation(first: Array, second: Array, lags: int) -> Array:
+    """Return the correlation of two signals without their means, the second one later.
+
+    Args:
+        first: Values, any unit, shape (n,); 0 is assumed in place of NaN.
+        second: Values at the same times, any unit, shape (n,).
+        lags: Largest lag, in samples.
+
+    Returns:
+        Correlation coefficients at the lags 0 to `lags`, dimensionless, shape (lags + 1,); 0 if a signal is constant.
+        Of independent signals, of which one is white, 99 % are within 2.576 / sqrt(n).
+    """
+    a, b = (np.nan_to_num(values - np.nanmean(values)) for values in (first, second))
+    size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
+    if size == 0.0:
+        return np.zeros(lags + 1)
+    full = signal.correlate(b, a, mode="full", method="fft")
+    return np.asarray(full[len(a) - 1 : len(a) + lags] / size)
+
+
+def correlation_panels(
+    curves: Mapping[str, Array], run: str, channels: Sequence[str], inputs: Sequence[str], stage: str
+) -> list[Panel]:
+    """Prepare a plot for each measured channel of a run: autocorrelation, and correlation with each earlier input.
+
+    Args:
+        curves: Curves by name, such as "RUN/after", SI, shape (n, sensors).
+        run: Name of the run.
+        channels: Names of the output channels.
+        inputs: Names of the input channels.
+        stage: Machine whose error is drawn: "before" or "after".
+
+    Returns:
+        The panels; none for a channel with less than 50 measurements, or if the result has no inputs.
+    """
+    if f"{run}/inputs" not in curves:
+        return []
+    errors, commands, time_s = curves[f"{run}/{stage}"], curves[f"{run}/inputs"], curves[f"{run}/time_s"]
+    panels = []
+    for j, channel in enumerate(channels):
+        error = errors[:, j]
+        measured = int(np.isfinite(error).sum())
+        if measured < _MIN_ROWS:
+            continue
+        period = float(np.median(np.diff(time_s)))
+        lags = min(max(10, round(_MAX_LAG_S / period)), len(error) // 4)
+        values = {"itself": correlation(error, error, lags)}
+        values |= {name: correlation(commands[:, k], error, lags) for k, name in enumerate(inputs)}
+        lag_s = period * np.arange(lags + 1, dtype=np.float64)
+        panels.append(_panel(run, channel, lag_s, values, CONFIDENCE / float(np.sqrt(measured))))
+    return panels
+
+
+def _panel(run: str, channel: str, lag_s: Array, values: Mapping[str, Array], limit: float) -> Panel:
+    """Draw the correlations of one channel with the region that holds 99 % of those of white noise."""
+
+    def draw(axes: Any) -> None:
+        axes.axhspan(-limit, limit, color=color("muted"), alpha=0.3, lw=0)
+        for role, (name, correlations) in zip(SERIES, values.items(), strict=False):
+            start = 1 if name == "itself" else 0  # at lag 0, it is 1
+            axes.plot(lag_s[start:], correlations[start:], color=color(role), lw=1.1, label=name)
+        axes.set(xlabel="time by which the error is later, s", ylabel="correlation with")
+        axes.margins(x=0.01)
+        legend_above(axes)
+
+    outside = ", ".join(
+        f"{number(100 * float(np.mean(np.abs(correlations[1:]) > limit)))} % with {name}"
+        for name, correlations in values.items()
+    )
+    description = f"Correlations of the error of {channel} in {run}. Outside the region of 99 %: {outside}."
+    return Panel(f"{run}: error of {channel}. Outside the band: {outside}", description, draw, 2.3)
