@@ -134,7 +134,9 @@ def test_the_folder_is_complete_and_its_machine_is_the_corrected_one(
     assert "stribeck friction at x" in text
     assert "://" not in text  # self-contained
     assert {p.name for p in (tmp_path / "plots").iterdir()} == {
+        "correlations.png",
         "coverage.png",
+        "effects.png",
         "error_by_channel.png",
         "error_over_time.png",
         "residual_force.png",
