@@ -63,17 +63,19 @@ class _PartsOfPage(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
         self.hostile: list[str] = []
-        self._in_script = False
+        self._in_script = self._is_data = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self._in_script = tag == "script"
+        self._is_data = ("type", "application/json") in attrs
         self.hostile += [f"{key}={value}" for key, value in attrs if key.startswith("on") and MARK in (value or "")]
 
     def handle_endtag(self, tag: str) -> None:
         self._in_script = False
 
     def handle_data(self, data: str) -> None:
-        self.hostile += [data] if self._in_script and MARK in data else []
+        if self._in_script and MARK in data and not (self._is_data and "<" not in data):
+            self.hostile.append(data)  # no element can begin in a block of data without "<", which executes nothing
 
 
 def hostile_parts(page: Path) -> list[str]:

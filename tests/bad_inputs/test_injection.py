@@ -33,6 +33,7 @@ INJECTIONS = (
 )
 SCRIPT = f'--><script>{MARK}()</script>$\\frac_$[/b]" onload="{MARK}()'
 CONTENT = machine_content()
+CONTENT["drives"][0] |= {"kind": "duty-cycle", "supply": "supply_V"}
 STRING_FIELDS = [path for path in paths_of(CONTENT) if isinstance(value_at(CONTENT, path), str)]
 KEYED_FIELDS = [path for path in paths_of(CONTENT) if isinstance(path[-1], str) and path[-2:-1] != ()]
 FREE_KEYS = [p for p in KEYED_FIELDS if p[-2] in ("extension", "length", "row", "parameters", "ties")]

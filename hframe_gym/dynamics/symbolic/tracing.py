@@ -20,6 +20,7 @@ from typing import Any
 from .elementwise import where
 from .expressions import Expression, Statement, simplified
 
+_PACKAGE = Path(__file__).parents[1]  # dynamics
 # Parts of the messages of Python and NumPy about functions and operators that accept neither expressions nor arrays.
 _NUMBERS_ONLY = (
     r"\bufunc",  # np.tanh(v)
@@ -223,7 +224,7 @@ def describe_formula_error(error: TypeError) -> str:
     The text is, for example, "drag.py, line 7: must be real number, not Expression; use the functions of
     ..."; without a line if the error was not raised in Python code outside this package.
     """
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).parent != Path(__file__).parent]
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if _PACKAGE not in Path(f.filename).parents]
     in_formula = [f for f in frames if f.filename == frames[0].filename]  # without functions of NumPy that it calls
     place = f"{Path(in_formula[-1].filename).name}, line {in_formula[-1].lineno}: " if in_formula else ""
     advise = re.search("|".join(_NUMBERS_ONLY), str(error))
