@@ -9,7 +9,9 @@ from setuptools import find_packages, setup
 
 setup(
     packages=[
-        *find_packages(include=["hframe_gym", "hframe_gym.*"], exclude=["hframe_gym.agents", "hframe_gym.agents.*"]),
+        *find_packages(
+            include=["hframe_gym", "hframe_gym.*"], exclude=["hframe_gym.agents", "hframe_gym.agents.*"]
+        ),
         "hframe_gym.examples",  # no code; the wheel has the recordings and notebooks for `hframe examples`
         "hframe_gym.agents",
         *(f"hframe_gym.agents.{name}" for name in find_packages("agents")),

@@ -92,7 +92,9 @@ class Agent(Controller):
 
     feedback = "observation"
 
-    def __init__(self, policy: Any, mapping: ResidualAction | None, machine: Machine, card: Mapping[str, Any]) -> None:
+    def __init__(
+        self, policy: Any, mapping: ResidualAction | None, machine: Machine, card: Mapping[str, Any]
+    ) -> None:
         super().__init__(machine, card["period"])
         self.policy = policy
         self.mapping = mapping
@@ -153,7 +155,9 @@ class Agent(Controller):
         differing = [part for part in counts if counts[part] != trained[part]]
         if not differing:
             return None
-        present, former = (", ".join(_counted(c[part], part) for part in differing) for c in (counts, trained))
+        present, former = (
+            ", ".join(_counted(c[part], part) for part in differing) for c in (counts, trained)
+        )
         return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
 
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
@@ -170,7 +174,9 @@ class Agent(Controller):
         elif not same_parameters(machine, self.machine):
             differences.append(f"trained on a machine {machine.name!r} with other parameters")
         if not np.isclose(period, self.period):
-            differences.append(f"trained with a control period of {self.period:g} s, evaluated at {period:g} s")
+            differences.append(
+                f"trained with a control period of {self.period:g} s, evaluated at {period:g} s"
+            )
         trained = self.card["settings"].get("env", {}).get("sensors", "state")
         if sensors != trained:
             observed = sensors if isinstance(sensors, str) else "a sensor suite"
@@ -220,7 +226,9 @@ class Agent(Controller):
         expected = feature_parameters(machine)
         if any(_shape(card["features"][key]) != _shape(expected[key]) for key in expected):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
-        exploration = {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}
+        exploration = (
+            {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}
+        )
         policy = policy_class(card["kind"])(
             mapping.observation_space(space) if mapping else space,
             mapping.action_space() if mapping else action_space(machine),

@@ -24,7 +24,12 @@ from ..operating_system import quoted, user_folder
 
 SCHEMA = 2  # version of the formats of agent.json and card.json
 AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
-RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")  # the last one for SAC, TQC, CrossQ
+RESUME_FILES = (
+    "card.json",
+    "checkpoint.zip",
+    "environment.pkl",
+    "replay.pkl",
+)  # the last one for SAC, TQC, CrossQ
 KEY_BYTES = 32
 _MARK = b"\nhframe_gym checkpoint signature "
 _TRAILER = len(_MARK) + 2 * KEY_BYTES  # a pickle and a zip archive may have further bytes at the end
@@ -84,7 +89,9 @@ class _Features(_Table):
 
     radii: Annotated[list[FiniteFloat], Field(max_length=100)]
     rest: Annotated[list[Annotated[list[FiniteFloat], Field(max_length=100)]], Field(max_length=100)]
-    gains: dict[str, Annotated[list[Annotated[list[FiniteFloat], Field(max_length=1000)]], Field(max_length=1000)]] = {}
+    gains: dict[
+        str, Annotated[list[Annotated[list[FiniteFloat], Field(max_length=1000)]], Field(max_length=1000)]
+    ] = {}
 
 
 class _AgentJson(_Table):
@@ -147,7 +154,9 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
             folder or to continue it, which is possible if that run has a checkpoint and the same settings.
     """
     complete_commit(folder)
-    files = [name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"]  # which a user may have written
+    files = [
+        name for name in (*AGENT_FILES, *RESUME_FILES) if name != "machine.json"
+    ]  # which a user may have written
     present = [name for name in files if (folder / name).exists()]
     if not present:
         return
@@ -166,7 +175,9 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
         described, resumable = ", ".join(present), False
     advice = ["choose another folder"]
     if resumable:
-        command = f"hframe train {recipe.rpartition('_')[0]} --seed {seed} --resume --out {quoted(str(folder))}"
+        command = (
+            f"hframe train {recipe.rpartition('_')[0]} --seed {seed} --resume --out {quoted(str(folder))}"
+        )
         by = "with --resume" if alone else f"alone with `{command}` (other options as before, without --ray)"
         advice.append(f"continue the run {by}")
     raise InputError(
@@ -188,8 +199,15 @@ def read_training_card(file: Path) -> dict[str, Any]:
     try:
         columns = {tuple(row) for row in card["curve"]}
         numbers = [card["kept"], *(value for row in card["curve"] for value in row.values())]
-        is_valid = all(isinstance(value, int | float) and abs(value) < 1e15 for value in numbers) and len(columns) == 1
-        if is_valid and {"steps", "seconds", "cpu_s"} <= set(*columns) and {"recipe", "task", "seed"} <= set(card):
+        is_valid = (
+            all(isinstance(value, int | float) and abs(value) < 1e15 for value in numbers)
+            and len(columns) == 1
+        )
+        if (
+            is_valid
+            and {"steps", "seconds", "cpu_s"} <= set(*columns)
+            and {"recipe", "task", "seed"} <= set(card)
+        ):
             return dict(card)
     except (KeyError, TypeError, IndexError, AttributeError):
         pass

@@ -95,7 +95,9 @@ class AnalyticPolicyGradient:
         averaging: float,
     ) -> None:
         inner: Any = getattr(env, "venv", None)
-        if not isinstance(env, ResidualActionVecEnv) or (env.mapping.base and not hasattr(env.mapping.base, "gain")):
+        if not isinstance(env, ResidualActionVecEnv) or (
+            env.mapping.base and not hasattr(env.mapping.base, "gain")
+        ):
             raise InputError(
                 "analytic gradients need an [actuation] without a base controller, or with base predictive"
             )
@@ -169,7 +171,11 @@ class AnalyticPolicyGradient:
         self.env.venv.reset()
         self.mapping.reset()
         batch, model = self._envs.batch, self._model
-        parameters, references, has_path = self._envs.parameters, batch.references, batch.task.metrics == "track"
+        parameters, references, has_path = (
+            self._envs.parameters,
+            batch.references,
+            batch.task.metrics == "track",
+        )
         state = torch.from_numpy(model.goal_state(batch.simulator.tool_positions()))
         last_observation, last_action, costs = None, None, []
         last_volts = torch.zeros((len(state), len(model.rated)), dtype=torch.float64)
@@ -178,7 +184,9 @@ class AnalyticPolicyGradient:
             observation = {"observation": model.observation(state.detach().numpy()).astype(np.float32)}
             references.add_blank(observation)
             references.write(slice(None), observation)
-            entries: dict[str, Any] = {key: torch.from_numpy(v) for key, v in self.mapping.augment(observation).items()}
+            entries: dict[str, Any] = {
+                key: torch.from_numpy(v) for key, v in self.mapping.augment(observation).items()
+            }
             with torch.set_grad_enabled(k >= skipped):
                 # Tensors with derivatives with respect to the state and earlier actions replace arrays of equal values.
                 entries["observation"] = (state @ self._observed).float()
@@ -190,8 +198,13 @@ class AnalyticPolicyGradient:
                 volts = action.double() * torch.from_numpy(model.rated)
                 references.advance()
                 if k < skipped:
-                    motions = self._period.simulate(state.numpy(), volts.numpy(), last_volts.numpy(), parameters)
-                    state, last_volts = torch.from_numpy(self._period.outputs(motions))[:, : state.shape[1]], volts
+                    motions = self._period.simulate(
+                        state.numpy(), volts.numpy(), last_volts.numpy(), parameters
+                    )
+                    state, last_volts = (
+                        torch.from_numpy(self._period.outputs(motions))[:, : state.shape[1]],
+                        volts,
+                    )
                     continue
                 outputs = differentiable_period(
                     state, volts, last_volts, parameters, self._period, limit, self._discount
@@ -199,7 +212,9 @@ class AnalyticPolicyGradient:
                 last_volts = volts
                 state, tool = outputs[:, : state.shape[1]], outputs[:, state.shape[1] :]
                 tool = tool.reshape(len(tool), SAMPLES, -1)
-                costs.append(path_errors(tool, references) if has_path else reach_cost(tool, entries["desired_goal"]))
+                costs.append(
+                    path_errors(tool, references) if has_path else reach_cost(tool, entries["desired_goal"])
+                )
         by_period = torch.stack(costs, dim=1)
         return path_cost(by_period) * len(costs) if has_path else by_period.sum(1)
 

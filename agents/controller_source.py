@@ -129,7 +129,9 @@ def shipped_agent_folder(name: str, task: str) -> Path:
     folder = _find_shipped(name, task)
     if folder is None:
         _refuse_other_task(name, task)
-        raise InputError(f"no shipped agent {name!r} for the task {task}; choose one of: {_shipped_names(task)}")
+        raise InputError(
+            f"no shipped agent {name!r} for the task {task}; choose one of: {_shipped_names(task)}"
+        )
     return folder
 
 
@@ -151,7 +153,9 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
     agent = Agent.load(folder)
     obstacle = agent.structural_mismatch(machine)
     if not obstacle and previews != agent.card["previews"]:
-        obstacle = f"was trained with {agent.card['previews']} future goals, but the task {task} shows {previews}"
+        obstacle = (
+            f"was trained with {agent.card['previews']} future goals, but the task {task} shows {previews}"
+        )
     if obstacle:
         raise InputError(
             f"recipe {recipe.name}: continues the shipped agent {folder.name}, which {obstacle}. Train an agent from "
@@ -178,11 +182,16 @@ def _find_shipped(name: str, task: str) -> Path | None:
 
 def _refuse_other_task(name: str, task: str) -> None:
     """Raise InputError if the package has an agent of this name, but for other tasks than the one in question."""
-    trained = [folder.name for folder in sorted(_shipped_root().iterdir()) if _find_shipped(name, folder.name)]
+    trained = [
+        folder.name for folder in sorted(_shipped_root().iterdir()) if _find_shipped(name, folder.name)
+    ]
     if not trained:
         return
     others = ", ".join(_recipes_of(_shipped_folders(task)))
-    choices = [f"the task {' or '.join(trained)}", *([f"a shipped agent of {task} ({others})"] if others else [])]
+    choices = [
+        f"the task {' or '.join(trained)}",
+        *([f"a shipped agent of {task} ({others})"] if others else []),
+    ]
     raise InputError(
         f"agent {name}: was trained for the task {' and for '.join(trained)}, not for {task}; choose "
         f"{', '.join(choices)}, or train an agent for {task} (hframe train ppo)"

@@ -79,7 +79,9 @@ class SimulatedPeriod:
             The motions, with states of shape (B, SAMPLES + 1, S); `outputs` reads them.
         """
         values = self._end_stops.parameters(parameters)
-        start = np.zeros((len(state), self._motion.state_size))  # states of effects begin at zero in every period
+        start = np.zeros(
+            (len(state), self._motion.state_size)
+        )  # states of effects begin at zero in every period
         start[:, : state.shape[1]] = state / self._units(values)
         held, before = (np.repeat(values[:, None], SAMPLES, axis=1) for values in (volts, last_volts))
         earlier = before if self.delayed else before[:, :0]
@@ -151,7 +153,9 @@ class _Period(torch.autograd.Function):
         by_state, by_volts, by_last = map(np.nan_to_num, parts)
         norm = np.linalg.norm(by_state * np.repeat([TRAVEL_UNIT, RATE_UNIT], by_state.shape[1] // 2), axis=1)
         factor = np.minimum(1.0, ctx.limit / np.maximum(norm, 1e-12))[:, None]
-        by_state, by_volts, by_last = (torch.from_numpy(factor * part) for part in (by_state, by_volts, by_last))
+        by_state, by_volts, by_last = (
+            torch.from_numpy(factor * part) for part in (by_state, by_volts, by_last)
+        )
         return ctx.discount * by_state, by_volts, ctx.discount * by_last, None, None, None, None
 
 
@@ -182,7 +186,8 @@ class _SquaredContour(torch.autograd.Function):
         position = points.detach().numpy()
         steps = CONTOUR_STEP * np.eye(position.shape[1])
         ctx.slopes = np.stack(
-            [(squares(position + step) - squares(position - step)) / (2.0 * CONTOUR_STEP) for step in steps], axis=1
+            [(squares(position + step) - squares(position - step)) / (2.0 * CONTOUR_STEP) for step in steps],
+            axis=1,
         )
         return torch.from_numpy(squares(position))
 

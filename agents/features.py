@@ -58,7 +58,9 @@ LARGEST_STRETCH = 0.01  # m
 
 # Variants of the machine for which transfers are also designed: factors on its belt stiffness and on its masses.
 VARIANTS = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
-VARIANT_TRANSFERS = 5  # For variants, only so many transfers, the shortest: the parameters matter most near the goal.
+VARIANT_TRANSFERS = (
+    5  # For variants, only so many transfers, the shortest: the parameters matter most near the goal.
+)
 LARGEST_WEIGHTED = 1.2  # Fraction of the rated voltage; limit of the voltages before their mean is formed.
 
 # Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent
@@ -207,7 +209,10 @@ def feature_matrix(
         if key in selectors:
             blocks.append(_scaled_columns(selectors[key], ACTION_SCALES, 1.0))
     if "expected_friction" in selectors:
-        upcoming, recent = selectors["expected_friction"][:, :-drives], selectors["expected_friction"][:, -drives:]
+        upcoming, recent = (
+            selectors["expected_friction"][:, :-drives],
+            selectors["expected_friction"][:, -drives:],
+        )
         # An integral action knows the recent (last) friction voltages, but does not anticipate their changes.
         change = upcoming - np.tile(recent, upcoming.shape[1] // drives)
         columns = np.hstack([upcoming[:, :drives], change])
@@ -224,7 +229,9 @@ def _selectors(sizes: Mapping[str, int]) -> dict[str, Array]:
     """Return, for each key, the columns that pick its entries out of z, shape (entries, entries of the key)."""
     edges = np.cumsum([0, *sizes.values()]).tolist()
     identity = np.eye(edges[-1])
-    return {key: identity[:, first:last] for key, first, last in zip(sizes, edges[:-1], edges[1:], strict=True)}
+    return {
+        key: identity[:, first:last] for key, first, last in zip(sizes, edges[:-1], edges[1:], strict=True)
+    }
 
 
 def _split_state(state: Array, radii: Array, axes: int) -> tuple[Array, Array, Array, Array]:
@@ -318,9 +325,13 @@ class PlanBank:
         InputError: If the durations are not positive and ascending.
     """
 
-    def __init__(self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]) -> None:
+    def __init__(
+        self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]
+    ) -> None:
         self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
-        self._ratios = ParameterRatios(machine, estimator.parameter_names)  # not its machine, which has no dead time
+        self._ratios = ParameterRatios(
+            machine, estimator.parameter_names
+        )  # not its machine, which has no dead time
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = _state_of_observation(self._model)
 

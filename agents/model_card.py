@@ -18,7 +18,15 @@ from hframe_gym.arrays import Array
 from ..atomic_files import write_text
 from ..controllers import Controller
 from ..envs import EnvConfig, as_task
-from ..evaluation import BANDS, Episodes, Scenario, installed_versions, rollout, settling_or_none, settling_times
+from ..evaluation import (
+    BANDS,
+    Episodes,
+    Scenario,
+    installed_versions,
+    rollout,
+    settling_or_none,
+    settling_times,
+)
 
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
 EVALUATION_EPISODES = 256  # of every row of a learning curve
@@ -186,7 +194,9 @@ def _score_tables(scores_by_scenario: Mapping[str, Mapping[str, Any]]) -> str:
     """Format scores: settling times for a fixed goal, errors for a moving one."""
     sections = []
     for name, scores in scores_by_scenario.items():
-        sections.append(f"`{name}`, {scores['episodes']} episodes of seed {scores['seed']}, none used in training:")
+        sections.append(
+            f"`{name}`, {scores['episodes']} episodes of seed {scores['seed']}, none used in training:"
+        )
         sections.append(_settling_table(scores) if "settling_s" in scores else _error_table(scores))
     return "\n\n".join(sections)
 
@@ -205,7 +215,9 @@ def _settling_table(scores: Mapping[str, Any]) -> str:
     rows = ["| band | success | mean settling, s | median | 95 % |", "| --- | ---: | ---: | ---: | ---: |"]
     for band in BANDS:
         settling_s = settling_or_none(scores["success"][band], scores["settling_s"][band])
-        times = " | ".join(f"{settling_s[key]:.3f}" if settling_s else "-" for key in ("mean", "median", "p95"))
+        times = " | ".join(
+            f"{settling_s[key]:.3f}" if settling_s else "-" for key in ("mean", "median", "p95")
+        )
         rows.append(f"| {band} | {100 * scores['success'][band]:.1f} % | {times} |")
     return "\n".join(rows)
 
@@ -215,7 +227,9 @@ def _failure_list(card: Mapping[str, Any]) -> str:
     lines = []
     for name, failures_by_band in card["failures"].items():
         for band, failures in failures_by_band.items():
-            seeds = f", environment seeds {', '.join(map(str, failures['seeds']))}" if failures["seeds"] else ""
+            seeds = (
+                f", environment seeds {', '.join(map(str, failures['seeds']))}" if failures["seeds"] else ""
+            )
             more = ", ..." if failures["episodes"] > len(failures["seeds"]) else ""
             total = card["scores"][name]["episodes"]
             lines.append(f"- `{name}`, {band}: {failures['episodes']} of {total} episodes{seeds}{more}")
@@ -227,5 +241,9 @@ def _curve_table(curve: Sequence[Mapping[str, Any]]) -> str:
     columns = [key for key in curve[0] if key != "cpu_s"]
     rows = ["| " + " | ".join(columns) + " |", "|" + " ---: |" * len(columns)]
     for row in curve:
-        rows.append("| " + " | ".join(f"{row[key]:.4g}" if key != "steps" else str(row[key]) for key in columns) + " |")
+        rows.append(
+            "| "
+            + " | ".join(f"{row[key]:.4g}" if key != "steps" else str(row[key]) for key in columns)
+            + " |"
+        )
     return "\n".join(rows)

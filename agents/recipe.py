@@ -135,8 +135,14 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
     available = designed.longest - designed.shortest
     if needed <= available:
         return
-    others = [load_recipe(name.removesuffix(f"_{task}"), task) for name in recipe_names() if name.endswith(f"_{task}")]
-    suitable = [r.name.removesuffix(f"_{task}") for r in others if r.longest_transfer <= available and not r.start]
+    others = [
+        load_recipe(name.removesuffix(f"_{task}"), task)
+        for name in recipe_names()
+        if name.endswith(f"_{task}")
+    ]
+    suitable = [
+        r.name.removesuffix(f"_{task}") for r in others if r.longest_transfer <= available and not r.start
+    ]
     raise InputError(
         f"recipe {recipe.name}: needs motions that last up to {needed} control periods longer than the "
         f"shortest one, but the longest in the workspace of machine {machine.name!r} last {available} periods longer; "
@@ -151,7 +157,9 @@ def build_task(recipe: Recipe, name: str) -> Task:
         InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its observation
             has another number of future goals (`Task.ahead_s`) than the features of the recipe use.
     """
-    settings = {key: tuple(v) if isinstance(v, list) else v for key, v in recipe.task.items()}  # TOML has no tuples
+    settings = {
+        key: tuple(v) if isinstance(v, list) else v for key, v in recipe.task.items()
+    }  # TOML has no tuples
     try:
         task: Task = TASKS.get(name)(**settings)
     except TypeError as error:

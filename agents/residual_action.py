@@ -32,7 +32,9 @@ from .features import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
 
 Observation = Mapping[str, NDArray[Any]]
 
-LARGEST_HELD = 0.12  # limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction
+LARGEST_HELD = (
+    0.12  # limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction
+)
 WEIGHT_SCALE = 5.0  # the weight of a transfer is proportional to exp(WEIGHT_SCALE * output)
 
 
@@ -62,7 +64,9 @@ class Authority:
         It is min(most, least + distance / full_at_m + speed / full_at_m_s) of distances, m, and tool speeds,
         m/s, arrays or torch tensors of shape (batch,).
         """
-        return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[:, None]
+        return (self.least + distance / self.full_at_m + speed / self.full_at_m_s).clip(max=self.most)[
+            :, None
+        ]
 
     def held(self, distance: Any, speed: Any) -> Any:
         """Compute the fraction of the last action that remains in the next action (is held), shape (batch, 1).
@@ -129,7 +133,9 @@ class ResidualAction:
         self._filter = ParameterFilter(self._model, period, switch_s) if self._model else None
         if plans and (transfers or not self._filter):
             raise InputError("plans need estimates = true and no transfers")
-        self.bank: TransferBank | PlanBank | None = TransferBank(machine, period, transfers) if transfers else None
+        self.bank: TransferBank | PlanBank | None = (
+            TransferBank(machine, period, transfers) if transfers else None
+        )
         if plans and self._filter:
             self.bank = PlanBank(machine, period, self._filter, plans)
         self.laws: FeedbackLaws | None = None
@@ -192,7 +198,9 @@ class ResidualAction:
             self._dead_time.reset(self._starts.mask)
             arrived = self._dead_time.arrived_history()[1][:, :-1]
             self._filter.update(before, after, arrived, self._starts.mask)
-            self._dead_time.send(self._last_action)  # `replace_last_action` replaces it by the action of this period
+            self._dead_time.send(
+                self._last_action
+            )  # `replace_last_action` replaces it by the action of this period
         self._last_observation = np.where(starting, state, self._observation)
         self._last_action = np.where(starting, 0.0, self._last_action)
         self._starts.clear()
@@ -227,7 +235,10 @@ class ResidualAction:
                 above), shape (batch, parameters); only if the constructor's argument `estimates` is True or the base is
                 adaptive or predictive. Attributes of `ParameterFilter` or of the base document the columns.
         """
-        added: dict[str, NDArray[Any]] = {"last_observation": self._last_observation, "last_action": self._last_action}
+        added: dict[str, NDArray[Any]] = {
+            "last_observation": self._last_observation,
+            "last_action": self._last_action,
+        }
         if self.base:
             added["base_action"] = self._base_action
         added |= {key: getattr(self.base, key) for key in self._base_features}

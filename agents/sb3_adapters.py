@@ -86,12 +86,18 @@ class ObservationBatch(dict[str, torch.Tensor]):
 
     @classmethod
     def __torch_function__(
-        cls, function: Callable[..., torch.Tensor], types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+        cls,
+        function: Callable[..., torch.Tensor],
+        types: Any,
+        args: Any = (),
+        kwargs: dict[str, Any] | None = None,
     ) -> ObservationBatch:
         """Apply a function of torch to the tensors of each key; its first argument is a sequence of batches."""
         batches, *further = args
         keywords = kwargs or {}
-        return cls({key: function([batch[key] for batch in batches], *further, **keywords) for key in batches[0]})
+        return cls(
+            {key: function([batch[key] for batch in batches], *further, **keywords) for key in batches[0]}
+        )
 
 
 class JointReplayBuffer(DictReplayBuffer):
@@ -148,7 +154,9 @@ class ResidualActionVecEnv(VecEnvWrapper):
         inner_space = environment.observation_space
         assert isinstance(inner_space, spaces.Dict)
         outputs = mapping.action_space()
-        super().__init__(environment, observation_space=mapping.observation_space(inner_space), action_space=outputs)
+        super().__init__(
+            environment, observation_space=mapping.observation_space(inner_space), action_space=outputs
+        )
         self.mapping = mapping
 
     def __getstate__(self) -> dict[str, Any]:

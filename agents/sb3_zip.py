@@ -90,8 +90,12 @@ class ZipSource(ControllerSource):
         for envs in environments:
             if _same(model.observation_space, envs.single_observation_space):
                 full_state = as_sensors(scenario.sensors) is None
-                return Sb3Model(model, envs.batch.format, scenario.declared_machine, scenario.period, full_state)
-        raise InputError(f"{name}: {_difference(model.observation_space, environments[0].single_observation_space)}")
+                return Sb3Model(
+                    model, envs.batch.format, scenario.declared_machine, scenario.period, full_state
+                )
+        raise InputError(
+            f"{name}: {_difference(model.observation_space, environments[0].single_observation_space)}"
+        )
 
     @staticmethod
     @override
@@ -163,10 +167,14 @@ def _load(path: Path) -> Any:
 def _same(space: Any, other: Any) -> bool:
     """Return whether two observation spaces are equal but for rounding."""
     if isinstance(space, spaces.Dict) and isinstance(other, spaces.Dict):
-        return set(space.spaces) == set(other.spaces) and all(_same(space[key], other[key]) for key in other.spaces)
+        return set(space.spaces) == set(other.spaces) and all(
+            _same(space[key], other[key]) for key in other.spaces
+        )
     if not (isinstance(space, spaces.Box) and isinstance(other, spaces.Box)) or space.shape != other.shape:
         return False
-    return bool(np.allclose(space.low, other.low, rtol=1e-5) and np.allclose(space.high, other.high, rtol=1e-5))
+    return bool(
+        np.allclose(space.low, other.low, rtol=1e-5) and np.allclose(space.high, other.high, rtol=1e-5)
+    )
 
 
 def _difference(space: Any, wanted: Any) -> str:
@@ -189,7 +197,9 @@ def _difference(space: Any, wanted: Any) -> str:
         size = sum(int(np.prod(box.shape)) for box in wanted.spaces.values())
         shape = getattr(space, "shape", None)
         found = (
-            f"it observes one array of shape {shape}, not ({size},)" if shape != (size,) else "its bounds are others"
+            f"it observes one array of shape {shape}, not ({size},)"
+            if shape != (size,)
+            else "its bounds are others"
         )
     return (
         f"was trained on other observations: {found}. Evaluate it with the machine, task and sensors of its "

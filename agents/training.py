@@ -103,7 +103,9 @@ def train(
     """
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     if recipe.kind not in ALGORITHMS:
-        raise InputError(f"recipe {recipe.name}: kind is {recipe.kind!r}, choose one of {', '.join(ALGORITHMS)}")
+        raise InputError(
+            f"recipe {recipe.name}: kind is {recipe.kind!r}, choose one of {', '.join(ALGORITHMS)}"
+        )
     require_training_packages(recipe.kind)
     if randomize is not None:
         recipe = replace(recipe, env={**recipe.env, "randomize": randomize})
@@ -126,12 +128,21 @@ class _Run:
     next_evaluation: int  # environment step
     start_time: float  # s, monotonic clock; such that the time before a resume counts
     start_cpu_time: float  # s, likewise
-    kept_costs: Any = None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
+    kept_costs: Any = (
+        None  # costs of the evaluation episodes of the agent that is kept, (B,); None before the first
+    )
     improved_weights: dict[str, Any] | None = None  # of the agent to keep that is not saved yet
     evaluated: bool = False  # whether an evaluation is not saved yet
 
     def __init__(
-        self, recipe: Recipe, machine: Machine, task: str, seed: int, folder: Path, log: Log, progress: Progress
+        self,
+        recipe: Recipe,
+        machine: Machine,
+        task: str,
+        seed: int,
+        folder: Path,
+        log: Log,
+        progress: Progress,
     ) -> None:
         self.recipe, self.machine, self.seed, self.folder = recipe, machine, seed, folder
         self.log, self.progress = log, progress
@@ -162,7 +173,9 @@ class _Run:
         self.evaluation_interval = max(SHORTEST_INTERVAL, steps // EVALUATIONS_PER_RUN)
         self.model = self._load_checkpoint(trust) if resume else self._new_model()
         if recipe.start and not resume:
-            load_weights(self.model.policy, start_agent_folder(recipe, task, self.machine, self.card["previews"]))
+            load_weights(
+                self.model.policy, start_agent_folder(recipe, task, self.machine, self.card["previews"])
+            )
         logger = import_optional("stable_baselines3.common.logger")
         self.model.set_logger(logger.configure(str(self.folder / "tensorboard"), ["tensorboard"]))
         if not resume:
@@ -174,7 +187,9 @@ class _Run:
         if not resume:
             self._evaluate()
             self._save()
-        callback = import_module("hframe_gym.agents.sb3_adapters").TrainingCallback(self._after_step, self._save)
+        callback = import_module("hframe_gym.agents.sb3_adapters").TrainingCallback(
+            self._after_step, self._save
+        )
         self.model.learn(steps - self.model.num_timesteps, callback=callback, reset_num_timesteps=False)
         self._evaluate()
         self._save()

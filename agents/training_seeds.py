@@ -80,7 +80,9 @@ def train_seeds(
     return {seed: card for seed, (card, _) in zip(seeds, results, strict=True)}
 
 
-def _run_folders(out: Path, recipe: str, task: str, machine: str, seeds: Sequence[int], force: bool) -> list[Path]:
+def _run_folders(
+    out: Path, recipe: str, task: str, machine: str, seeds: Sequence[int], force: bool
+) -> list[Path]:
     """Return the folder of each seed's run; refuse equal seeds, and a folder with a run that may not be replaced."""
     if len(set(seeds)) < len(seeds):
         raise InputError(f"seeds {', '.join(map(str, seeds))}: one is given twice")

@@ -40,10 +40,16 @@ IN_RESULTS: dict[str, tuple[str, ...]] = {
 
 def benchmarks() -> dict[str, str]:
     """Return the questions of all benchmarks by name: the first lines of modules that can be executed."""
-    modules = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if "def main()" in path.read_text("utf-8")}
-    modules |= {path.parent.name: path.parent / "__init__.py" for path in sorted(FOLDER.glob("*/__main__.py"))}
+    modules = {
+        path.stem: path for path in sorted(FOLDER.glob("*.py")) if "def main()" in path.read_text("utf-8")
+    }
+    modules |= {
+        path.parent.name: path.parent / "__init__.py" for path in sorted(FOLDER.glob("*/__main__.py"))
+    }
     del modules["__main__"]
-    docstrings = {name: ast.get_docstring(ast.parse(path.read_text("utf-8"))) for name, path in modules.items()}
+    docstrings = {
+        name: ast.get_docstring(ast.parse(path.read_text("utf-8"))) for name, path in modules.items()
+    }
     return {name: (docstring or "").splitlines()[0] for name, docstring in docstrings.items()}
 
 
@@ -56,7 +62,9 @@ def run(module: str, *options: str) -> None:
 def main() -> None:
     """List or run the benchmarks."""
     every = benchmarks()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of {', '.join(every)}")
     parser.add_argument("--list", action="store_true", help="list the benchmarks and their questions")
     arguments = parser.parse_args()

@@ -196,7 +196,9 @@ def energy_balance(machine: Machine, inputs: Array, step: float) -> Array:
         squares = (before**2 + before * after + after**2)[..., i] / 3.0
         lost += damping * step * squares.sum(axis=1) + c.coulomb * np.abs(moved[..., i]).sum(axis=1)
     for j, d in enumerate(machine.drives):
-        work += d.gain * (fine[:, :-1, j] * moved[..., machine.coordinate_names.index(d.coordinate)]).sum(axis=1)
+        work += d.gain * (fine[:, :-1, j] * moved[..., machine.coordinate_names.index(d.coordinate)]).sum(
+            axis=1
+        )
     stored = stored_energy(machine, out[:, -1]) - stored_energy(machine, out[:, 0])
     scale = lost + np.abs(stored)
     return (work - lost - stored) / scale
@@ -247,7 +249,9 @@ def against_reference(console: Console, machine: Machine) -> tuple[Results, dict
     for volts in AMPLITUDES:
         inputs = histories(volts)
         exact[volts] = reference_positions(machine, inputs)
-        reference_error = distance(reference_positions(machine, inputs[:4], rtol=1e-12), exact[volts][:4]).max()
+        reference_error = distance(
+            reference_positions(machine, inputs[:4], rtol=1e-12), exact[volts][:4]
+        ).max()
         rows = {h: summary(rollout(machine, GRID, inputs, longest_step=h), exact[volts]) for h in STEPS}
         for h, row in rows.items():
             table.add_row(f"{volts:g}", f"{h * 1e3:g}", *(micro(v) for v in row.values()))
@@ -276,7 +280,9 @@ def compare_with_mujoco(console: Console, machine: Machine) -> Results:
     for volts in AMPLITUDES:
         inputs = histories(volts)
         exact = reference_positions(stage, inputs)
-        table = Table(title=f"The same stage (constant stiffness), +-{volts:g} V: median of the largest tool error, um")
+        table = Table(
+            title=f"The same stage (constant stiffness), +-{volts:g} V: median of the largest tool error, um"
+        )
         table.add_column("simulator")
         for h in STEPS:
             table.add_column(f"{h * 1e3:g} ms", justify="right")
@@ -297,7 +303,9 @@ def compare_with_mujoco(console: Console, machine: Machine) -> Results:
             table.add_row(name, *(micro(v) if np.isfinite(v) and v < 1 else "unstable" for v in row.values()))
         console.print(table)
         others = {name: row for name, row in errors.items() if name != "this kernel"}
-        best = {h: min(others, key=lambda name, h=h: np.nan_to_num(others[name][h], nan=np.inf)) for h in STEPS}
+        best = {
+            h: min(others, key=lambda name, h=h: np.nan_to_num(others[name][h], nan=np.inf)) for h in STEPS
+        }
         factors = {h: others[best[h]][h] / ours[h] for h in STEPS}
         for h in STEPS:
             console.print(f"{h * 1e3:g} ms: MuJoCo's best ({best[h]}) has {factors[h]:.1f} times the error")
@@ -311,7 +319,9 @@ def compare_with_mujoco(console: Console, machine: Machine) -> Results:
         for name, value in crossed.items():
             console.print(f"{name}: {micro(value)} um")
         results[f"{volts:g} V"] = {
-            "median_errors_m": {n: {f"{h * 1e3:g} ms": v for h, v in row.items()} for n, row in errors.items()},
+            "median_errors_m": {
+                n: {f"{h * 1e3:g} ms": v for h, v in row.items()} for n, row in errors.items()
+            },
             "best_mujoco": {f"{h * 1e3:g} ms": best[h] for h in STEPS},
             "mujoco_over_kernel": {f"{h * 1e3:g} ms": factors[h] for h in STEPS},
             "three_ways_m": crossed,
@@ -334,17 +344,26 @@ def main() -> None:
     machine = BUILTIN_MACHINES["hframe"]()
     errors, _ = against_reference(console, machine)
     drift = {f"{h * 1e3:g} ms": energy_drift(machine, h) for h in STEPS}
-    balance = {f"{h * 1e3:g} ms": float(np.median(np.abs(energy_balance(machine, histories(12.0), h)))) for h in STEPS}
-    table = Table(title="Energy: 10 s of free vibration without losses; and balance of a driven run with friction")
+    balance = {
+        f"{h * 1e3:g} ms": float(np.median(np.abs(energy_balance(machine, histories(12.0), h))))
+        for h in STEPS
+    }
+    table = Table(
+        title="Energy: 10 s of free vibration without losses; and balance of a driven run with friction"
+    )
     for column in ("step", "largest deviation", "drift over 9 s", "energy error of a driven run (median)"):
         table.add_column(column, justify="right")
     for h in drift:
         table.add_row(h, f"{drift[h][0]:.2e}", f"{drift[h][1]:.1e}", f"{balance[h]:.1e}")
     console.print(table)
     held = {f"{h * 1e3:g} ms": kernel_creep(machine, h) for h in STEPS}
-    console.print("motion in 10 s below the breakaway level: " + ", ".join(f"{v:g} m at {h}" for h, v in held.items()))
+    console.print(
+        "motion in 10 s below the breakaway level: " + ", ".join(f"{v:g} m at {h}" for h, v in held.items())
+    )
     median = errors["12 V"]["errors_m"]["0.5 ms"]["median"]
-    console.print(f"median at 0.5 ms, +-12 V: {micro(median)} um (required {micro(BAR)}, desired {micro(AIM)})")
+    console.print(
+        f"median at 0.5 ms, +-12 V: {micro(median)} um (required {micro(BAR)}, desired {micro(AIM)})"
+    )
     content = {
         "histories": HISTORIES,
         "against_reference": errors,

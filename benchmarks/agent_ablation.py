@@ -54,7 +54,9 @@ def _outputs_are_voltages(recipe: Recipe) -> Recipe:
 
     The policy's outputs are the two voltages, scaled by the distance to the goal; nothing is held, nothing estimated.
     """
-    changed = _with("env", num_envs=32)(replace(recipe, steps=160_000, actuation={"least": 0.06}, features={}))
+    changed = _with("env", num_envs=32)(
+        replace(recipe, steps=160_000, actuation={"least": 0.06}, features={})
+    )
     return _with(
         "algorithm",
         learning_rate=[1e-3, 5e-5],
@@ -72,7 +74,9 @@ def _voltages_of_crossq(recipe: Recipe) -> Recipe:
 
 def _many_environments(recipe: Recipe) -> Recipe:
     """Return the same recipe with the same number of updates, each from twice as many new steps."""
-    changed = _with("algorithm", gradient_steps=8, batch_size=512, learning_starts=12_000, buffer_size=320_000)
+    changed = _with(
+        "algorithm", gradient_steps=8, batch_size=512, learning_starts=12_000, buffer_size=320_000
+    )
     return replace(_with("env", num_envs=128)(changed(_voltages_of_crossq(recipe))), steps=320_000)
 
 
@@ -112,7 +116,9 @@ def score(agent: Agent) -> dict[str, Any]:
     episodes = rollout(agent, SCENARIO)
     bounds = stored_bounds(SCENARIO).times_s
     assert bounds is not None
-    by_band = {name: settling_times(episodes.goal_error, episodes.time_s, band) for name, band in BANDS.items()}
+    by_band = {
+        name: settling_times(episodes.goal_error, episodes.time_s, band) for name, band in BANDS.items()
+    }
     return {
         "success": {name: float(np.mean(success)) for name, (_, success) in by_band.items()},
         "over_bound": ratio(by_band[BOUND_BAND][0][None], bounds),
@@ -131,12 +137,20 @@ def run(variant: str, steps: int, seed: int, out: Path | None) -> dict[str, Any]
         card = train(recipe, seed=seed, out=folder, log=lambda line: None, force=True)
         cpu_s = time.process_time() - began
         scores = score(Agent.load(folder))
-    return {"seed": seed, "steps": card["curve"][-1]["steps"], "kept": card["kept"], "cpu_s": round(cpu_s, 1), **scores}
+    return {
+        "seed": seed,
+        "steps": card["curve"][-1]["steps"],
+        "kept": card["kept"],
+        "cpu_s": round(cpu_s, 1),
+        **scores,
+    }
 
 
 def main() -> None:
     """Train and score the variants, and write the results after each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=400_000)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=VARIANTS | OFF_POLICY, default=list(VARIANTS))

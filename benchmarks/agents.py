@@ -98,7 +98,11 @@ def failures(run: Episodes) -> dict[str, Any]:
     failed_by_band = {}
     for name, band in BANDS.items():
         # A constant goal must be reached and kept; a path must never be left.
-        failed = ~settling_times(error, run.time_s, band)[1] if run.contour is None else run.contour.max(axis=1) > band
+        failed = (
+            ~settling_times(error, run.time_s, band)[1]
+            if run.contour is None
+            else run.contour.max(axis=1) > band
+        )
         seeds = TRIAL["seed"] + np.flatnonzero(failed)
         failed_by_band[name] = {"episodes": len(seeds), "seeds": seeds[:LISTED].tolist()}
     return failed_by_band
@@ -135,10 +139,15 @@ def ratio(numerator: Array, denominator: Array) -> dict[str, Any]:
         method="percentile",
         rng=np.random.default_rng(TRIAL["seed"]),
     ).confidence_interval
-    return {"mean": float(numerator.mean() / denominator.mean()), "ci95": [float(interval.low), float(interval.high)]}
+    return {
+        "mean": float(numerator.mean() / denominator.mean()),
+        "ci95": [float(interval.low), float(interval.high)],
+    }
 
 
-def score(task: str, recipes: Sequence[str] | None = None, previous: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def score(
+    task: str, recipes: Sequence[str] | None = None, previous: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Score the controllers and the shipped agents of a task, and compare each recipe with the PID and the bound.
 
     Args:
@@ -201,14 +210,18 @@ def compare(values: Array, pid: Array, bound_s: Array | None) -> dict[str, Any]:
 
 def main() -> None:
     """Train or score agents."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     training = commands.add_parser("train")
     training.add_argument("name")
     training.add_argument("--task", default="reach")
     training.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     scoring = commands.add_parser("score")
-    scoring.add_argument("--recipes", nargs="+", help="score the agents of these recipes only; keep the other results")
+    scoring.add_argument(
+        "--recipes", nargs="+", help="score the agents of these recipes only; keep the other results"
+    )
     arguments = parser.parse_args()
     if arguments.command == "train":
         for seed in arguments.seeds:

@@ -83,7 +83,9 @@ def _stored() -> list[dict[str, Any]]:
 
 def _store(rows: list[dict[str, Any]], machine: str, task: str) -> None:
     lines = ",\n".join(json.dumps(row) for row in sorted(rows, key=lambda row: row["seed"]))
-    head = json.dumps({"schema": 1, "machine": machine, "task": task, "randomize": "default", "band_m": BANDS[BAND]})
+    head = json.dumps(
+        {"schema": 1, "machine": machine, "task": task, "randomize": "default", "band_m": BANDS[BAND]}
+    )
     write_text(STORE, f'{head[:-1]}, "draws": [\n{lines}\n]}}\n')
 
 
@@ -125,7 +127,9 @@ def discretization_error(conditions: EpisodeConditions) -> dict[str, Any]:
         "as stored": (base, 1.0),
         "intervals x 2": (TimeOptimalReach(conditions.machine, band=BANDS[BAND], intervals=(120, 40)), 1.0),
         "turning / 3": (
-            TimeOptimalReach(conditions.machine, band=BANDS[BAND], reversal_speed=SMOOTHED_REVERSAL_SPEED / 3.0),
+            TimeOptimalReach(
+                conditions.machine, band=BANDS[BAND], reversal_speed=SMOOTHED_REVERSAL_SPEED / 3.0
+            ),
             1.0,
         ),
         "guess x 1.6": (base, 1.6),
@@ -184,7 +188,9 @@ def compare(bound: Array, seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Compute bounds, compare the controllers and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--episodes", type=int, default=EPISODES)
     arguments = parser.parse_args()
@@ -200,7 +206,9 @@ def main() -> None:
         "unsolved": [{"seed": row["seed"], "status": row["status"]} for row in rows if row["time_s"] is None],
         "bound_s": {"mean": float(np.nanmean(bound)), "median": float(np.nanmedian(bound))},
         "replay_mm": {
-            name: dict(zip(("median", "p95", "most"), np.quantile(column, [0.5, 0.95, 1.0]).tolist(), strict=True))
+            name: dict(
+                zip(("median", "p95", "most"), np.quantile(column, [0.5, 0.95, 1.0]).tolist(), strict=True)
+            )
             for name, column in zip(("at_T", "from_T_on"), miss.T, strict=True)
         },
         "refined": discretization_error(conditions),

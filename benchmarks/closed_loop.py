@@ -129,7 +129,11 @@ def trained(training: Training, machine: Machine, randomize: str, folder: Path, 
     environment = {**recipe.env, "randomize": randomize}
     recipe = replace(recipe, steps=training.steps, env=environment, start=training.start.format(seed=seed))
     present = json.loads(card.read_text()) if card.is_file() else None
-    if present is None or present["settings"] != recipe.as_dict() or present["curve"][-1]["steps"] < training.steps:
+    if (
+        present is None
+        or present["settings"] != recipe.as_dict()
+        or present["curve"][-1]["steps"] < training.steps
+    ):
         train(recipe, machine, seed=seed, out=folder, log=lambda line: None, force=True)
     return Agent.load(folder)
 
@@ -159,7 +163,11 @@ def controllers(
             folder = agents / f"{training.recipe}-{stage}-{seed}"
             agent = trained(training, machine, STAGES[stage], folder, seed)
             card = json.loads((folder / "card.json").read_text())
-            cost = {"steps": card["curve"][-1]["steps"], "cpu_s": card["curve"][-1]["cpu_s"], "kept": card["kept"]}
+            cost = {
+                "steps": card["curve"][-1]["steps"],
+                "cpu_s": card["curve"][-1]["cpu_s"],
+                "kept": card["kept"],
+            }
             yield kind, NAMES[stage], agent, cost
 
 
@@ -183,7 +191,9 @@ def score(run: Driven) -> dict[str, Array]:
     return scores
 
 
-def compare_machines(session: Session, kinds: Sequence[str], episodes: int, seeds: Sequence[int]) -> dict[str, Any]:
+def compare_machines(
+    session: Session, kinds: Sequence[str], episodes: int, seeds: Sequence[int]
+) -> dict[str, Any]:
     """Return the results of one rig: scores by controller and machine, and differences to the corrected machine."""
     rig, declared = session.case.rig()[0], session.machine()
     scores: dict[str, dict[str, list[dict[str, Array]]]] = {kind: {} for kind in kinds}
@@ -207,12 +217,18 @@ def compare_machines(session: Session, kinds: Sequence[str], episodes: int, seed
 def _with_gains(by_machine: dict[str, list[dict[str, Array]]]) -> dict[str, Any]:
     """Return means and intervals of the scores by machine, and of their differences from the corrected machine."""
     mean = {
-        name: {key: np.mean([run[key] for run in runs], axis=0) for key in runs[0]} for name, runs in by_machine.items()
+        name: {key: np.mean([run[key] for run in runs], axis=0) for key in runs[0]}
+        for name, runs in by_machine.items()
     }
-    gains = {name: {key: mean["corrected"][key] - v for key, v in scores.items()} for name, scores in mean.items()}
+    gains = {
+        name: {key: mean["corrected"][key] - v for key, v in scores.items()} for name, scores in mean.items()
+    }
     del gains["corrected"]
     results: dict[str, Any] = {
-        what: {name: {key: mean_with_interval(v, SEED) for key, v in scores.items()} for name, scores in rows.items()}
+        what: {
+            name: {key: mean_with_interval(v, SEED) for key, v in scores.items()}
+            for name, scores in rows.items()
+        }
         for what, rows in (("scores", mean), ("gain", gains))
     }
     if any(len(runs) > 1 for runs in by_machine.values()):
@@ -226,7 +242,10 @@ def _with_gains(by_machine: dict[str, list[dict[str, Array]]]) -> dict[str, Any]
 def better(row: dict[str, Any], kind: str, over: str) -> bool:
     """Return whether the corrected machine's controller is significantly better and succeeds at least as often."""
     gain = row[kind]["gain"][over]
-    return gain[DECIDES[kind]]["ci95"][1] < 0.0 and gain.get(f"success_{BOUND_BAND}", {"mean": 0.0})["mean"] >= 0.0
+    return (
+        gain[DECIDES[kind]]["ci95"][1] < 0.0
+        and gain.get(f"success_{BOUND_BAND}", {"mean": 0.0})["mean"] >= 0.0
+    )
 
 
 def _print_row(row: dict[str, Any], kinds: Sequence[str]) -> None:
@@ -236,17 +255,25 @@ def _print_row(row: dict[str, Any], kinds: Sequence[str]) -> None:
         for machine, scores in row[kind]["scores"].items():
             success = scores.get(f"success_{BOUND_BAND}")
             by_machine.append(
-                f"{machine} {scores[key]['mean']:.4f}" + (f" ({100 * success['mean']:.0f} %)" if success else "")
+                f"{machine} {scores[key]['mean']:.4f}"
+                + (f" ({100 * success['mean']:.0f} %)" if success else "")
             )
         low, high = row[kind]["gain"]["declared"][key]["ci95"]
-        print(f"  {kind:22s} {key:17s} {', '.join(by_machine)}; minus declared {low:.4f} to {high:.4f}", flush=True)
+        print(
+            f"  {kind:22s} {key:17s} {', '.join(by_machine)}; minus declared {low:.4f} to {high:.4f}",
+            flush=True,
+        )
 
 
 def main() -> None:
     """Evaluate the rigs that the command line names, write the results and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="NAME")
-    parser.add_argument("--controllers", nargs="+", default=list(DECIDES), choices=list(DECIDES), metavar="NAME")
+    parser.add_argument(
+        "--controllers", nargs="+", default=list(DECIDES), choices=list(DECIDES), metavar="NAME"
+    )
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="seeds of the agents")
     arguments = parser.parse_args()

@@ -35,7 +35,11 @@ from tests.rigs.random_effects import DrawnEffect
 TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
     1: (),
     2: (),
-    3: (hidden("torque constant that falls with current@drives", "smooth_force[*]@phi1", "smooth_force[*]@phi2"),),
+    3: (
+        hidden(
+            "torque constant that falls with current@drives", "smooth_force[*]@phi1", "smooth_force[*]@phi2"
+        ),
+    ),
     4: (),
     5: (hidden("input_delay@motor1"), hidden("input_delay@motor2")),
     6: (hidden("gear backlash@phi1", "*play*"),),
@@ -63,7 +67,9 @@ def run_rig(folder: Path, truth: tuple[DrawnEffect, ...], *, log: bool = False) 
     return {
         **answer.row,
         "hint": report.get("hint"),
-        "unseen": {name: _mean_ratio(machine, answer.unseen, noise) for name, machine in answer.machines.items()},
+        "unseen": {
+            name: _mean_ratio(machine, answer.unseen, noise) for name, machine in answer.machines.items()
+        },
         "unfinished": report.get("unfinished"),
         "cpu_seconds": round(answer.seconds["cpu"], 1),
     }
@@ -94,7 +100,9 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Identify the rigs that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()

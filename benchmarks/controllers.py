@@ -49,7 +49,8 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
                     line += f"; over the bound {over['ratio_of_means']['mean']:.3f}, mean of ratios {over['mean']:.3f}"
             else:
                 parts = (
-                    f"{k} {card['contour_mm'][k]['mean']:.3f} {card['contour_mm'][k]['ci95']}" for k in ("rms", "max")
+                    f"{k} {card['contour_mm'][k]['mean']:.3f} {card['contour_mm'][k]['ci95']}"
+                    for k in ("rms", "max")
                 )
                 line = f"contour error, mm: {', '.join(parts)}; tracking error {card['tracking_mm']['rms']['mean']:.3f}"
             print(f"{task:10s} {label:14s} {line}", flush=True)
@@ -57,17 +58,23 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
                 from hframe_gym.evaluation import save_plot
 
                 save_plot(
-                    pictures / f"{task}_{label.replace(' ', '_').replace(',', '')}.png", run, title=f"{label}: {task}"
+                    pictures / f"{task}_{label.replace(' ', '_').replace(',', '')}.png",
+                    run,
+                    title=f"{label}: {task}",
                 )
     return by_task
 
 
 def main() -> None:
     """Score all controllers and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--episodes", type=int, default=EPISODES)
-    parser.add_argument("--pictures", type=Path, default=None, help="folder for a picture of each first episode")
+    parser.add_argument(
+        "--pictures", type=Path, default=None, help="folder for a picture of each first episode"
+    )
     arguments = parser.parse_args()
     if arguments.pictures is not None:
         arguments.pictures.mkdir(parents=True, exist_ok=True)

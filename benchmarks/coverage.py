@@ -64,7 +64,11 @@ def suitable(rig: RandomRig) -> bool:
     effects = rig.hidden_effects
     if rig.residue.bad_gain is not None:
         return False
-    return rig.kind in ("none", "library") and len(effects) <= 1 and not any(e.name in _EXCLUDED for e in effects)
+    return (
+        rig.kind in ("none", "library")
+        and len(effects) <= 1
+        and not any(e.name in _EXCLUDED for e in effects)
+    )
 
 
 def starting_effects(rig: RandomRig, machine: Machine) -> list[AppliedEffect]:
@@ -161,7 +165,9 @@ def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
     content = {name: coverage(some, lambda i: True) for name, some in groups.items()}
     for kind in _KINDS:
-        content[kind] = coverage(rows, lambda i, kind=kind: i["name"].endswith(f".{kind}") and not i["effect"])
+        content[kind] = coverage(
+            rows, lambda i, kind=kind: i["name"].endswith(f".{kind}") and not i["effect"]
+        )
     content["effects"] = coverage(rows, lambda i: i["effect"])
     return content
 
@@ -184,7 +190,9 @@ def line(row: dict[str, Any]) -> str:
 
 def main() -> None:
     """Fit the rigs that the command line names, and print and write the coverage of their intervals."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--rigs", action="store_true", help="print a line for each rig")

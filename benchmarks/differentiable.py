@@ -90,12 +90,14 @@ def errors(machine: Machine) -> dict[str, Any]:
     arrays = {
         "start": stage.rest_states(batch=CHECKED),
         "inputs": generator.uniform(-VOLTS, VOLTS, (CHECKED, 5, len(machine.drives))),
-        "parameters": np.tile(stage.nominal, (CHECKED, 1)) * generator.uniform(0.9, 1.1, (CHECKED, len(stage.nominal))),
+        "parameters": np.tile(stage.nominal, (CHECKED, 1))
+        * generator.uniform(0.9, 1.1, (CHECKED, len(stage.nominal))),
     }
     rates = generator.choice((-1.0, 1.0), (CHECKED, count)) * generator.uniform(0.2, 0.4, (CHECKED, count))
     arrays["start"][:, count : 2 * count] = rates / machine.travel_per_unit
     units = {
-        "start": np.concatenate([np.full(count, 1e-3), np.full(count, 0.3)]) / np.tile(machine.travel_per_unit, 2),
+        "start": np.concatenate([np.full(count, 1e-3), np.full(count, 0.3)])
+        / np.tile(machine.travel_per_unit, 2),
         "inputs": np.array(1.0),
         "parameters": np.abs(arrays["parameters"]),
     }
@@ -111,7 +113,10 @@ def errors(machine: Machine) -> dict[str, Any]:
             quotients = []
             for step in STEPS:
                 ends = [
-                    (motion.simulate(*({**arrays, name: values + sign * step * direction}).values()).states * weights)
+                    (
+                        motion.simulate(*({**arrays, name: values + sign * step * direction}).values()).states
+                        * weights
+                    )
                     for sign in (1.0, -1.0)
                 ]
                 quotients.append((ends[0] - ends[1]).sum((1, 2)) / (2.0 * step))
@@ -130,15 +135,24 @@ def errors(machine: Machine) -> dict[str, Any]:
 def main() -> None:
     """Measure all machines, print a table and write the results."""
     torch.set_num_threads(1)
-    table = Table("machine", "friction", "with respect to", "differentiated, 1/s", "simulated, 1/s", "ratio", "spread")
+    table = Table(
+        "machine", "friction", "with respect to", "differentiated, 1/s", "simulated, 1/s", "ratio", "spread"
+    )
     rows = []
     for name in MACHINES:
         machine = BUILTIN_MACHINES[name]()
         for friction in FRICTIONS:
             for by_parameters in (False, True):
                 episodes = Episodes(machine, friction, by_parameters=by_parameters)
-                ratio = interleaved(lambda e=episodes: rate(e.differentiate), lambda e=episodes: rate(e.forward))
-                row = {"machine": name, "friction": friction, "by_parameters": by_parameters, **ratio.report()}
+                ratio = interleaved(
+                    lambda e=episodes: rate(e.differentiate), lambda e=episodes: rate(e.forward)
+                )
+                row = {
+                    "machine": name,
+                    "friction": friction,
+                    "by_parameters": by_parameters,
+                    **ratio.report(),
+                }
                 rows.append(row)
                 target = "state, voltages" + (", parameters" if by_parameters else "")
                 spread = f"{row['spread'][0]:.3f} to {row['spread'][1]:.3f}"
@@ -148,7 +162,9 @@ def main() -> None:
     console.print(table)
     compared = {name: errors(BUILTIN_MACHINES[name]()) for name in MACHINES}
     for name, values in compared.items():
-        console.print(f"{name}: relative errors, median {values['median']:.1e}, largest {values['largest']:.1e}")
+        console.print(
+            f"{name}: relative errors, median {values['median']:.1e}, largest {values['largest']:.1e}"
+        )
     settings = {"stages": STAGES, "periods": PERIODS, "period_s": 0.01, "integrator_step_s": 0.5e-3}
     write_results("differentiable", {"settings": settings, "rates": rows, "errors": compared}, seed=SEED)
 

@@ -33,7 +33,13 @@ COMPARED = 3  # environments that have a digest
 COUNT = 520  # environments of a vector: enough for several threads
 OPTIONS: dict[str, dict[str, Any]] = {
     "state, ideal": {"randomize": "wide"},
-    "rig": {"randomize": "default", "sensors": "rig", "drives": "rig", "privileged": True, "ends": "terminate"},
+    "rig": {
+        "randomize": "default",
+        "sensors": "rig",
+        "drives": "rig",
+        "privileged": True,
+        "ends": "terminate",
+    },
     "track, 20th order": {"randomize": "default", "task": "track", "machine": "hframe-order20"},
 }
 
@@ -96,7 +102,9 @@ def vector(steps: int, options: dict[str, Any]) -> list[str]:
     def add_start(b: int, observation: Any, info: Any) -> None:
         digests[b].add({key: value[b] for key, value in observation.items()})
         sampled = info.get("parameters", {})
-        digests[b].add_parameters({name: column[b] for name, column in sampled.items() if not name.startswith("_")})
+        digests[b].add_parameters(
+            {name: column[b] for name, column in sampled.items() if not name.startswith("_")}
+        )
 
     observation, info = envs.reset(seed=SEED)
     for b in range(COMPARED):
@@ -130,7 +138,9 @@ def stable_baselines3(steps: int, options: dict[str, Any]) -> list[str]:
     for action in actions(steps):
         observation, reward, done, infos = envs.step(action)
         for b, digest in enumerate(digests):
-            final = infos[b].get("terminal_observation", {key: value[b] for key, value in observation.items()})
+            final = infos[b].get(
+                "terminal_observation", {key: value[b] for key, value in observation.items()}
+            )
             truncated = bool(infos[b].get("TimeLimit.truncated", False))
             digest.add(final, reward[b], bool(done[b]) and not truncated, truncated)
             if done[b]:
@@ -184,7 +194,9 @@ def main() -> None:
     for name in OPTIONS:
         digests = compare(name, arguments.steps)
         content[name] = {"equal": len({tuple(d) for d in digests.values()}) == 1, "digests": digests}
-        table = Table(title=f"{name}: {'same bits everywhere' if content[name]['equal'] else 'DIFFERENT BITS'}")
+        table = Table(
+            title=f"{name}: {'same bits everywhere' if content[name]['equal'] else 'DIFFERENT BITS'}"
+        )
         table.add_column("way")
         for b in range(COMPARED):
             table.add_column(f"environment {b}")

@@ -74,7 +74,11 @@ class Energy:
         bodies = [(i, c) for i, c in enumerate(machine.coordinates) if f"{c.name}.mass" in names]
         self.coordinates = len(machine.coordinates)
         self.bodies = [
-            (i, names.index(f"{c.name}.mass"), names.index(f"{c.name}.radius") if c.kind == "rotary" else None)
+            (
+                i,
+                names.index(f"{c.name}.mass"),
+                names.index(f"{c.name}.radius") if c.kind == "rotary" else None,
+            )
             for i, c in bodies
         ]
         self.belts = [

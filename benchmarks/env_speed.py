@@ -27,7 +27,12 @@ from hframe_gym.dynamics import LANES, in_parallel, kernel_for
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.envs import HFrameVectorEnv
 
-SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 7  # STEPS is one episode, so every run contains a reset of each environment
+SEED, ENVS, STEPS, REPEATS = (
+    3,
+    4096,
+    150,
+    7,
+)  # STEPS is one episode, so every run contains a reset of each environment
 OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
     "integration step 0.25 ms": {"longest_step": 0.25e-3},
@@ -120,7 +125,9 @@ def envpool_rate() -> Callable[[], float]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        pool = envpool.make("Pendulum-v1", env_type="gymnasium", num_envs=ENVS, num_threads=threads(), seed=SEED)
+        pool = envpool.make(
+            "Pendulum-v1", env_type="gymnasium", num_envs=ENVS, num_threads=threads(), seed=SEED
+        )
     actions = np.random.default_rng(SEED).uniform(-2, 2, (STEPS, ENVS, 1)).astype(np.float32)
     pool.reset()
 
@@ -211,7 +218,9 @@ def main() -> None:
         )
         return r
 
-    table = Table(title=f"Environment steps per second, medians of {REPEATS} alternating runs, {threads()} threads")
+    table = Table(
+        title=f"Environment steps per second, medians of {REPEATS} alternating runs, {threads()} threads"
+    )
     for column in ("what", "ours", "theirs", "ratio", "spread"):
         table.add_column(column)
     pool = envpool_rate()
@@ -219,7 +228,10 @@ def main() -> None:
         vector = Vector(ENVS, **options)
         repeats = REPEATS if name == "default" else 3
         content[f"over EnvPool's Pendulum: {name}"] = show(
-            f"{ENVS} environments, {name}", interleaved(vector.rate, pool, repeats), "HFrame", "EnvPool Pendulum"
+            f"{ENVS} environments, {name}",
+            interleaved(vector.rate, pool, repeats),
+            "HFrame",
+            "EnvPool Pendulum",
         )
         fractions = content[f"share of the bare kernel: {name}"] = vector.kernel_fraction(repeats)
         for clock, fraction in fractions.items():

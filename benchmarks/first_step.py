@@ -45,7 +45,9 @@ def seconds(arguments: str, cache: str) -> float:
 
 def main() -> None:
     """Measure, print and store the times."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=3)
     repeats = parser.parse_args().repeats
     table = Table("environment", "empty cache, s", "filled cache, s")

@@ -79,7 +79,11 @@ def measure(session: Session) -> dict[str, Any]:
     """
     began = time.perf_counter()
     result = identify(
-        session.recordings(), session.machine(), criteria=SelectionCriteria(max_effects=0), log=print, budget=math.inf
+        session.recordings(),
+        session.machine(),
+        criteria=SelectionCriteria(max_effects=0),
+        log=print,
+        budget=math.inf,
     )
     identified = time.perf_counter()
     comparisons = compare_formulas(result, print)
@@ -113,7 +117,9 @@ def _row(comparison: TableComparison) -> dict[str, Any]:
 def main() -> None:
     """Measure the rigs that the command line names."""
     every = cases()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of: {', '.join(every)}")
     names = parser.parse_args().names or list(every)
     rigs = {}
@@ -122,7 +128,9 @@ def main() -> None:
         rigs[name] = measure(session)
         write_text(session.folder / "formulas.json", json.dumps(rigs[name], indent=1) + "\n")
         print(name, json.dumps(rigs[name]), flush=True)
-    print(f"within {100 * (WITHIN - 1):.0f} % of the table: {sum(r['within'] for r in rigs.values())} of {len(rigs)}")
+    print(
+        f"within {100 * (WITHIN - 1):.0f} % of the table: {sum(r['within'] for r in rigs.values())} of {len(rigs)}"
+    )
     if set(rigs) == set(every) and not os.environ.get("HFRAME_NO_RESULTS"):
         print(f"wrote {write_results('formulas', {'runs': RUNS, 'rigs': rigs}, seed=None)}")
 

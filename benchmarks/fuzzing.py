@@ -91,7 +91,9 @@ def summarize(reader: str, count: int, number: int, save: Path | None) -> dict[s
     """
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        process = multiprocessing.get_context("spawn").Process(target=fuzz_reader, args=(reader, count, number, folder))
+        process = multiprocessing.get_context("spawn").Process(
+            target=fuzz_reader, args=(reader, count, number, folder)
+        )
         process.start()
         process.join()
         result = pickle.loads((folder / "result.pkl").read_bytes())
@@ -115,10 +117,14 @@ def summarize(reader: str, count: int, number: int, save: Path | None) -> dict[s
 
 def main() -> None:
     """Run all readers, print a table and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=5000, help="mutated files in all")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--reader", action="append", choices=[*SUBJECTS], help="only this one; repeat for more")
+    parser.add_argument(
+        "--reader", action="append", choices=[*SUBJECTS], help="only this one; repeat for more"
+    )
     parser.add_argument("--save", type=Path, help="folder for the failing cases")
     arguments = parser.parse_args()
     os.environ.setdefault("HFRAME_THREADS", "1")

@@ -39,7 +39,10 @@ def train_and_evaluate(seed: int) -> dict[str, Any]:
         "seed": seed,
         "success_5mm": float(success.mean()),
         "settling_s_5mm": float(times.mean()),
-        "final_error_mm": {"median": float(1e3 * np.median(error[:, -1])), "max": float(1e3 * error[:, -1].max())},
+        "final_error_mm": {
+            "median": float(1e3 * np.median(error[:, -1])),
+            "max": float(1e3 * error[:, -1].max()),
+        },
         "steps": last["steps"],
         "seconds": last["seconds"],
         "cpu_s": last["cpu_s"],
@@ -51,7 +54,9 @@ def train_and_evaluate(seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Train and evaluate one agent per seed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=3)
     runs: list[dict[str, Any]] = []
     for seed in range(parser.parse_args().seeds):

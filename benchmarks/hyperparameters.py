@@ -65,11 +65,15 @@ def content(study: optuna.Study) -> dict[str, Any]:
 
 def main() -> None:
     """Run the study and write its state after every trial."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--trials", type=int, default=24)
     parser.add_argument("--batch", type=int, default=1, help="number of trials that are drawn together")
     parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
-    parser.add_argument("--ray", nargs="?", const=LOCAL_RAY, metavar="ADDRESS", help="run on Ray; default: a local one")
+    parser.add_argument(
+        "--ray", nargs="?", const=LOCAL_RAY, metavar="ADDRESS", help="run on Ray; default: a local one"
+    )
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=SEED, n_startup_trials=8))
     arguments = parser.parse_args()
     # The recipe is the first trial, for comparison.

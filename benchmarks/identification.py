@@ -55,7 +55,9 @@ def examples(console: Console) -> None:
         results[rig] = result.as_json()
         table = Table(f"{rig}: {result.verdict}", "declared", "before", "after")
         for channel in machine.output_channels:
-            ratios = [results[rig][s]["held_out"][channel]["noise_ratio"] for s in ("declared", "before", "after")]
+            ratios = [
+                results[rig][s]["held_out"][channel]["noise_ratio"] for s in ("declared", "before", "after")
+            ]
             table.add_row(channel, *(f"{r:.3g}" for r in ratios))
         effects = " + ".join(f.effect.label for f in result.effects)
         console.print(table, f"effects: {effects or 'none'}; {result.seconds:.1f} s")
@@ -100,7 +102,9 @@ def identify_case(case: Case, folder: str, key: str, resume: bool) -> Row:
         row = score_session(session, identify(recordings, machine, budget=math.inf))
     except Exception as error:  # an error on one rig must not lose the hours of the others
         return {"rig": case.name, "failed": "".join(traceback.format_exception(error))}
-    row["cpu_seconds"] = round(time.process_time() - began, 2)  # of all threads; other load does not change it
+    row["cpu_seconds"] = round(
+        time.process_time() - began, 2
+    )  # of all threads; other load does not change it
     write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")
     return row
 
@@ -144,7 +148,8 @@ def show(console: Console, rows: list[Row]) -> None:
     for group in dict.fromkeys(r["group"] for r in rows):
         s = summary([r for r in rows if r["group"] == group])
         medians = [
-            f"{s['median'][k]:.3g}" for k in ("before", "after", "um_before", "um_after", "seconds", "cpu_seconds")
+            f"{s['median'][k]:.3g}"
+            for k in ("before", "after", "um_before", "um_after", "seconds", "cpu_seconds")
         ]
         counts.add_row(group, str(s["rigs"]), *(str(s["scores"][score]) for score in SCORES), *medians)
     console.print(table, counts)
@@ -193,17 +198,25 @@ def overview() -> None:
     groups = dict.fromkeys(case.group for case in cases().values())
     files = {group: RESULTS / f"identification_{group.replace('-', '_')}.json" for group in groups}
     rows = {group: json.loads(file.read_text())["rigs"] for group, file in files.items() if file.is_file()}
-    write_results("identification", {"sets": {group: summary(of_group) for group, of_group in rows.items()}}, seed=None)
+    write_results(
+        "identification", {"sets": {group: summary(of_group) for group, of_group in rows.items()}}, seed=None
+    )
     draw([row for of_group in rows.values() for row in of_group])
 
 
 def main() -> None:
     """Identify the rigs that the command line names, and print and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("sets", nargs="*", metavar="SET")
-    parser.add_argument("--only", action="append", default=[], metavar="NAME", help="only this rig of the sets")
+    parser.add_argument(
+        "--only", action="append", default=[], metavar="NAME", help="only this rig of the sets"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
-    parser.add_argument("--resume", action="store_true", help="use cached results although the source has changed")
+    parser.add_argument(
+        "--resume", action="store_true", help="use cached results although the source has changed"
+    )
     parser.add_argument(
         "--rigs", default=DEFAULT_FOLDER, metavar="DIR", help="folder of the recordings (recorded if missing)"
     )

@@ -54,7 +54,9 @@ class KernelBatch:
     def __post_init__(self) -> None:
         m = self.machine
         self.kernel = kernel_for(m)
-        self.parameters = in_blocks(np.tile(parameter_batch(m), (self.batch, 1)))  # (blocks, parameters, LANES)
+        self.parameters = in_blocks(
+            np.tile(parameter_batch(m), (self.batch, 1))
+        )  # (blocks, parameters, LANES)
         self.blocks = len(self.parameters)
         self.derived = np.zeros((self.blocks, len(self.kernel.layout.derived), LANES))
         self.kernel.prepare_blocks(self.parameters, STEP, 0, self.blocks, self.derived)
@@ -81,7 +83,9 @@ class KernelBatch:
         for begin in range(first, last, _CHUNK):
             end = min(begin + _CHUNK, last)
             for u in self.inputs:
-                self.kernel.advance_blocks(self.state, self.parameters, self.derived, u, STEP, HOLD, begin, end)
+                self.kernel.advance_blocks(
+                    self.state, self.parameters, self.derived, u, STEP, HOLD, begin, end
+                )
 
     def rate(self, *, parallel: bool, least: float = 0.1) -> float:
         """Return the integrator steps per second, from rest.
@@ -93,7 +97,11 @@ class KernelBatch:
         Returns:
             Steps of all stages together, 1/s.
         """
-        run = (lambda: in_parallel(self.advance, self.blocks)) if parallel else (lambda: self.advance(0, self.blocks))
+        run = (
+            (lambda: in_parallel(self.advance, self.blocks))
+            if parallel
+            else (lambda: self.advance(0, self.blocks))
+        )
         steps = 0
         begin = time.perf_counter()
         while (spent := time.perf_counter() - begin) < least or steps == 0:

@@ -104,7 +104,9 @@ def measure(*words: str) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the logs, run the commands, and print what they take."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rows", type=int, default=3_000_000)
     parser.add_argument("--machine", default="axis")
     options = parser.parse_args(arguments)
@@ -124,14 +126,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "check": ("check", str(plain.parent), "--machine", options.machine),
             "import": ("import", str(plain), "--out", str(folder / "runs"), "--machine", options.machine),
             "import, cut": ("import", str(plain), "--out", str(folder / "cut"), *rest),
-            "import, spreadsheet": ("import", str(sheet), "--out", str(folder / "sheet"), "--map", last, *rest),
+            "import, spreadsheet": (
+                "import",
+                str(sheet),
+                "--out",
+                str(folder / "sheet"),
+                "--map",
+                last,
+                *rest,
+            ),
         }
         sizes = {"log_MB": plain.stat().st_size / 1e6, "spreadsheet_MB": sheet.stat().st_size / 1e6}
         for name, words in commands.items():
             results[name] = measure(*words)
             print(name, {key: round(value, 1) for key, value in results[name].items()}, flush=True)
     content = {"rows": options.rows, "machine_name": machine.name, **sizes, "results": results}
-    write_results("long_log", {"bar": {"peak_MB": MAX_BYTES / 1e6, "wall_s": MAX_SECONDS}, **content}, seed=SEED)
+    write_results(
+        "long_log", {"bar": {"peak_MB": MAX_BYTES / 1e6, "wall_s": MAX_SECONDS}, **content}, seed=SEED
+    )
 
 
 if __name__ == "__main__":

@@ -81,7 +81,10 @@ def main() -> None:
         ):
             for integrator, step in SETTINGS:
                 rms, largest = deviation(exported, truth, integrator, step)
-                print(f"| {name} | {text} | {integrator}, {step * 1e3:g} ms | {rms:.3g} | {largest:.3g} |", flush=True)
+                print(
+                    f"| {name} | {text} | {integrator}, {step * 1e3:g} ms | {rms:.3g} | {largest:.3g} |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

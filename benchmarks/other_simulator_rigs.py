@@ -112,7 +112,9 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Identify the rigs that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()
@@ -123,7 +125,9 @@ def main() -> None:
     for number in arguments.only or TRUTH:
         row = run_rig(number, text.hexdigest(), log=arguments.log)
         named = " + ".join(row["named"]) or row["verdict"]
-        console.print(f"{row['rig']}: {row['truth']} -> {named}", highlight=False, markup=False, soft_wrap=True)
+        console.print(
+            f"{row['rig']}: {row['truth']} -> {named}", highlight=False, markup=False, soft_wrap=True
+        )
         rows.append(row)
     show(console, rows)
     if not arguments.only:

@@ -76,7 +76,10 @@ def score_hint(effect: OutsideEffect, report: Row, acceptable: list[str]) -> Row
     if hint := report.get("hint"):
         component, variable = hint["component"], hint["variable"]
     elif depends_on := report["residual"]["depends_on"]:
-        component, variable = depends_on[0].get("component") or depends_on[0]["coordinate"], depends_on[0]["variable"]
+        component, variable = (
+            depends_on[0].get("component") or depends_on[0]["coordinate"],
+            depends_on[0]["variable"],
+        )
     right_component = component in effect.components or bool(acceptable)
     right_variable = any(fnmatch(variable, pattern) for pattern in effect.variables) or bool(acceptable)
     return {
@@ -96,8 +99,12 @@ def score_rig(session: OutsideSession, result: IdentificationResult, seconds: fl
         seconds: Processor time of the identification, s.
     """
     rig, report = session.rig, json.loads(json.dumps(result.as_json()))
-    before, after = (unseen_errors(m, session.unseen)["mean"] for m in (result.before.machine, result.after.machine))
-    truth = np.concatenate([recording.outputs - session.truth[recording.name] for recording in session.unseen])
+    before, after = (
+        unseen_errors(m, session.unseen)["mean"] for m in (result.before.machine, result.after.machine)
+    )
+    truth = np.concatenate(
+        [recording.outputs - session.truth[recording.name] for recording in session.unseen]
+    )
     named = [f"{e['name']}@{e['site']}" for e in report["effects"]]
     wrong = false_names(rig.effect, named, before, after)
     return {
@@ -148,7 +155,9 @@ def run_rigs(indices: list[int], seed: int, jobs: int, *, log: bool) -> Iterator
         jobs: Number of parallel processes.
         log: Whether to print the progress of each identification.
     """
-    text = hashlib.sha256((source_key() + rig_key()).encode() + (ROOT / "benchmarks/outside_library.py").read_bytes())
+    text = hashlib.sha256(
+        (source_key() + rig_key()).encode() + (ROOT / "benchmarks/outside_library.py").read_bytes()
+    )
     key, files = text.hexdigest(), {index: CACHE / f"{draw_rig(seed, index).name}.json" for index in indices}
     stored = {index: json.loads(file.read_text()) for index, file in files.items() if file.is_file()}
     cached = {index: old["row"] for index, old in stored.items() if old["key"] == key}
@@ -206,10 +215,14 @@ def show(console: Console, rows: list[Row]) -> None:
 
 def main() -> None:
     """Identify the rigs that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=COUNT, help="number of rigs of the set")
-    parser.add_argument("--only", type=int, nargs="+", metavar="INDEX", help="only these rigs; nothing is written")
+    parser.add_argument(
+        "--only", type=int, nargs="+", metavar="INDEX", help="only these rigs; nothing is written"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()
@@ -217,7 +230,9 @@ def main() -> None:
     console, rows = Console(width=200), []
     for row in run_rigs(indices, arguments.seed, arguments.jobs, log=arguments.log):
         named = " + ".join(row["named"]) or row["verdict"]
-        console.print(f"{row['rig']} {row['hidden']} -> {named}", highlight=False, markup=False, soft_wrap=True)
+        console.print(
+            f"{row['rig']} {row['hidden']} -> {named}", highlight=False, markup=False, soft_wrap=True
+        )
         rows.append(row)
     show(console, rows)
     if not arguments.only:

@@ -61,7 +61,10 @@ def nonlinear() -> Machine:
 
 def stiffness(machine: Machine, position: dict[str, float]) -> dict[str, float]:
     """Return k = EA / length of each belt, N/m, with the carriage at a position, m."""
-    return {b.name: b.EA / (b.rest_length + sum(f * position[c] for c, f in b.length.items())) for b in machine.belts}
+    return {
+        b.name: b.EA / (b.rest_length + sum(f * position[c] for c, f in b.length.items()))
+        for b in machine.belts
+    }
 
 
 def peak_to_peak(position: Array) -> float:
@@ -80,13 +83,18 @@ def rows() -> list[Row]:
     statements: list[Row] = []
 
     def add(where: str, says: str, ours: str, agrees: bool | str) -> None:
-        statements.append(Row(where, says, ours, agrees if isinstance(agrees, str) else "yes" if agrees else "no"))
+        statements.append(
+            Row(where, says, ours, agrees if isinstance(agrees, str) else "yes" if agrees else "no")
+        )
 
     at_center = stiffness(declared, CENTER)
     for name, printed in STIFFNESS.items():
         value = at_center[name]
         add(
-            f"Table 1 from Table 4, k {name}", f"{printed:.5g} N/m", f"{value:.5g} N/m", abs(value / printed - 1) < 5e-4
+            f"Table 1 from Table 4, k {name}",
+            f"{printed:.5g} N/m",
+            f"{value:.5g} N/m",
+            abs(value / printed - 1) < 5e-4,
         )
     modes = ["  ".join(f"{f:.2f}" for f in mode_frequencies(m) if f > 0) for m in (linear, full)]
     add("belt modes, 8th order", "-", f"{modes[0]} Hz", "not stated")
@@ -95,7 +103,12 @@ def rows() -> list[Row]:
         small, large = (step(m, volts, 0.3)[1][:, axis] for m in (linear, full))
         worst = 1e3 * float(np.abs(small - large).max())
         says = "8th and 20th order almost exactly the same"
-        add(f"Fig. 4, {name}-move at 4 V", says, f"differ by {worst:.2f} mm of {1e3 * small[-1]:.1f}", worst < 0.5)
+        add(
+            f"Fig. 4, {name}-move at 4 V",
+            says,
+            f"differ by {worst:.2f} mm of {1e3 * small[-1]:.1f}",
+            worst < 0.5,
+        )
         rough = step(friction, volts, 0.3)[1][:, axis]
         difference = 100 * (rough[-1] / small[-1] - 1)
         add(
@@ -124,10 +137,17 @@ def rows() -> list[Row]:
     k = STIFFNESS
     skewed = with_constant_stiffness(declared, k | {"left": 0.75 * k["left"], "right": 1.25 * k["right"]})
     stiff = with_constant_stiffness(declared, k | {"bottom": 2 * k["bottom"]})
-    along_y = 1e3 * (step(skewed, (-6.0, -6.0), 0.25)[1][-1, 3] - step(friction, (-6.0, -6.0), 0.25)[1][-1, 3])
+    along_y = 1e3 * (
+        step(skewed, (-6.0, -6.0), 0.25)[1][-1, 3] - step(friction, (-6.0, -6.0), 0.25)[1][-1, 3]
+    )
     along_x = 1e3 * (step(stiff, (-6.0, 6.0), 0.25)[1][-1, 2] - step(friction, (-6.0, 6.0), 0.25)[1][-1, 2])
     add("Sec. V, k_l -25 %, k_r +25 %", "y(0.25 s) falls by 0.1 mm", f"{along_y:+.2f} mm", "sign; smaller")
-    add("Sec. V, k_b doubled", "x changes by a similar amount", f"{along_x:+.2f} mm", abs(abs(along_x) - 0.1) < 0.05)
+    add(
+        "Sec. V, k_b doubled",
+        "x changes by a similar amount",
+        f"{along_x:+.2f} mm",
+        abs(abs(along_x) - 0.1) < 0.05,
+    )
     ends = {axis: declared.coordinate(axis).range or (0.0, 0.0) for axis in ("x", "y")}
     for name, axis, says in (("bottom", "x", 3.0), ("left", "y", 1.5)):
         values = [stiffness(declared, {"x": 0.0, "y": 0.0} | {axis: end})[name] for end in ends[axis]]
@@ -146,7 +166,12 @@ def rows() -> list[Row]:
         "not modeled: an effect of that rig",
     )
     slight = peak_to_peak(step(friction, (-2.0, 2.0), 0.5)[1][:, 3])
-    add("Fig. 7a, y in an x-move", "slight, below 1 mm", f"{slight:.3f} mm", "not modeled: an effect of that rig")
+    add(
+        "Fig. 7a, y in an x-move",
+        "slight, below 1 mm",
+        f"{slight:.3f} mm",
+        "not modeled: an effect of that rig",
+    )
     add(
         "Figs. 4-6, laser",
         "sticks at the end of its 100 mm",
@@ -156,7 +181,9 @@ def rows() -> list[Row]:
     return statements
 
 
-def figure_step(number: int, volts: tuple[float, float], seconds: float, models: dict[str, Machine]) -> Figure:
+def figure_step(
+    number: int, volts: tuple[float, float], seconds: float, models: dict[str, Machine]
+) -> Figure:
     """Draw displacement and motor angles of a voltage step, as in Figures 4 to 7."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
@@ -202,7 +229,11 @@ def main() -> None:
     for row in statements:
         table.add_row(*row)
     console.print(table)
-    linear, full, friction = BUILTIN_MACHINES["hframe-linear"](), BUILTIN_MACHINES["hframe-order20"](), nonlinear()
+    linear, full, friction = (
+        BUILTIN_MACHINES["hframe-linear"](),
+        BUILTIN_MACHINES["hframe-order20"](),
+        nonlinear(),
+    )
     orders = {"8th order": linear, "20th order": full}
     kinds = {"linear": linear, "nonlinear": friction}
     figures: dict[str, Callable[[], Figure]] = {

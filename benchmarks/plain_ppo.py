@@ -85,7 +85,9 @@ class Curve(BaseCallback):
         return self._spent() <= self._seconds or self._rollouts <= 1
 
 
-def train(seed: int, seconds: float, envs: int, environment: dict[str, Any], algorithm: dict[str, Any]) -> Any:
+def train(
+    seed: int, seconds: float, envs: int, environment: dict[str, Any], algorithm: dict[str, Any]
+) -> Any:
     """Train with a seed for a processor time in s; return the learning curve."""
     curve = Curve(seconds, environment.get("period", EnvConfig.period))
     vec = HFrameVecEnv(envs, normalize=True, **environment)
@@ -96,7 +98,9 @@ def train(seed: int, seconds: float, envs: int, environment: dict[str, Any], alg
 
 def main() -> None:
     """Train with every seed and write the learning curves."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--envs", type=int, default=ENVS)
@@ -109,11 +113,19 @@ def main() -> None:
     given = {key: value for key, value in vars(arguments).items() if value is not None}
     algorithm = {key: given[key] for key in ("learning_rate", "gamma", "n_steps") if key in given}
     environment = {key: given[key] for key in ("reward", "period") if key in given}
-    content: dict[str, Any] = {"bar_mm": BAR, "envs": arguments.envs, "algorithm": algorithm, **environment, "runs": []}
+    content: dict[str, Any] = {
+        "bar_mm": BAR,
+        "envs": arguments.envs,
+        "algorithm": algorithm,
+        **environment,
+        "runs": [],
+    }
     for seed in range(arguments.seeds):
         print(f"seed {seed}", flush=True)
         curve = train(seed, arguments.seconds, arguments.envs, environment, algorithm)
-        content["runs"].append({"seed": seed, "best_mm": min(row["median_mm"] for row in curve), "curve": curve})
+        content["runs"].append(
+            {"seed": seed, "best_mm": min(row["median_mm"] for row in curve), "curve": curve}
+        )
     settings = {**environment, **algorithm} | ({} if arguments.envs == ENVS else {"envs": arguments.envs})
     name = "_".join(["plain_ppo", *(f"{key}_{value}" for key, value in settings.items())])
     write_results(name, content, seed=EVALUATION_SEED)

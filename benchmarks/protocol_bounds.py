@@ -108,7 +108,9 @@ def _write(file: Path, protocol: Protocol, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Compute the bounds and print their means."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("protocol")
     parser.add_argument("--draws", type=int, default=128)
     arguments = parser.parse_args()
@@ -116,7 +118,9 @@ def main() -> None:
     protocol.check()
     both = [row for row in bounds(protocol, arguments.draws) if row["held_s"] is not None]
     free, held = (float(np.mean([row[kind] for row in both])) for kind in ("free_s", "held_s"))
-    print(f"{len(both)} draws with both bounds: free {free:.4f} s, held {held:.4f} s, ratio {held / free:.4f}")
+    print(
+        f"{len(both)} draws with both bounds: free {free:.4f} s, held {held:.4f} s, ratio {held / free:.4f}"
+    )
 
 
 if __name__ == "__main__":

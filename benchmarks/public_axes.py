@@ -47,7 +47,9 @@ class PublicSet(NamedTuple):
 
 SETS = {
     "swerve": PublicSet("drive of a swerve robot", "Eaglestrike/2023-RobotCode", (), 0.0142),
-    "odrive": PublicSet("motor at an ODrive", "labmrd/odrive-with-motor-characterization", ("chirp4", "step4"), 0.73),
+    "odrive": PublicSet(
+        "motor at an ODrive", "labmrd/odrive-with-motor-characterization", ("chirp4", "step4"), 0.73
+    ),
     "measured_current": PublicSet("motor with measured current", "lvjonok/mujoco-sysid", ("traj_4",), 17.6),
     "l298": PublicSet(
         "geared motor at an L298N",
@@ -114,17 +116,25 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
     stages = ("declared", "plain", "before", "after", "reference")
     table = Table("set", "verdict", "named", *stages, "ratio", "cpu s")
     for r in rows:
-        errors = ("-" if r["errors"][stage] is None else f"{r['errors'][stage]:.3g} {r['unit']}" for stage in stages)
+        errors = (
+            "-" if r["errors"][stage] is None else f"{r['errors'][stage]:.3g} {r['unit']}" for stage in stages
+        )
         ratio = "-" if r["ratio"] is None else f"{r['ratio']:.2f}"
-        table.add_row(r["set"], r["verdict"], ", ".join(r["named"]), *errors, ratio, f"{r['cpu_seconds']:.0f}")
+        table.add_row(
+            r["set"], r["verdict"], ", ".join(r["named"]), *errors, ratio, f"{r['cpu_seconds']:.0f}"
+        )
     console.print(table)
     ratios = [np.inf if r["ratio"] is None else r["ratio"] for r in rows]
-    console.print(f"error over that of the fit to beat: median {np.median(ratios):.2f}, largest {max(ratios):.2f}")
+    console.print(
+        f"error over that of the fit to beat: median {np.median(ratios):.2f}, largest {max(ratios):.2f}"
+    )
 
 
 def main() -> None:
     """Identify the sets that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", nargs="+", metavar="SET", choices=tuple(SETS))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()

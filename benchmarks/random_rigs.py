@@ -61,7 +61,9 @@ def rig_key() -> str:
     return text.hexdigest()
 
 
-def timed_identification(session: RandomSession, *, log: bool = False) -> tuple[IdentificationResult, dict[str, float]]:
+def timed_identification(
+    session: RandomSession, *, log: bool = False
+) -> tuple[IdentificationResult, dict[str, float]]:
     """Identify a rig; return the result and the duration, s, by "wall" and "cpu" (processor time).
 
     Args:
@@ -114,7 +116,11 @@ def run_rig(index: int, *, seed: int, repeat: bool, log: bool = False) -> Row:
             row["repeatable"] = report == _without_duration(result)
         return row
     except Exception as error:  # an error on one rig must not lose the hours of the others
-        return {"rig": rig.name, "truth": rig.describe(), "failed": "".join(traceback.format_exception(error))}
+        return {
+            "rig": rig.name,
+            "truth": rig.describe(),
+            "failed": "".join(traceback.format_exception(error)),
+        }
 
 
 def run_rigs(
@@ -171,14 +177,24 @@ def line(row: Row) -> str:
 
 def main() -> None:
     """Identify the rigs that the command line names, and print and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=DEVELOPMENT_SEED)
     parser.add_argument("--count", type=int, default=COUNT, help="number of rigs of the set")
-    parser.add_argument("--only", type=int, nargs="+", metavar="INDEX", help="only these rigs; nothing is written")
+    parser.add_argument(
+        "--only", type=int, nargs="+", metavar="INDEX", help="only these rigs; nothing is written"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
-    parser.add_argument("--ray", nargs="?", const=LOCAL_RAY, metavar="ADDRESS", help="run on Ray; default: a local one")
-    parser.add_argument("--resume", action="store_true", help="use cached results although the source has changed")
-    parser.add_argument("--repeat", action="store_true", help="identify each rig twice: again with compiled code")
+    parser.add_argument(
+        "--ray", nargs="?", const=LOCAL_RAY, metavar="ADDRESS", help="run on Ray; default: a local one"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="use cached results although the source has changed"
+    )
+    parser.add_argument(
+        "--repeat", action="store_true", help="identify each rig twice: again with compiled code"
+    )
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()
     indices = arguments.only or list(range(arguments.count))
@@ -195,7 +211,9 @@ def main() -> None:
         if not arguments.only:
             from benchmarks.random_rigs_plots import draw  # matplotlib, which only this needs
 
-            write_results(f"random_rigs_{arguments.seed}", {"summary": content, "rigs": rows}, seed=arguments.seed)
+            write_results(
+                f"random_rigs_{arguments.seed}", {"summary": content, "rigs": rows}, seed=arguments.seed
+            )
             draw(done, content, arguments.seed)
     if len(done) < len(rows):
         sys.exit(f"identification crashed on {len(rows) - len(done)} of {len(rows)} rigs")

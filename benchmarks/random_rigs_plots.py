@@ -43,11 +43,21 @@ def _confusion(counts: dict[str, dict[str, int]], path: Path) -> None:
     hidden = list(counts)
     named = sorted({name for row in counts.values() for name in row}, key=lambda n: (n.startswith("("), n))
     table = np.array([[counts[h].get(n, 0) for n in named] for h in hidden])
-    figure, axes = plt.subplots(figsize=(0.32 * len(named) + 2.5, 0.28 * len(hidden) + 2.0), layout="constrained")
+    figure, axes = plt.subplots(
+        figsize=(0.32 * len(named) + 2.5, 0.28 * len(hidden) + 2.0), layout="constrained"
+    )
     share = table / np.maximum(table.sum(axis=1, keepdims=True), 1)
     axes.imshow(share, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
     for i, j in zip(*np.nonzero(table), strict=True):
-        axes.text(j, i, str(table[i, j]), ha="center", va="center", fontsize=6, color="w" if share[i, j] > 0.6 else "k")
+        axes.text(
+            j,
+            i,
+            str(table[i, j]),
+            ha="center",
+            va="center",
+            fontsize=6,
+            color="w" if share[i, j] > 0.6 else "k",
+        )
     axes.set_xticks(range(len(named)), named, rotation=90, fontsize=6)
     axes.set_yticks(range(len(hidden)), hidden, fontsize=6)
     axes.set_xlabel("named family")
@@ -76,13 +86,17 @@ def _calibration(rows: list[Row], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(4.2, 4.2), layout="constrained")
     level = np.linspace(0.01, 0.999, 200)
     axes.plot(level, level, color=_GRAY, lw=0.8)
-    for some, style, which in zip(split_by_residue(rows), ("-", "--"), ("clean", "with residue"), strict=True):
+    for some, style, which in zip(
+        split_by_residue(rows), ("-", "--"), ("clean", "with residue"), strict=True
+    ):
         for of_effect, color, what in ((True, _GREEN, "effects"), (False, _AMBER, "machine")):
             z = [
                 abs(i["z"])
                 for r in some
                 for i in r["intervals"]
-                if i["effect"] == of_effect and i["relative_std"] is not None and i["relative_std"] < MAX_RELATIVE_STD
+                if i["effect"] == of_effect
+                and i["relative_std"] is not None
+                and i["relative_std"] < MAX_RELATIVE_STD
             ]
             if z:
                 inside = np.mean(np.array(z)[:, None] <= norm.ppf(0.5 + 0.5 * level), axis=0)
@@ -96,9 +110,13 @@ def _calibration(rows: list[Row], path: Path) -> None:
 def _errors(rows: list[Row], path: Path) -> None:
     """Draw the error on unseen runs after identification over that of the true machine."""
     figure, axes = plt.subplots(figsize=(5, 4.5), layout="constrained")
-    for some, color, name in zip(split_by_residue(rows), (_GREEN, _RED), ("clean", "with residue"), strict=True):
+    for some, color, name in zip(
+        split_by_residue(rows), (_GREEN, _RED), ("clean", "with residue"), strict=True
+    ):
         if some:
-            true, after = (np.clip([r["unseen"][k]["mean"] for r in some], *_RATIO_LIMITS) for k in ("true", "after"))
+            true, after = (
+                np.clip([r["unseen"][k]["mean"] for r in some], *_RATIO_LIMITS) for k in ("true", "after")
+            )
             axes.loglog(true, after, "o", ms=4, color=color, label=name)
     axes.loglog(_RATIO_LIMITS, _RATIO_LIMITS, color=_GRAY, lw=0.8)
     axes.set_xlabel("error of the true machine on unseen runs, multiples of the noise")

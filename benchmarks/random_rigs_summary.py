@@ -117,7 +117,9 @@ def _names(rows: list[Row], detection: dict[str, Any]) -> dict[str, Any]:
             "identified": sum(h["identified"] for h in hidden),
         }
     above = [h for r in clean for h in r["hidden"] if _above(h, detection)]
-    return counts | {"above_detection": {"effects": len(above), "identified": sum(h["identified"] for h in above)}}
+    return counts | {
+        "above_detection": {"effects": len(above), "identified": sum(h["identified"] for h in above)}
+    }
 
 
 def _above(hidden: dict[str, Any], detection: dict[str, Any]) -> bool:
@@ -216,7 +218,9 @@ def coverage(rows: list[Row], keep: Callable[[dict[str, Any]], bool]) -> dict[st
         intervals of 68 and 95 %, and the median and the root mean square of the error in standard deviations.
     """
     intervals = [i for r in rows for i in r["intervals"] if keep(i)]
-    z = np.array([i["z"] for i in intervals if i["relative_std"] is not None and i["relative_std"] < MAX_RELATIVE_STD])
+    z = np.array(
+        [i["z"] for i in intervals if i["relative_std"] is not None and i["relative_std"] < MAX_RELATIVE_STD]
+    )
     if not len(z):
         return {"parameters": 0}
     inside = {name: float(np.mean(np.abs(z) <= width)) for name, width in QUANTILES.items()}
@@ -259,9 +263,13 @@ def show(console: Console, content: dict[str, Any]) -> None:
     for name, counts in content["names"].items():
         if name != "above_detection":
             false = content["false_names"][name]["with_false_name"]
-            names.add_row(name, *(str(counts[key]) for key in ("rigs", "right", "effects", "identified")), str(false))
+            names.add_row(
+                name, *(str(counts[key]) for key in ("rigs", "right", "effects", "identified")), str(false)
+            )
     above = content["names"]["above_detection"]
-    console.print(names, f"above the median detection size: {above['identified']} of {above['effects']} identified")
+    console.print(
+        names, f"above the median detection size: {above['identified']} of {above['effects']} identified"
+    )
     for kind, verdicts in content["verdicts"].items():
         counts = ", ".join(f"{verdict} {count}" for verdict, count in sorted(verdicts.items()))
         console.print(f"verdicts, {kind}: {counts}")

@@ -100,7 +100,9 @@ def compare(function: Callable[[Any], Done], items: Sequence[Any], repeats: int)
         with_ray.append(runs[LOCAL_RAY][0])
         tasks += runs[LOCAL_RAY][1]
         equal += sum(a.digest == b.digest for a, b in zip(runs[None][1], runs[LOCAL_RAY][1], strict=True))
-        print(f"  plain {plain[-1]:.1f} s, Ray {with_ray[-1]:.1f} s: {plain[-1] / with_ray[-1]:.2f}", flush=True)
+        print(
+            f"  plain {plain[-1]:.1f} s, Ray {with_ray[-1]:.1f} s: {plain[-1] / with_ray[-1]:.2f}", flush=True
+        )
     ratios = [p / r for p, r in zip(plain, with_ray, strict=True)]
     return {
         "tasks": len(items),
@@ -118,7 +120,9 @@ def compare(function: Callable[[Any], Done], items: Sequence[Any], repeats: int)
 
 def main() -> None:
     """Measure both kinds of tasks and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=3)
     repeats = parser.parse_args().repeats
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 - the priority of the plain run; Ray's default is a low one
@@ -130,7 +134,12 @@ def main() -> None:
     timed(warm_up, range(WORKERS), LOCAL_RAY)
     start = time.perf_counter() - begin
     warm_up(0)
-    content: dict[str, Any] = {"workers": WORKERS, "steps": STEPS, "start_s": start, "load": os.getloadavg()[0]}
+    content: dict[str, Any] = {
+        "workers": WORKERS,
+        "steps": STEPS,
+        "start_s": start,
+        "load": os.getloadavg()[0],
+    }
     for name, function, items in (("training", train_seed, SEEDS), ("identification", identify_rig, RIGS)):
         print(name, flush=True)
         content[name] = compare(function, items, repeats)

@@ -14,13 +14,27 @@ from hframe_gym.evaluation import installed_versions
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 FIGURES = ROOT / "docs" / "figures"
-_PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "mujoco", "envpool", "stable-baselines3", "torch", "casadi")
+_PACKAGES = (
+    "numpy",
+    "numba",
+    "scipy",
+    "gymnasium",
+    "mujoco",
+    "envpool",
+    "stable-baselines3",
+    "torch",
+    "casadi",
+)
 
 
 def surroundings() -> dict[str, Any]:
     """Return the processor, the number of cores and the versions on which results depend."""
     machine = {"processor": platform.machine(), "cores": threads()}
-    return {"python": platform.python_version(), "versions": installed_versions(_PACKAGES), "machine": machine}
+    return {
+        "python": platform.python_version(),
+        "versions": installed_versions(_PACKAGES),
+        "machine": machine,
+    }
 
 
 def save_figure(figure: Any, path: Path) -> None:

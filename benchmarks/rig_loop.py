@@ -71,7 +71,9 @@ def drive(controller: Controller, rig: Rig, machine: Machine, task: Task, episod
                 "desired_goal": task.goal(plan, elapsed),
             }
             if task.ahead_s:
-                observation["preview"] = np.hstack([task.goal(plan, elapsed + ahead) for ahead in task.ahead_s])
+                observation["preview"] = np.hstack(
+                    [task.goal(plan, elapsed + ahead) for ahead in task.ahead_s]
+                )
             batch = {key: values.astype(np.float32) for key, values in observation.items()}
             volts = np.clip(controller.act(batch), -1.0, 1.0) * rated
         for stage, held in zip(stages, volts, strict=True):

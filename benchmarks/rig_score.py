@@ -25,11 +25,19 @@ from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.random_rigs import RandomRig, RandomSession
 from tests.rigs.true_machine import identified_values, true_machine
 
-NOISE = np.array([ENCODER_STEP_RAD / math.sqrt(12.0)] * 2 + [LASER_NOISE_M] * 2)  # of phi1, phi2, rad; x, y, m
-_HISTORIES, _HISTORY_S, _HOLD_S = 3, 2.0, 0.02  # random rated voltages that the written machine has to survive
+NOISE = np.array(
+    [ENCODER_STEP_RAD / math.sqrt(12.0)] * 2 + [LASER_NOISE_M] * 2
+)  # of phi1, phi2, rad; x, y, m
+_HISTORIES, _HISTORY_S, _HOLD_S = (
+    3,
+    2.0,
+    0.02,
+)  # random rated voltages that the written machine has to survive
 
 
-def score_rig(session: RandomSession, result: IdentificationResult, seconds: dict[str, float]) -> dict[str, Any]:
+def score_rig(
+    session: RandomSession, result: IdentificationResult, seconds: dict[str, float]
+) -> dict[str, Any]:
     """Return the row of a rig in the results.
 
     Args:
@@ -43,7 +51,9 @@ def score_rig(session: RandomSession, result: IdentificationResult, seconds: dic
     rig = session.rig
     report = result.as_json()
     named = {f"{e['name']}@{e['site']}": e for e in report["effects"]}
-    names = score_names(rig.hidden_effects, result.verdict, {label: e.get("rivals", ()) for label, e in named.items()})
+    names = score_names(
+        rig.hidden_effects, result.verdict, {label: e.get("rivals", ()) for label, e in named.items()}
+    )
     declared, truth = BUILTIN_MACHINES["hframe"](), true_machine(rig)
     machines = {
         "declared": declared, "before": result.before.machine, "after": result.after.machine, "true": truth,
@@ -59,7 +69,9 @@ def score_rig(session: RandomSession, result: IdentificationResult, seconds: dic
         "rate_hz": rig.rate_hz,
         "residue": rig.residue.kind,
         "truth": rig.describe(),
-        "hidden": [_hidden(effect, i) for effect, i in zip(rig.hidden_effects, names.identified, strict=True)],
+        "hidden": [
+            _hidden(effect, i) for effect, i in zip(rig.hidden_effects, names.identified, strict=True)
+        ],
         "verdict": result.verdict,
         "named": [
             {
@@ -77,8 +89,12 @@ def score_rig(session: RandomSession, result: IdentificationResult, seconds: dic
         "explained": report.get("explained"),
         "left": report.get("left"),
         "considered": report.get("considered"),
-        "unseen": {name: machine and unseen_errors(machine, session.unseen) for name, machine in machines.items()},
-        "intervals": intervals(rig, result.after.machine) if right and rig.kind in ("none", "library") else [],
+        "unseen": {
+            name: machine and unseen_errors(machine, session.unseen) for name, machine in machines.items()
+        },
+        "intervals": intervals(rig, result.after.machine)
+        if right and rig.kind in ("none", "library")
+        else [],
         "stable": survives_rated_voltage(result.after.machine),
         "consistency": _consistency(session.recordings, result),
         "seconds": {name: round(value, 2) for name, value in seconds.items()},
@@ -105,7 +121,9 @@ def _hidden(effect: DrawnEffect, identified: bool) -> dict[str, Any]:
 
 def _mean_ratio(errors: dict[str, Any]) -> float | None:
     """Return the mean over the channels of an error in report.json, in multiples of the noise."""
-    ratios = [e["noise_ratio"] for e in errors.values() if isinstance(e, dict) and e["noise_ratio"] is not None]
+    ratios = [
+        e["noise_ratio"] for e in errors.values() if isinstance(e, dict) and e["noise_ratio"] is not None
+    ]
     return float(np.mean(ratios)) if ratios else None
 
 
@@ -185,7 +203,9 @@ class IdentifiedRig(NamedTuple):
     seconds: dict[str, float]
 
 
-def identify_rig(folder: Path, declared: Machine, truth: Sequence[DrawnEffect], *, log: bool) -> IdentifiedRig:
+def identify_rig(
+    folder: Path, declared: Machine, truth: Sequence[DrawnEffect], *, log: bool
+) -> IdentifiedRig:
     """Identify the rig of a folder with `runs`, `unseen` and `truth.json`, and compare the names with the truth.
 
     Args:
@@ -265,7 +285,12 @@ def intervals(rig: RandomRig, machine: Machine) -> list[dict[str, Any]]:
             error = (error + math.pi) % (2.0 * math.pi) - math.pi
         unit = 1.0 if name.endswith(".p") else abs(expected)
         rows.append(
-            {"name": name, "relative_std": std / unit if unit else None, "z": error / std, "effect": "@" in name}
+            {
+                "name": name,
+                "relative_std": std / unit if unit else None,
+                "z": error / std,
+                "effect": "@" in name,
+            }
         )
     return rows
 

@@ -57,7 +57,9 @@ def scalar_functions(machine: Machine) -> tuple[Any, Any]:
     """
     scope: dict[str, Any] = {name: _inlined(function) for name, function in _SCALAR.items()}
     scope |= {"store": _inlined(_store), "_SMALL": friction._SMALL, "Any": Any}
-    functions = inspect.getmembers(friction, lambda f: inspect.isfunction(f) and f.__module__ == friction.__name__)
+    functions = inspect.getmembers(
+        friction, lambda f: inspect.isfunction(f) and f.__module__ == friction.__name__
+    )
     texts = [inspect.getsource(function) for _, function in functions]
     text = kernel_source_text(machine)
     for source in (*texts, text[text.index("def prepare(") :]):

@@ -71,7 +71,9 @@ def score_session(session: Session, answer: IdentificationResult) -> dict[str, A
     score = classify(case, answer.verdict, named)
     stages = {"declared": answer.declared, "before": answer.before, "after": answer.after}
     mean = {
-        name: float(np.mean([e.noise_ratio for e in stage.held_out.channels.values() if e.noise_ratio is not None]))
+        name: float(
+            np.mean([e.noise_ratio for e in stage.held_out.channels.values() if e.noise_ratio is not None])
+        )
         for name, stage in stages.items()
     }
     return {
@@ -87,7 +89,9 @@ def score_session(session: Session, answer: IdentificationResult) -> dict[str, A
         "score": score,
         "hit": score in RIGHT,
         **mean,
-        "noise_ratio": {n: {c: e.noise_ratio for c, e in s.held_out.channels.items()} for n, s in stages.items()},
+        "noise_ratio": {
+            n: {c: e.noise_ratio for c, e in s.held_out.channels.items()} for n, s in stages.items()
+        },
         "truth_um": {n: _tool_error(session, answer, s.machine) for n, s in stages.items()},
         "parameter_error": _parameter_error(case, answer),
         "white": answer.white,
@@ -173,7 +177,9 @@ def accepted_classes(effect: DrawnEffect) -> tuple[tuple[str, ...], ...]:
         on the site "belts", or on any belt.
     """
     if effect.site == "belts":
-        return tuple((effect_class(f"{effect.name}@{site}"),) for site in ("belts", "left", "right", "bottom"))
+        return tuple(
+            (effect_class(f"{effect.name}@{site}"),) for site in ("belts", "left", "right", "bottom")
+        )
     per_motor = tuple(effect_class(f"{effect.name}@{site}") for site in effect.library_sites())
     return ((effect_class(effect.label),), per_motor)
 
@@ -202,8 +208,12 @@ def score_names(hidden: Sequence[DrawnEffect], verdict: str, named: Mapping[str,
             accepted = {name for group in groups for name in group}
             labels = [label for label in named if classes[label] & accepted]
         else:
-            labels = [label for label in named if any(fnmatch(label, escaped(p)) for p in effect.accepted if p)]
-            identified.append(bool(labels) or ("" in effect.accepted and verdict == "unexplained" and not named))
+            labels = [
+                label for label in named if any(fnmatch(label, escaped(p)) for p in effect.accepted if p)
+            ]
+            identified.append(
+                bool(labels) or ("" in effect.accepted and verdict == "unexplained" and not named)
+            )
         expected.update(labels)
     return NameScore(tuple(identified), tuple(label for label in named if label not in expected))
 

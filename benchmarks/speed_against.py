@@ -149,7 +149,9 @@ class Checkout:
         assert self._process.stdout
         self._process.stdin.write(f"{measure}\n")
         self._process.stdin.flush()
-        answer: dict[str, Any] = json.loads(self._process.stdout.readline() or '{"error": "the process ended"}')
+        answer: dict[str, Any] = json.loads(
+            self._process.stdout.readline() or '{"error": "the process ended"}'
+        )
         if "error" in answer:
             raise RuntimeError(f"{self.path}: {answer['error']}")
         processor, wall = answer["rates"]
@@ -187,8 +189,12 @@ def compare(this: Checkout, other: Checkout, measure: str, repeats: int) -> NDAr
 
 def main() -> None:
     """Compare the checkouts and print the ratios."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("other", type=Path, help="root of the other checkout, for example of `git worktree add`")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "other", type=Path, help="root of the other checkout, for example of `git worktree add`"
+    )
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--only", choices=MEASURES, action="append", default=[], help="measure only this")
     parser.add_argument("--bar", type=float, default=BAR, help=f"smallest acceptable ratio (default {BAR:g})")

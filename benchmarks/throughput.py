@@ -29,7 +29,17 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-from benchmarks.kernel_batch import HOLD, PERIODS, REPEATS, SEED, STEP, VOLTS, KernelBatch, interleaved, random_voltages
+from benchmarks.kernel_batch import (
+    HOLD,
+    PERIODS,
+    REPEATS,
+    SEED,
+    STEP,
+    VOLTS,
+    KernelBatch,
+    interleaved,
+    random_voltages,
+)
 from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_center
 from benchmarks.results_file import write_results
 from hframe_gym.dynamics import LANES, kernel_source_text, linearize, simulate
@@ -40,7 +50,12 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 Array = NDArray[np.float64]
 
 STAGES = 4096
-FRICTION = ("direction", "static_friction", "friction_force", "update_speed")  # formulas of a step without a stop
+FRICTION = (
+    "direction",
+    "static_friction",
+    "friction_force",
+    "update_speed",
+)  # formulas of a step without a stop
 BAR, AIM = 300.0, 800.0  # ratio of the kernel's rate to MuJoCo's: required and desired
 # MuJoCo's fastest integrator and solver on this stage with its driest friction; `fastest_choice` measures them all.
 FASTEST = Choice("Euler", "PGS", "stiff")
@@ -60,7 +75,9 @@ class MujocoBatch:
     def __init__(self, machine: Machine, batch: int, choice: Choice, count: int) -> None:
         self.stage = MujocoStage(constant_at_center(machine), STEP, choice, threads=count)
         self.start = np.zeros((batch, self.stage.size))
-        self.controls = np.ascontiguousarray(np.repeat(random_voltages(batch).transpose(1, 0, 2), HOLD, axis=1))
+        self.controls = np.ascontiguousarray(
+            np.repeat(random_voltages(batch).transpose(1, 0, 2), HOLD, axis=1)
+        )
 
     def rate(self) -> float:
         """Return the integrator steps per second, from rest."""
@@ -100,7 +117,9 @@ def compare_with_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
     for name, stage, choice, cores in cases:
         ours, theirs = KernelBatch(stage, STAGES), MujocoBatch(stage, STAGES, choice, cores)
         ratio = interleaved(
-            functools.partial(ours.rate, parallel=cores > 1, least=0.5), theirs.rate, REPEATS if cores > 1 else 5
+            functools.partial(ours.rate, parallel=cores > 1, least=0.5),
+            theirs.rate,
+            REPEATS if cores > 1 else 5,
         )
         theirs.stage.close()
         r = ratio.report()
@@ -108,7 +127,13 @@ def compare_with_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
         low, high = r["spread"]
         row = (r["ours_steps_per_s"] / 1e6, r["theirs_steps_per_s"] / 1e6, r["ratio"])
         table.add_row(
-            name, str(choice), str(cores), f"{row[0]:.1f}", f"{row[1]:.3f}", f"{row[2]:.0f}", f"{low:.0f} - {high:.0f}"
+            name,
+            str(choice),
+            str(cores),
+            f"{row[0]:.1f}",
+            f"{row[1]:.3f}",
+            f"{row[2]:.0f}",
+            f"{low:.0f} - {high:.0f}",
         )
     console.print(table)
     console.print(
@@ -299,7 +324,9 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
     large = max(KernelBatch(machine, 16384).rate(parallel=False) for _ in range(3))
     single = max(KernelBatch(machine, 1).rate(parallel=False) for _ in range(5))
     smooth = KernelBatch(machine, LANES * 16)
-    smooth.inputs = [np.full_like(u, 12.0) for u in smooth.inputs]  # constant voltage: no coordinate ever stops
+    smooth.inputs = [
+        np.full_like(u, 12.0) for u in smooth.inputs
+    ]  # constant voltage: no coordinate ever stops
     steady = max(smooth.rate(parallel=False) for _ in range(7))
     blocks = rate / LANES
     results: dict[str, Any] = {
@@ -329,7 +356,10 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
         ("vector operations per step (no coordinate stops)", f"{arithmetic}: {listed}"),
         ("floating-point operations per step and stage", f"{flops}"),
         ("measured FMA peak", f"{results['peak_gflops']:.1f} GFLOP/s ({peak / 1e9:.2f} G vector FMA/s)"),
-        ("reached", f"{results['reached_gflops']:.1f} GFLOP/s, {100 * results['share_of_fma_peak']:.0f} % of peak"),
+        (
+            "reached",
+            f"{results['reached_gflops']:.1f} GFLOP/s, {100 * results['share_of_fma_peak']:.0f} % of peak",
+        ),
         (
             "vector operations issued",
             f"{blocks * arithmetic / 1e9:.2f} G/s, {blocks * arithmetic / peak:.2f} per peak FMA",
@@ -355,7 +385,8 @@ def main() -> None:
     content: dict[str, Any] = {"step_s": STEP, "stages": STAGES}
     content["first_use"] = first_use()
     console.print(
-        "first simulation in a new process: " + ", ".join(f"{k} {v:.2f}" for k, v in content["first_use"].items())
+        "first simulation in a new process: "
+        + ", ".join(f"{k} {v:.2f}" for k, v in content["first_use"].items())
     )
     content["one_recording"] = one_recording(machine)
     console.print("2 s at 1 kHz: " + ", ".join(f"{k} {v:.3f}" for k, v in content["one_recording"].items()))

@@ -63,7 +63,9 @@ def fit(folder: Path, updates: int = 60) -> tuple[dict[str, float], float, float
         return value
 
     before = cost().item()
-    optimizer = torch.optim.LBFGS([logarithms], max_iter=updates, history_size=20, line_search_fn="strong_wolfe")
+    optimizer = torch.optim.LBFGS(
+        [logarithms], max_iter=updates, history_size=20, line_search_fn="strong_wolfe"
+    )
     optimizer.step(closure)
     values = (declared * torch.exp(logarithms)).tolist()
     return dict(zip(names, values, strict=True)), before**0.5, cost().item() ** 0.5

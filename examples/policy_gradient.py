@@ -48,7 +48,9 @@ def distances(stage: DifferentiableStage, policy: Policy, generator: torch.Gener
     Returns:
         Distance of the tool from the goal at the end of each period, m, shape (EPISODES, PERIODS).
     """
-    start, goal = (REACH * (2.0 * torch.rand(EPISODES, 2, generator=generator).double() - 1.0) for _ in range(2))
+    start, goal = (
+        REACH * (2.0 * torch.rand(EPISODES, 2, generator=generator).double() - 1.0) for _ in range(2)
+    )
     state, found = stage.rest(start.numpy()), []
     tool, velocity = stage.tool_positions(state), torch.zeros(EPISODES, 2, dtype=torch.float64)
     for _ in range(PERIODS):

@@ -78,7 +78,9 @@ _SUBPACKAGES = {
     "simulate": "dynamics",
 }
 
-_EPISODE_STEPS = 150  # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third
+_EPISODE_STEPS = (
+    150  # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third
+)
 # Environment, vector environment and keywords by id; only names, so that the import does not load the simulator.
 _REACH = "hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"
 _TRACK = "hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"
@@ -103,7 +105,9 @@ def __dir__() -> list[str]:
 
 
 @SIMULATORS.register("default")
-def _simulate(machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None) -> Trajectory:
+def _simulate(
+    machine: Machine, time_s: ArrayLike, inputs: ArrayLike, initial: ArrayLike | None = None
+) -> Trajectory:
     """Simulate a machine for `Machine.simulate`; the package `machine` does not depend on `dynamics`."""
     from .dynamics import simulate
 

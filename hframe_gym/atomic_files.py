@@ -112,7 +112,10 @@ class _Stage:
         if not self.complete.exists():
             return
         new, removed = _files(self.new), _files(self.removed)
-        for name in (*new, *removed):  # a folder from elsewhere could have a stage that changes files of this user
+        for name in (
+            *new,
+            *removed,
+        ):  # a folder from elsewhere could have a stage that changes files of this user
             if not (folder / name).parent.resolve().is_relative_to(folder):
                 raise InputError(f"{folder}: {name.parent} is a link out of this folder; delete {self.path}")
         for name in removed:
@@ -395,7 +398,9 @@ def _move(source: Path, target: Path) -> None:
                 raise
             if time.monotonic() > deadline:
                 advice = "close it there and run the command again"
-                raise InputError(f"{target}: is open in another program, or write-protected; {advice}") from error
+                raise InputError(
+                    f"{target}: is open in another program, or write-protected; {advice}"
+                ) from error
             time.sleep(_POLL_S)
         else:
             return

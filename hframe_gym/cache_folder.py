@@ -28,7 +28,9 @@ def cache_folder() -> Path:
     """
     explicit = os.environ.get("HFRAME_CACHE")
     usual = str(user_folder("cache") / "hframe_gym")
-    return _first_usable((explicit, usual) if explicit else (usual,), f"{tempfile.gettempdir()}/{_private_name()}")
+    return _first_usable(
+        (explicit, usual) if explicit else (usual,), f"{tempfile.gettempdir()}/{_private_name()}"
+    )
 
 
 def _private_name() -> str:
@@ -44,7 +46,9 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
         try:
             path.mkdir(parents=True, exist_ok=True, mode=0o700 if folder == temporary else 0o755)
             free = shutil.disk_usage(path).free
-            with tempfile.TemporaryFile(dir=path):  # Windows knows only in this way whether a folder can be written
+            with tempfile.TemporaryFile(
+                dir=path
+            ):  # Windows knows only in this way whether a folder can be written
                 pass
         except OSError:
             continue

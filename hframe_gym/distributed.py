@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 LOCAL_RAY = "local"  # address that starts Ray on this machine
 ATTEMPTS = 3  # of a task whose worker dies
 # One thread per worker, so that workers do not compete for cores. The results do not depend on the number of threads.
-_ONE_THREAD = dict.fromkeys(("HFRAME_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_ONE_THREAD = dict.fromkeys(
+    ("HFRAME_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
 _CONNECTION_TIMEOUT_S = 5.0
 _HEALTH_TIMEOUT_S = 20.0  # the check itself starts a Python process, which takes seconds on a busy machine
 
@@ -159,7 +161,9 @@ def _linear_algebra_threads() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _run_task(function: Callable[[Item], Result], item: Item, version: str, settings: Mapping[str, str]) -> Result:
+def _run_task(
+    function: Callable[[Item], Result], item: Item, version: str, settings: Mapping[str, str]
+) -> Result:
     """Run a task in a worker, with one thread and the settings of the calling program."""
     from threadpoolctl import threadpool_limits
 
@@ -306,7 +310,9 @@ def _require_head_node(address: str) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_CONNECTION_TIMEOUT_S).close()
     except (OSError, OverflowError) as error:
-        raise InputError(f"--ray {address}: cannot be reached ({error}); start it with: ray start --head") from error
+        raise InputError(
+            f"--ray {address}: cannot be reached ({error}); start it with: ray start --head"
+        ) from error
     check = (sys.executable, "-m", "ray.scripts.scripts", "health-check", "--address", address)
     try:
         healthy = subprocess.run(check, capture_output=True, timeout=_HEALTH_TIMEOUT_S).returncode == 0

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from .errors import InputError
 
-MAX_DOCUMENT = 16 << 20  # bytes of a JSON or TOML file; a machine with the covariance of 500 parameters has 4 MB
+MAX_DOCUMENT = (
+    16 << 20
+)  # bytes of a JSON or TOML file; a machine with the covariance of 500 parameters has 4 MB
 # A compressed table may have this many times the bytes of its file. Times increase from row to row, so that tables of a
 # rig at rest reach about 25; archives that are made to fill the memory reach 1000.
 MAX_EXPANSION = 100
@@ -80,7 +82,9 @@ def refuse_many_values(path: Path, rows: int, columns: int) -> None:
         InputError: If rows * columns exceeds 1e9 (`MAX_VALUES`, 8 GB).
     """
     if rows * columns > MAX_VALUES:
-        raise InputError(f"{path}: has more than {MAX_VALUES:.0e} numbers; cut the recording into several runs")
+        raise InputError(
+            f"{path}: has more than {MAX_VALUES:.0e} numbers; cut the recording into several runs"
+        )
 
 
 def read_document(path: Path) -> str:
@@ -93,8 +97,12 @@ def read_document(path: Path) -> str:
         with open(path, "rb") as file:
             content = file.read(MAX_DOCUMENT + 1)
         if len(content) > MAX_DOCUMENT:
-            raise InputError(f"{path}: is larger than {MAX_DOCUMENT >> 20} MB, which is not a file of this kind")
-        utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # `>` in Windows PowerShell writes it
+            raise InputError(
+                f"{path}: is larger than {MAX_DOCUMENT >> 20} MB, which is not a file of this kind"
+            )
+        utf_16 = content.startswith(
+            (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        )  # `>` in Windows PowerShell writes it
         return content.decode("utf-16" if utf_16 else "utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
@@ -150,7 +158,10 @@ def _array(stream: Any) -> NDArray[Any]:
     """Read one array; the size in its header must be that of its data, so that no header reserves memory."""
     with stream:
         version = np.lib.format.read_magic(stream)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        read_header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }
         if version not in read_header:
             raise ValueError(f"version {version} of the format .npy")
         shape, fortran_order, dtype = read_header[version](stream)

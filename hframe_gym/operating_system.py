@@ -14,7 +14,11 @@ from typing import Any, Literal
 
 # Environment variable and default below the user's folder, by kind of files and by the beginning of `sys.platform`.
 _FOLDERS = {
-    "cache": {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches"), "": ("", ".cache")},
+    "cache": {
+        "win32": ("LOCALAPPDATA", "AppData/Local"),
+        "darwin": ("", "Library/Caches"),
+        "": ("", ".cache"),
+    },
     "data": {
         "win32": ("LOCALAPPDATA", "AppData/Local"),
         "darwin": ("", "Library/Application Support"),

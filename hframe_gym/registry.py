@@ -162,12 +162,18 @@ class Registry(Generic[T]):
             except Exception as error:
                 problem = str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
                 missing = isinstance(error, ModuleNotFoundError)
-                advice = "; install it, add its folder to PYTHONPATH, or change to that folder" if missing else ""
-                raise InputError(f"{self.kind} {name!r}: cannot import {module!r}: {problem}{advice}") from error
+                advice = (
+                    "; install it, add its folder to PYTHONPATH, or change to that folder" if missing else ""
+                )
+                raise InputError(
+                    f"{self.kind} {name!r}: cannot import {module!r}: {problem}{advice}"
+                ) from error
         if key not in self:
             file = getattr(sys.modules.get(module), "__file__", None)
             place = f" in {file}" if file else ""  # another module than the user means may have the same name
-            raise InputError(f"{self.kind} {name!r} is unknown{place}; choose one of {', '.join(self._parts)}")
+            raise InputError(
+                f"{self.kind} {name!r} is unknown{place}; choose one of {', '.join(self._parts)}"
+            )
         return self._parts[key]
 
     @property

@@ -26,7 +26,9 @@ FLAGS = (
     "--hide-scrollbars",
 )
 
-CHECKS = (Path(__file__).parent / "page_checks.js").read_text()  # returns everything that is wrong with a page
+CHECKS = (
+    Path(__file__).parent / "page_checks.js"
+).read_text()  # returns everything that is wrong with a page
 
 
 @contextmanager

@@ -61,7 +61,10 @@ def write_run(tmp_path: Path) -> Callable[..., Path]:
     """
 
     def write(
-        name: str = "run.csv", cells: dict[tuple[int, str], str] | None = None, header: str = HEADER, rows: int = 20
+        name: str = "run.csv",
+        cells: dict[tuple[int, str], str] | None = None,
+        header: str = HEADER,
+        rows: int = 20,
     ) -> Path:
         names = HEADER.split(",")
         table = np.zeros((rows, len(names)))

@@ -76,7 +76,9 @@ def wpilog_of_a_drive(count: int = COUNT) -> bytes:
     for k in range(count):
         rows.append(wpilog_record(1, k * WPILOG_PERIOD_US, struct.pack("<d", 6.0 * (k >= 10))))
         rows.append(wpilog_record(300, k * WPILOG_PERIOD_US + 3000, struct.pack("<f", 0.01 * max(k - 10, 0))))
-        rows.append(wpilog_record(3, k * WPILOG_PERIOD_US, struct.pack(f"<{1 + k % 2}d", *[0.5 * k] * (1 + k % 2))))
+        rows.append(
+            wpilog_record(3, k * WPILOG_PERIOD_US, struct.pack(f"<{1 + k % 2}d", *[0.5 * k] * (1 + k % 2)))
+        )
     return wpilog(*rows)
 
 
@@ -147,7 +149,9 @@ def _joint_states(store: Any, k: int, delay: int) -> Any:
     names, positions = ["slide", "arm"], np.array([POSITION[k], -1.0])
     order = 1 if k % 2 == 0 else -1
     empty = np.empty(0)
-    return types["sensor_msgs/msg/JointState"](header, names[::order], positions[::order].copy(), empty, empty)
+    return types["sensor_msgs/msg/JointState"](
+        header, names[::order], positions[::order].copy(), empty, empty
+    )
 
 
 def _topics(store: Any, delay: int) -> list[tuple[str, str, list[Any]]]:
@@ -155,8 +159,16 @@ def _topics(store: Any, delay: int) -> list[tuple[str, str, list[Any]]]:
     types = store.types
     image = types["std_msgs/msg/String"]("no number")
     return [
-        ("/joint_states", "sensor_msgs/msg/JointState", [_joint_states(store, k, delay) for k in range(COUNT)]),
-        ("/motor/command", "std_msgs/msg/Float64", [types["std_msgs/msg/Float64"](float(v)) for v in VOLTAGE]),
+        (
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            [_joint_states(store, k, delay) for k in range(COUNT)],
+        ),
+        (
+            "/motor/command",
+            "std_msgs/msg/Float64",
+            [types["std_msgs/msg/Float64"](float(v)) for v in VOLTAGE],
+        ),
         ("/status", "std_msgs/msg/String", [image]),
     ]
 
@@ -209,9 +221,17 @@ def write_all(folder: Path) -> dict[str, tuple[str, ...]]:
     folder.mkdir(parents=True)
     (folder / "log.wpilog").write_bytes(wpilog_of_a_drive())
     rows = [[10.0 + 0.003 * k, 1.0 * k, 0.0, 9810.0] for k in range(60)]
-    blocks = (("trapq:toolhead", {"data": KLIPPER_PIECES}), ("adxl345:a", {"data": rows}), ("stepq:x", KLIPPER_STEPS))
-    write_klipper(folder / "log.json.gz", KLIPPER_INFO, *(klipper_block(name, **params) for name, params in blocks))
-    write_matlab(folder / "log.mat", t=np.arange(COUNT) * 0.01, log={"U": VOLTAGE, "pos": [POSITION, POSITION]})
+    blocks = (
+        ("trapq:toolhead", {"data": KLIPPER_PIECES}),
+        ("adxl345:a", {"data": rows}),
+        ("stepq:x", KLIPPER_STEPS),
+    )
+    write_klipper(
+        folder / "log.json.gz", KLIPPER_INFO, *(klipper_block(name, **params) for name, params in blocks)
+    )
+    write_matlab(
+        folder / "log.mat", t=np.arange(COUNT) * 0.01, log={"U": VOLTAGE, "pos": [POSITION, POSITION]}
+    )
     write_ros1(folder / "log.bag")
     write_mcap_json(folder / "log.mcap", use_chunking=False)
     for storage in (rosbag2.StoragePlugin.SQLITE3, rosbag2.StoragePlugin.MCAP):

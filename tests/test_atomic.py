@@ -83,7 +83,9 @@ def test_a_file_is_written_into_a_new_folder_and_is_readable_by_others(tmp_path:
         Path.mkdir,
         pytest.param(
             getattr(os, "mkfifo", None),
-            marks=pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes in folders"),
+            marks=pytest.mark.skipif(
+                not hasattr(os, "mkfifo"), reason="this system has no named pipes in folders"
+            ),
         ),
     ],
 )
@@ -152,7 +154,9 @@ def _write_new_until(folder: Path, calls: int) -> int:
 
 
 @pytest.mark.integration
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks a process for each system call at which it ends it")
+@pytest.mark.skipif(
+    not hasattr(os, "fork"), reason="forks a process for each system call at which it ends it"
+)
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_kill_at_every_system_call_leaves_the_old_or_the_new_output(tmp_path: Path) -> None:
     states, code = [], 9
@@ -178,7 +182,9 @@ def test_a_second_process_is_refused_until_the_first_one_is_killed(tmp_path: Pat
     )
     root = Path(__file__).parents[1]
     environment = os.environ | {"PYTHONPATH": str(root)}
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "locked\n"
         with (
@@ -255,7 +261,9 @@ def test_a_full_disk_is_reported_with_the_path_and_leaves_the_old_output(
     assert contents(tmp_path) == OLD
 
 
-def test_scratch_folders_of_killed_processes_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scratch_folders_of_killed_processes_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with scratch_folder() as living:
         dead = tmp_path / "hframe_gym-scratch-dead"
@@ -340,7 +348,9 @@ def test_a_file_that_is_open_in_another_program_of_windows_is_named(
 
         monkeypatch.setattr(os, name, refuse)
     monkeypatch.setattr(atomic_files, "_SCANNER_S", 0.05)
-    with pytest.raises(InputError, match=r"a\.txt: is open in another program, or write-protected; close it there"):
+    with pytest.raises(
+        InputError, match=r"a\.txt: is open in another program, or write-protected; close it there"
+    ):
         write(tmp_path)
     assert contents(tmp_path) == OLD
 
@@ -369,7 +379,9 @@ def test_a_file_named_like_a_stage_and_a_very_long_name(tmp_path: Path) -> None:
     assert contents(tmp_path) == {name: name for name in names}
 
 
-def test_a_file_system_without_locks_is_written_with_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_system_without_locks_is_written_with_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fcntl = pytest.importorskip("fcntl", reason="only there, filelock uses flock")
 
     def missing(*_: object) -> None:

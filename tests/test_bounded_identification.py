@@ -36,7 +36,15 @@ def limited(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def identify(folder: Path, out: Path, *options: str) -> tuple[int, str]:
     """Run `hframe identify`; return its exit code and what it prints."""
-    words = ["identify", str(folder / "runs"), "--machine", str(folder / "axis.json"), "--out", str(out), *options]
+    words = [
+        "identify",
+        str(folder / "runs"),
+        "--machine",
+        str(folder / "axis.json"),
+        "--out",
+        str(out),
+        *options,
+    ]
     result = CliRunner().invoke(app, words, catch_exceptions=False)
     return result.exit_code, result.stdout
 
@@ -153,7 +161,9 @@ def test_progress_for_a_program_has_the_error_of_the_best_machine_so_far(
             note_error(25.5)
             spend("trial fit 1")
             spend("trial fit 2")  # at once, so that it is left out
-    lines = [line for line in capsys.readouterr().out.split("\n") if line.startswith(cli_support.PROGRESS_MARK)]
+    lines = [
+        line for line in capsys.readouterr().out.split("\n") if line.startswith(cli_support.PROGRESS_MARK)
+    ]
     assert [json.loads(line[1:]) for line in lines] == [
         {"doing": "trial fit 1", "spent": 0.0, "budget": 120.0, "error": 25.5}
     ]

@@ -71,7 +71,9 @@ def assert_refused(result: tuple[int, str, str], *fragments: str, code: int = 2)
 
 def test_simulate_keeps_times_and_columns(hframe_command: Command, tmp_path: Path, hframe: Machine) -> None:
     source = ROOT / "examples/rig_b/run_01.csv.gz"
-    code, _, _ = hframe_command("simulate", "--machine", "hframe", "--inputs", source, "--out", tmp_path / "p.csv")
+    code, _, _ = hframe_command(
+        "simulate", "--machine", "hframe", "--inputs", source, "--out", tmp_path / "p.csv"
+    )
     assert code == 0
     measured, predicted = load_recording(source, hframe), load_recording(tmp_path / "p.csv", hframe)
     np.testing.assert_allclose(predicted.time_s, measured.time_s, rtol=1e-9)
@@ -80,7 +82,9 @@ def test_simulate_keeps_times_and_columns(hframe_command: Command, tmp_path: Pat
     np.testing.assert_allclose(predicted.outputs[0, lasers], measured.outputs[0, lasers], atol=1e-3)
 
 
-def test_simulate_starts_where_identification_starts(hframe_command: Command, tmp_path: Path, hframe: Machine) -> None:
+def test_simulate_starts_where_identification_starts(
+    hframe_command: Command, tmp_path: Path, hframe: Machine
+) -> None:
     source = ROOT / "examples/rig_b/run_01.csv.gz"
     hframe_command("simulate", "--inputs", source, "--out", tmp_path / "p.csv")
     recording = load_recording(source, hframe)
@@ -108,7 +112,9 @@ def test_simulate_refuses_a_faulty_recording_and_writes_nothing(
 ) -> None:
     path = write_run(cells=cells, **({"header": header} if header else {}))
     before = set(tmp_path.iterdir())
-    assert_refused(hframe_command("simulate", "--inputs", path, "--out", tmp_path / "p.csv"), str(path), location)
+    assert_refused(
+        hframe_command("simulate", "--inputs", path, "--out", tmp_path / "p.csv"), str(path), location
+    )
     assert set(tmp_path.iterdir()) == before
 
 
@@ -133,7 +139,9 @@ def test_identify_refuses_a_faulty_recording_before_it_writes(
     hframe_command: Command, write_run: Callable[..., Path], tmp_path: Path
 ) -> None:
     write_run("a.csv", cells={(4, "x_m"): "oops"})
-    assert_refused(hframe_command("identify", tmp_path, "--out", tmp_path / "out"), "a.csv, row 4, column x_m")
+    assert_refused(
+        hframe_command("identify", tmp_path, "--out", tmp_path / "out"), "a.csv, row 4, column x_m"
+    )
     assert not (tmp_path / "out").exists()
 
 
@@ -197,11 +205,16 @@ def test_evaluate_by_protocol_writes_a_result_file_per_controller(
     bounds = {"free": np.full(2, 0.1), "held": np.full(2, np.nan)}  # the stored ones are of other draws
     for module in ("hframe_gym.evaluation", "hframe_gym.evaluation.protocol_results"):
         monkeypatch.setattr(f"{module}.protocol_bounds", lambda name: bounds)
-    code, out, _ = hframe_command("evaluate", "pid", "textbook-pid", "--protocol", "reach-v1", "--out", tmp_path)
+    code, out, _ = hframe_command(
+        "evaluate", "pid", "textbook-pid", "--protocol", "reach-v1", "--out", tmp_path
+    )
     assert code == 0
     assert "reach-v1, reach" in out
     assert "bound" in out
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["reach-v1_pid.json", "reach-v1_textbook-pid.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "reach-v1_pid.json",
+        "reach-v1_textbook-pid.json",
+    ]
     assert read_result(tmp_path / "reach-v1_pid.json").entry.name == "pid"
 
 
@@ -248,9 +261,13 @@ def test_missing_torch_is_reported_with_the_extra(
 
 
 @pytest.mark.parametrize(
-    "contents", [None, '{"schema": 1', "[]", '{"schema": 1}'], ids=["missing", "truncated", "a list", "incomplete"]
+    "contents",
+    [None, '{"schema": 1', "[]", '{"schema": 1}'],
+    ids=["missing", "truncated", "a list", "incomplete"],
 )
-def test_report_refuses_a_damaged_folder(contents: str | None, hframe_command: Command, tmp_path: Path) -> None:
+def test_report_refuses_a_damaged_folder(
+    contents: str | None, hframe_command: Command, tmp_path: Path
+) -> None:
     if contents is not None:
         (tmp_path / "report.json").write_text(contents)
     assert_refused(hframe_command("report", tmp_path), str(tmp_path))
@@ -269,7 +286,8 @@ def test_unreadable_files_are_named(option: str, kind: str, hframe_command: Comm
 
 
 @pytest.mark.parametrize(
-    ("command", "options"), [("identify", (ROOT / "examples/rig_b",)), ("train", ("ppo",)), ("evaluate", ("pid",))]
+    ("command", "options"),
+    [("identify", (ROOT / "examples/rig_b",)), ("train", ("ppo",)), ("evaluate", ("pid",))],
 )
 def test_a_file_in_place_of_the_output_folder_is_refused(
     command: str, options: tuple[object, ...], hframe_command: Command, tmp_path: Path
@@ -287,7 +305,9 @@ def test_an_internal_error_is_one_line_with_exit_code_1(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hframe_gym.cli.tables.effect_table", broken_table)
-    assert_refused(hframe_command("effects"), "internal error", "HFRAME_DEBUG=1", "KeyError: 'a defect'", code=1)
+    assert_refused(
+        hframe_command("effects"), "internal error", "HFRAME_DEBUG=1", "KeyError: 'a defect'", code=1
+    )
 
 
 def test_debugging_shows_the_traceback_of_an_internal_error(
@@ -313,7 +333,9 @@ def test_evaluate_scores_and_warns_of_an_agent_trained_on_another_machine(
     assert f"{scores['controllers']['pid']['settling_s']['0.2mm']['mean']:.3f}" in out
 
 
-def test_evaluate_does_not_warn_on_the_machine_of_the_training(hframe_command: Command, tmp_path: Path) -> None:
+def test_evaluate_does_not_warn_on_the_machine_of_the_training(
+    hframe_command: Command, tmp_path: Path
+) -> None:
     code, _, err = hframe_command("evaluate", "ppo", "--episodes", 2, "--out", tmp_path)
     assert (code, err) == (0, "")
 
@@ -422,8 +444,16 @@ def test_scores_are_not_cut(metric: str, width: int) -> None:
     errors = {key: {"mean": 1.2345 + i} for i, key in enumerate(keys)}
     score = {"success": success, metric: errors, "tracking_mm": errors}
     names = ("pid", "my_package.my_controllers:a-controller")
-    scores = {"task": "reach", "episodes": 512, "machine": "hframe", "randomize": "default", "sensors": "state"}
-    text = printed(cli_tables.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}), width)
+    scores = {
+        "task": "reach",
+        "episodes": 512,
+        "machine": "hframe",
+        "randomize": "default",
+        "sensors": "state",
+    }
+    text = printed(
+        cli_tables.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}), width
+    )
     assert "pid" in text.split()
     for number in ("100.0", "99.8", "12.5", *(f"{cell['mean']:.3f}" for cell in errors.values())):
         assert text.count(number) >= len(names)
@@ -433,13 +463,31 @@ def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
     """The mean is then the length of the episodes, which is no settling time."""
     bands = {"1mm": 0.5, "0.2mm": 0.0, "0.05mm": 0.0}
     score = {"success": bands, "settling_s": {band: {"mean": 1.5} for band in bands}}
-    scores = {"task": "reach", "episodes": 512, "machine": "hframe", "randomize": "none", "sensors": "state", "seed": 0}
+    scores = {
+        "task": "reach",
+        "episodes": 512,
+        "machine": "hframe",
+        "randomize": "none",
+        "sensors": "state",
+        "seed": 0,
+    }
     text = printed(cli_tables.score_table({**scores, "controllers": {"idle": score}}), 80)
     assert text.split()[-7:] == ["50.0", "0.0", "0.0", "1.500", "-", "-", "-"]
     part = {f"settling_s.{band}": {"success": bands[band], "mean": 1.5, "ci95": (1.4, 1.5)} for band in bands}
-    result = {"protocol": "reach-v1", "entry": {"name": "idle"}, "scores": {"reach": {"final_error_mm": 1.0, **part}}}
+    result = {
+        "protocol": "reach-v1",
+        "entry": {"name": "idle"},
+        "scores": {"reach": {"final_error_mm": 1.0, **part}},
+    }
     (table,) = cli_tables.protocol_tables([result])
-    assert printed(table, 80).split()[-6:] == ["idle", "50.0", "0.0", "0.0", "-", "-"]  # nor a ratio to the bound
+    assert printed(table, 80).split()[-6:] == [
+        "idle",
+        "50.0",
+        "0.0",
+        "0.0",
+        "-",
+        "-",
+    ]  # nor a ratio to the bound
 
 
 def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:
@@ -451,7 +499,9 @@ def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:
 @pytest.mark.parametrize("width", [80, 60])
 def test_errors_of_an_identification_are_not_cut(width: int) -> None:
     channels = ("phi1_rad", "phi2_rad", "x_m", "bridge_left_m")
-    errors = {channel: {"rmse": 1.2345e-5, "noise_ratio": 1234.5} for channel in channels} | {"force_error": 0.5}
+    errors = {channel: {"rmse": 1.2345e-5, "noise_ratio": 1234.5} for channel in channels} | {
+        "force_error": 0.5
+    }
     report = {stage: {"held_out": errors} for stage in ("declared", "before", "after")}
     text = printed(cli_tables.identification_table(report, channels), width)
     assert set(channels) <= set(text.split())
@@ -468,7 +518,9 @@ def test_machines_and_effects_are_not_cut(width: int) -> None:
 @pytest.mark.parametrize("width", [80, 60])
 def test_findings_are_not_cut(width: int) -> None:
     findings = [
-        Finding("advice", "a_run_with_a_very_long_name_2026_11_22", "bottom.rest_length", "what was found " * 9)
+        Finding(
+            "advice", "a_run_with_a_very_long_name_2026_11_22", "bottom.rest_length", "what was found " * 9
+        )
     ]
     console = Console(width=width, record=True, file=io.StringIO(), force_terminal=True)
     print_findings(findings, console)
@@ -483,7 +535,9 @@ def test_names_are_complete_in_a_pipe(command: str) -> None:
     code = f"import sys; sys.argv = ['hframe', '{command}']; from hframe_gym.cli import main; main()"
     for columns in ({}, {"COLUMNS": "80"}):
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **columns}
-        run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        run = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+        )
         assert names <= set(run.stdout.split())
         assert max(map(len, run.stdout.splitlines())) <= 80
 
@@ -580,7 +634,9 @@ def test_paragraphs_of_help_fill_the_terminal(
         ("train", ("ppo,", "residual,", "sac,", "sac_her", "adapt,", "identified")),
     ],
 )
-def test_help_lists_the_registered_choices(command: str, choices: tuple[str, ...], hframe_command: Command) -> None:
+def test_help_lists_the_registered_choices(
+    command: str, choices: tuple[str, ...], hframe_command: Command
+) -> None:
     _, out, _ = hframe_command(command, "--help")
     words = out.replace("│", " ").split()
     for choice in choices:
@@ -598,7 +654,9 @@ def test_the_package_imports_and_steps_without_the_extras() -> None:
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
-def test_import_converts_a_folder_of_logs_that_check_then_accepts(hframe_command: Command, tmp_path: Path) -> None:
+def test_import_converts_a_folder_of_logs_that_check_then_accepts(
+    hframe_command: Command, tmp_path: Path
+) -> None:
     source = np.loadtxt(ROOT / "examples/rig_b/run_01.csv.gz", delimiter=",", skiprows=1)[:800]
     (tmp_path / "logs").mkdir()
     for name in ("a", "b"):
@@ -606,19 +664,27 @@ def test_import_converts_a_folder_of_logs_that_check_then_accepts(hframe_command
         scales = [1e3, 1, 1, 180 / np.pi, 180 / np.pi, 1e3, 1e3]
         lines += [";".join(f"{value:.12g}".replace(".", ",") for value in row) for row in source * scales]
         (tmp_path / "logs" / f"{name}.txt").write_text("\n".join(lines))
-    (tmp_path / "map.toml").write_text("[map]\nv1_V = 'U1'\nv2_V = 'V2'\nx_m = 'Laser X'\n[scale]\nx_m = 0.001\n")
+    (tmp_path / "map.toml").write_text(
+        "[map]\nv1_V = 'U1'\nv2_V = 'V2'\nx_m = 'Laser X'\n[scale]\nx_m = 0.001\n"
+    )
     options = ("--mapping", tmp_path / "map.toml", "--out", tmp_path / "runs")
     result = hframe_command("import", tmp_path / "logs", *options)
     assert_refused(result, "--map v2_V=V2: there is no such column; the columns are Zeit [ms], U1, U2")
     assert_refused(
         hframe_command("import", tmp_path / "logs", *options, "--map", "U2"), "--map U2: must be CHANNEL=COL"
     )
-    assert_refused(hframe_command("import", tmp_path / "logs", *options, "--scale", "x_m=a"), "'a' is not a factor")
+    assert_refused(
+        hframe_command("import", tmp_path / "logs", *options, "--scale", "x_m=a"), "'a' is not a factor"
+    )
     assert not (tmp_path / "runs").exists()
-    code, out, _ = hframe_command("import", tmp_path / "logs", *options, "--map", "v2_V=U2", "--format", "parquet")
+    code, out, _ = hframe_command(
+        "import", tmp_path / "logs", *options, "--map", "v2_V=U2", "--format", "parquet"
+    )
     assert code == 0
     assert "phi1 [deg] angle deg phi1_rad (deg to rad)" in " ".join(out.split())
-    assert f"wrote 2 runs to {tmp_path / 'runs'}. Next: hframe check {tmp_path / 'runs'} --machine hframe" in out
+    assert (
+        f"wrote 2 runs to {tmp_path / 'runs'}. Next: hframe check {tmp_path / 'runs'} --machine hframe" in out
+    )
     run = load_recording(tmp_path / "runs" / "b.parquet", BUILTIN_MACHINES["hframe"]())
     np.testing.assert_allclose(np.column_stack([run.time_s, run.inputs, run.outputs]), source, rtol=1e-10)
     code, out, _ = hframe_command("check", tmp_path / "runs")
@@ -641,9 +707,12 @@ def test_a_scorecard_of_one_axis_has_its_positions(hframe_command: Command, tmp_
     code, out, _ = hframe_command(*words)
     assert code == 0
     assert re.search(
-        r"Path of the tool under pid, from -?\d+ mm to the goal at -?\d+ mm", (tmp_path / "scorecard.html").read_text()
+        r"Path of the tool under pid, from -?\d+ mm to the goal at -?\d+ mm",
+        (tmp_path / "scorecard.html").read_text(),
     )
-    assert "Next: hframe train ppo --machine axis --task reach --out FOLDER, then evaluate FOLDER too\n" in out
+    assert (
+        "Next: hframe train ppo --machine axis --task reach --out FOLDER, then evaluate FOLDER too\n" in out
+    )
 
 
 def test_the_control_period_of_the_commands_is_that_of_the_environments() -> None:
@@ -653,7 +722,9 @@ def test_the_control_period_of_the_commands_is_that_of_the_environments() -> Non
 def test_a_proposal_to_train_names_what_differs_from_the_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = agents.load_recipe("ppo", "reach")
     slow = dataclasses.replace(recipe, env={**recipe.env, "period": 0.02, "randomize": "wide"})
-    same = "Next: hframe train ppo --machine 'my rig.json' --task reach --out FOLDER, then evaluate FOLDER too"
+    same = (
+        "Next: hframe train ppo --machine 'my rig.json' --task reach --out FOLDER, then evaluate FOLDER too"
+    )
     assert training_proposal("my rig.json", "reach", recipe.randomize, recipe.period) == same
     monkeypatch.setattr(agents, "load_recipe", lambda name, task: slow)
     assert training_proposal("my rig.json", "reach", "wide", 0.02) == same
@@ -665,11 +736,18 @@ def test_a_proposal_to_train_names_what_differs_from_the_recipe(monkeypatch: pyt
 
 
 @pytest.mark.train
-def test_the_proposed_commands_repeat_randomization_and_period(hframe_command: Command, tmp_path: Path) -> None:
+def test_the_proposed_commands_repeat_randomization_and_period(
+    hframe_command: Command, tmp_path: Path
+) -> None:
     options = ("--machine", "axis", "--randomize", "wide")
     words = ("evaluate", "pid", *options, "--period", 0.005, "--episodes", 2, "--out", tmp_path / "scores")
-    proposed = "hframe train ppo --machine axis --task reach --randomize wide --out FOLDER, then evaluate FOLDER too"
-    assert f"Next: {proposed} with --period 0.01, the control period of the recipe\n" in hframe_command(*words)[1]
+    proposed = (
+        "hframe train ppo --machine axis --task reach --randomize wide --out FOLDER, then evaluate FOLDER too"
+    )
+    assert (
+        f"Next: {proposed} with --period 0.01, the control period of the recipe\n"
+        in hframe_command(*words)[1]
+    )
     folder = tmp_path / "an agent"
     out = hframe_command("train", "ppo", *options, "--steps", 1, "--out", folder)[1]
     proposed = f"pid --machine axis --task reach --randomize wide --out '{folder / 'scores'}' --html"
@@ -683,11 +761,23 @@ def test_the_proposed_commands_repeat_randomization_and_period(hframe_command: C
     ("words", "missing", "example"),
     [
         ("train", "Missing argument 'algorithm'", "hframe train ppo --out out/ppo"),
-        ("evaluate", "Missing argument 'controllers'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
-        ("evaluate --ray", "Missing argument 'controllers'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
+        (
+            "evaluate",
+            "Missing argument 'controllers'",
+            "hframe evaluate pid textbook-pid --episodes 64 --html",
+        ),
+        (
+            "evaluate --ray",
+            "Missing argument 'controllers'",
+            "hframe evaluate pid textbook-pid --episodes 64 --html",
+        ),
         ("evaluate pid", "Missing option '--out'", "hframe evaluate pid textbook-pid --episodes 64 --html"),
         ("export dataset", "Missing argument 'controllers'", "hframe export dataset pid ppo --episodes 100"),
-        ("simulate", "Missing option '--inputs'", "hframe simulate --machine hframe --inputs examples/rig_b/"),
+        (
+            "simulate",
+            "Missing option '--inputs'",
+            "hframe simulate --machine hframe --inputs examples/rig_b/",
+        ),
         ("kernel", "Missing argument 'machine'", "hframe kernel hframe"),
         ("examples", "Missing option '--out'", "hframe examples --out examples"),
         ("import", "Missing argument 'logs'", "hframe import log.txt"),
@@ -722,4 +812,7 @@ def test_play_refuses_a_machine_with_one_axis(hframe_command: Callable[..., tupl
     pytest.importorskip("pygame")
     code, _, errors = hframe_command("play", "--machine", "axis", "--frames", "1")
     assert code == 2
-    assert "machine 'axis': `hframe play` shows a tool that moves along x and y, and this one moves along x" in errors
+    assert (
+        "machine 'axis': `hframe play` shows a tool that moves along x and y, and this one moves along x"
+        in errors
+    )

@@ -43,7 +43,9 @@ def package(version: str, *requires: str) -> FakeDistribution:
 
 def test_requirements_are_followed_with_extras_and_markers(monkeypatch: pytest.MonkeyPatch) -> None:
     installed = {
-        "first": package("1.0", "Second_Package[fast]>=1", "nowhere; sys_platform == 'never'", "nvidia-library==1"),
+        "first": package(
+            "1.0", "Second_Package[fast]>=1", "nowhere; sys_platform == 'never'", "nvidia-library==1"
+        ),
         "second-package": package("2.0", "speed; extra == 'fast'", "style; extra == 'pretty'", "first"),
         "speed": package("3.0"),
     }
@@ -63,7 +65,13 @@ def test_an_extra_does_not_repeat_the_extras_that_it_includes() -> None:
 def test_problems_are_reported_per_package() -> None:
     pins = dependencies.read_pins("# comment\nTorch==2.13.0  # pinned\nold_pin==1.0\n")
     assert pins == {"torch": "2.13.0", "old-pin": "1.0"}
-    installed = {"torch": package("2.13.0+cpu"), "old-pin": package("1.1"), "new": package("5"), "a": None, "b": None}
+    installed = {
+        "torch": package("2.13.0+cpu"),
+        "old-pin": package("1.1"),
+        "new": package("5"),
+        "a": None,
+        "b": None,
+    }
     pins |= {"a": "1", "b": "1"}
     installed |= {"c": None}
     assert list(dependencies.find_problems(installed, {"a", "torch"}, pins)) == [
@@ -79,11 +87,16 @@ def test_problems_are_reported_per_package() -> None:
     [
         ([("License-Expression", "MIT OR Apache-2.0"), ("License", "ignored")], "MIT OR Apache-2.0"),
         ([("Classifier", "License :: OSI Approved :: MIT License"), ("License", "ignored")], "MIT"),
-        ([("Classifier", "License :: OSI Approved"), ("License", "Apache 2.0\nThe whole text")], "Apache-2.0"),
+        (
+            [("Classifier", "License :: OSI Approved"), ("License", "Apache 2.0\nThe whole text")],
+            "Apache-2.0",
+        ),
         ([("Classifier", "Programming Language :: Python")], "unknown"),
     ],
 )
-def test_the_license_is_read_from_each_field_that_packages_use(fields: list[tuple[str, str]], expected: str) -> None:
+def test_the_license_is_read_from_each_field_that_packages_use(
+    fields: list[tuple[str, str]], expected: str
+) -> None:
     assert dependencies.license_of(FakeDistribution(*fields)) == expected
 
 
@@ -106,7 +119,9 @@ def test_a_missing_pin_is_reported_and_then_written(
     assert page.read_text().endswith("<!-- end -->\n\nMore text.\n")
 
 
-def test_resolved_versions_are_compared_with_the_pins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_resolved_versions_are_compared_with_the_pins(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """GPU libraries depend on the platform and are not pinned."""
     version = dependencies.read_pins(dependencies.CONSTRAINTS.read_text("utf-8"))["numpy"]
     resolved = tmp_path / "resolved.txt"
@@ -123,7 +138,12 @@ def test_resolved_versions_are_compared_with_the_pins(tmp_path: Path, capsys: py
 
 def test_hints_name_extras_that_exist_and_are_spelled_alike() -> None:
     folders = ("hframe_gym", "agents", "docs", "tests", "tools", "benchmarks", "examples")
-    files = [file for folder in folders for file in (ROOT / folder).rglob("*") if file.suffix in (".py", ".md", ".j2")]
+    files = [
+        file
+        for folder in folders
+        for file in (ROOT / folder).rglob("*")
+        if file.suffix in (".py", ".md", ".j2")
+    ]
     hints = [hint for file in [*ROOT.glob("*.md"), *files] for hint in _hints(file)]
     assert len(hints) > 5
     assert [hint for hint in hints if not hint[1].startswith("hframe_gym[")] == []

@@ -36,7 +36,9 @@ def test_a_task_whose_worker_dies_is_repeated_and_nothing_is_lost_or_counted_twi
     assert list(map_tasks(task, seeds, jobs=2, completed=lambda i, _: finished.append(i))) == plain
     assert sorted(finished) == [0, 1, 2, 3, 4, 5]
     attempts = {seed: (tmp_path / f"started_{seed}").read_text().split() for seed in seeds}
-    assert {seed: len(processes) for seed, processes in attempts.items()} == {seed: 1 + (seed == 8) for seed in seeds}
+    assert {seed: len(processes) for seed, processes in attempts.items()} == {
+        seed: 1 + (seed == 8) for seed in seeds
+    }
     assert len(set(attempts[8])) == 2
     assert str(os.getpid()) not in {process for processes in attempts.values() for process in processes}
 
@@ -70,7 +72,9 @@ def test_workers_use_one_thread_and_the_program_keeps_its_settings(monkeypatch: 
 
 def test_another_version_in_a_worker_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(distributed, "_version", lambda: "99.0")
-    with pytest.raises(InputError, match=r"a worker has hframe_gym .*, this program 99\.0: install the same version"):
+    with pytest.raises(
+        InputError, match=r"a worker has hframe_gym .*, this program 99\.0: install the same version"
+    ):
         list(map_tasks(draw, [0], jobs=2))
 
 
@@ -180,7 +184,9 @@ def test_seeds_in_processes_are_those_of_single_runs(tmp_path: Path) -> None:
     assert sorted(cards) == [3, 5]
     for seed in cards:
         single = train("ppo", seed=seed, out=tmp_path / "single", force=True, **options)
-        assert [row["final_error_mm"] for row in cards[seed]["curve"]] == [r["final_error_mm"] for r in single["curve"]]
+        assert [row["final_error_mm"] for row in cards[seed]["curve"]] == [
+            r["final_error_mm"] for r in single["curve"]
+        ]
         together, alone = tmp_path / f"seed_{seed}", tmp_path / "single"
         assert (together / "policy.safetensors").read_bytes() == (alone / "policy.safetensors").read_bytes()
         refuse_unsigned(together / "checkpoint.zip")
@@ -198,7 +204,15 @@ def test_a_folder_of_rigs_becomes_a_folder_of_results(tmp_path: Path) -> None:
     (tmp_path / "rigs" / "servo").mkdir()
     for name in ("a", "b"):
         (tmp_path / "rigs" / "servo" / f"{name}.csv").write_text("time_s,v_V,arm_rad\n0,0,0\n0.01,0,0\n")
-    command = [sys.executable, "-m", "hframe_gym", "identify", str(tmp_path / "rigs"), "--out", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        "-m",
+        "hframe_gym",
+        "identify",
+        str(tmp_path / "rigs"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     command += ["--hold-out", "run_01"]
     done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert done.returncode == 2

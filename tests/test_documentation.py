@@ -18,7 +18,9 @@ SITE = [page for page in PAGES if page.parent == ROOT or "docs" in page.parts]
 # Paths of this repository in backticks; placeholders such as NAME and patterns are not paths.
 _PATH = re.compile(r"`((?:hframe_gym|agents|benchmarks|tests|tools|docs|examples)/[\w./-]*?)(?:::\w+)?`")
 _LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
-_TESTED_BY = re.compile(r"run by `(tests/[\w/]+\.py)`")  # a page whose blocks another test executes names that test
+_TESTED_BY = re.compile(
+    r"run by `(tests/[\w/]+\.py)`"
+)  # a page whose blocks another test executes names that test
 
 
 def name_of(page: Path) -> str:
@@ -59,7 +61,9 @@ def test_links_and_paths_exist(page: Path) -> None:
 @pytest.mark.parametrize("page", SITE, ids=name_of)
 def test_every_block_has_a_language(page: Path) -> None:
     """A block without a language would not be executed; one that is not executed says why in its first line."""
-    assert [f"line {b.line}: {b.language!r}" for b in blocks_of(page) if b.language not in (*EXECUTED, *SHOWN)] == []
+    assert [
+        f"line {b.line}: {b.language!r}" for b in blocks_of(page) if b.language not in (*EXECUTED, *SHOWN)
+    ] == []
 
 
 @pytest.mark.integration
@@ -96,7 +100,9 @@ def test_reader_of_blocks_finds_all_kinds(tmp_path: Path) -> None:
     quick = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "first" in quick
     assert "42" not in quick
-    assert "42" in subprocess.run([*run, "--slow"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert (
+        "42" in subprocess.run([*run, "--slow"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    )
     page.write_text("text\n\n```python\nx = 1\nx / 0\n```\n")
     failed = subprocess.run(run, cwd=ROOT, capture_output=True, text=True)
     assert failed.returncode == 1
@@ -112,7 +118,9 @@ def test_modules_that_the_documentation_runs_exist() -> None:
     for page in PAGES:
         for module in re.findall(r"python -m ((?:benchmarks|tests|tools)[\w.]*)", page.read_text("utf-8")):
             path = ROOT / module.replace(".", "/")
-            assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), f"{page.name}: {module}"
+            assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), (
+                f"{page.name}: {module}"
+            )
 
 
 def test_links_of_the_site_stay_inside_it() -> None:
@@ -122,7 +130,10 @@ def test_links_of_the_site_stay_inside_it() -> None:
         "[a](results.md#x), [b](agents.md), c (`agents/shipped` in the repository), ![d](figures/e.png), [f](https://example.org)"
     )
     assert site.resolve_links("[a](docs/errata.md)", "RESULTS.md", "results.md") == "[a](errata.md)"
-    assert site.resolve_links("[a](../agents.md)", "docs/decisions/0001.md", "decisions/0001.md") == "[a](../agents.md)"
+    assert (
+        site.resolve_links("[a](../agents.md)", "docs/decisions/0001.md", "decisions/0001.md")
+        == "[a](../agents.md)"
+    )
     assert "<mfrac>" in site.format_math(r"\frac{a}{b}")
 
 

@@ -52,7 +52,9 @@ class ToyController(Controller):
     def act(self, observation: Mapping[str, Any]) -> Any:
         """Return the actions, shape (B, 2)."""
         error = observation["desired_goal"] - observation["observation"][:, :2]
-        return np.clip(-20.0 * np.stack([error[:, 1] + error[:, 0], error[:, 1] - error[:, 0]], axis=1), -1.0, 1.0)
+        return np.clip(
+            -20.0 * np.stack([error[:, 1] + error[:, 0], error[:, 1] - error[:, 0]], axis=1), -1.0, 1.0
+        )
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,9 @@ class ToyTask(Task):
         """Return what can be randomized."""
         return {"distance": self.distance}
 
-    def begin(self, workspace: Any, uniforms: Any, parameters: Mapping[str, Any] | None = None) -> tuple[Any, Any]:
+    def begin(
+        self, workspace: Any, uniforms: Any, parameters: Mapping[str, Any] | None = None
+    ) -> tuple[Any, Any]:
         """Return starts and goals."""
         goals = np.zeros((len(uniforms), 2))
         goals[:, 0] = self.distance if parameters is None else parameters["distance"]
@@ -112,7 +116,14 @@ class ToyLogs(LogFormat):
         values = np.frombuffer(path.read_bytes()[4:], np.float32).reshape(-1, 2).astype(float)
         table = np.column_stack([np.arange(len(values)) * 1e-3, values])
         columns = log_columns(["t [s]", "U [V]", "pos [mm]"], [""] * 3, ["number"] * 3)
-        return [Log(path, columns, ("it is a toy",), lambda indices, progress: ([table[:, k] for k in indices], []))]
+        return [
+            Log(
+                path,
+                columns,
+                ("it is a toy",),
+                lambda indices, progress: ([table[:, k] for k in indices], []),
+            )
+        ]
 
 
 PARTS: list[tuple[Any, str, Any]] = [
@@ -156,7 +167,10 @@ def test_a_machine_file_keeps_the_effect_and_the_sensor_kind(machine_path: Path,
     assert loaded.unit("toy_cubic_spring@x.k") == "N/m^3"
     assert loaded.sensor("x_m").kind == "toy-counter"
     time_s, inputs = np.arange(300) * 1e-3, np.full((300, 2), (-6.0, -3.0))
-    assert np.ptp(simulate(loaded, time_s, inputs).outputs[-1] - simulate(hframe, time_s, inputs).outputs[-1]) > 1e-3
+    assert (
+        np.ptp(simulate(loaded, time_s, inputs).outputs[-1] - simulate(hframe, time_s, inputs).outputs[-1])
+        > 1e-3
+    )
 
 
 def test_hframe_import_reads_the_file_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +196,11 @@ RANGES = {"toy_cubic_spring@x.k": (2.5e4, 1e5), "x_m.noise": (0.5e-5, 2e-5), "ta
 
 @pytest.mark.parametrize("prefix", ["", f"{__name__}:"], ids=["name", "module and name"])
 def test_environments_use_the_parts_and_randomize_their_parameters(machine_path: Path, prefix: str) -> None:
-    options: dict[str, Any] = {"machine": str(machine_path), "task": f"{prefix}toy-task", "sensors": "machine"}
+    options: dict[str, Any] = {
+        "machine": str(machine_path),
+        "task": f"{prefix}toy-task",
+        "sensors": "machine",
+    }
     options |= {"reward": f"{prefix}toy-reward", "randomize": RULES}
     env = gym.make("HFrame-v0", **options)
     env_checker.check_env(env.unwrapped, skip_render_check=True)
@@ -221,7 +239,15 @@ def run_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 def test_hframe_evaluate_scores_the_controller_on_the_task(
     machine_path: Path, prefix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["evaluate", f"{prefix}toy-controller", "pid", "--task", f"{prefix}toy-task", "--sensors", "machine"]
+    words = [
+        "evaluate",
+        f"{prefix}toy-controller",
+        "pid",
+        "--task",
+        f"{prefix}toy-task",
+        "--sensors",
+        "machine",
+    ]
     words += ["--machine", str(machine_path), "--episodes", "4", "--out", str(tmp_path / "out")]
     run_command(words, monkeypatch)
     scores = json.loads((tmp_path / "out/scores.json").read_text())
@@ -270,7 +296,9 @@ def test_identify_names_the_effect() -> None:
     assert selected.effect.label == "toy_cubic_spring@x"
     # The recordings determine the ratios of forces: mass and drive gain are the declared ones only up to a factor.
     values = result.after.machine.parameters
-    assert values["toy_cubic_spring@x.k"] / values["x.mass"] == pytest.approx(2e4 / axis.parameters["x.mass"], rel=0.01)
+    assert values["toy_cubic_spring@x.k"] / values["x.mass"] == pytest.approx(
+        2e4 / axis.parameters["x.mass"], rel=0.01
+    )
 
 
 def test_the_parts_are_removed_after_a_test() -> None:

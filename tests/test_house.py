@@ -118,7 +118,9 @@ def test_results_that_hold_arrays_state_a_shape(tmp_path: Path) -> None:
 def test_measures_of_a_small_tree(tmp_path: Path) -> None:
     for folder in ("hframe_gym/effects", "agents"):
         (tmp_path / folder).mkdir(parents=True)
-    (tmp_path / "hframe_gym" / "long.py").write_text("def f() -> None:\n    '''Do it its own way.'''\n    x = 1\n")
+    (tmp_path / "hframe_gym" / "long.py").write_text(
+        "def f() -> None:\n    '''Do it its own way.'''\n    x = 1\n"
+    )
     (tmp_path / "hframe_gym" / "__init__.py").write_text("x = 1\n")
     (tmp_path / "hframe_gym" / "effects" / "spring.py").write_text("x = 1\n")
     (tmp_path / "agents" / "big.py").write_text("x = 'owner'\n" * 400)

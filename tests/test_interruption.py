@@ -18,7 +18,9 @@ from hframe_gym.cli import app
 from hframe_gym.cli.support import describe_failure
 
 ROOT = Path(__file__).parents[1]
-needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot send SIGINT or SIGTERM to a process")
+needs_signals = pytest.mark.skipif(
+    sys.platform == "win32", reason="Windows cannot send SIGINT or SIGTERM to a process"
+)
 # Runs the entry point of the command with another command line application.
 _COMMAND = """
 import sys, time
@@ -57,7 +59,9 @@ def start(body: str) -> subprocess.Popen[str]:
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
 @pytest.mark.parametrize("body", [SLEEP, CONVERTED, SWALLOWED], ids=["unwinds", "converted", "swallowed"])
-def test_a_signal_ends_the_command_with_one_line(body: str, number: signal.Signals, code: int, word: str) -> None:
+def test_a_signal_ends_the_command_with_one_line(
+    body: str, number: signal.Signals, code: int, word: str
+) -> None:
     """Also where a library converts the exception to another one, or ignores it."""
     with start(body) as process:
         assert process.stdout is not None
@@ -74,7 +78,9 @@ def test_an_ignored_signal_stays_ignored() -> None:
     body = "    print('ready', flush=True)\n    time.sleep(0.5)"
     code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n" + _COMMAND.format(body=body)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signal.SIGINT)
@@ -83,7 +89,11 @@ def test_an_ignored_signal_stays_ignored() -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [("evaluate", "pid", "--episodes", "1"), ("identify", str(ROOT / "examples" / "rig_a")), ("train", "ppo")],
+    [
+        ("evaluate", "pid", "--episodes", "1"),
+        ("identify", str(ROOT / "examples" / "rig_a")),
+        ("train", "ppo"),
+    ],
     ids=lambda words: words[0],
 )
 def test_a_folder_in_use_is_refused(words: tuple[str, ...], tmp_path: Path) -> None:

@@ -64,7 +64,9 @@ def test_show_prints_standard_deviations_and_effects(machines: Command, tmp_path
     from hframe_gym.machine import Uncertainty
 
     machine = BUILTIN_MACHINES["axis"]().with_effects(EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.03))
-    save_machine(machine.replace(uncertainty=Uncertainty(("x.mass",), np.array([[4e-4]]))), tmp_path / "m.json")
+    save_machine(
+        machine.replace(uncertainty=Uncertainty(("x.mass",), np.array([[4e-4]]))), tmp_path / "m.json"
+    )
     code, out, _ = machines("show", tmp_path / "m.json")
     assert code == 0
     assert "1 +- 0.02 kg" in out
@@ -111,7 +113,11 @@ def test_new_writes_a_machine_and_never_overwrites_without_force(machines: Comma
     assert code == 0
     assert "hframe machines show" in out
     machine = load_machine(path)
-    assert (machine.name, machine.parameters["y.mass"], machine.parameters["x.coulomb"]) == ("printer", 1.2, 1.5)
+    assert (machine.name, machine.parameters["y.mass"], machine.parameters["x.coulomb"]) == (
+        "printer",
+        1.2,
+        1.5,
+    )
     before = path.read_bytes()
     code, _, error = machines(*words, "--Kt", "0.1")
     assert code == 2
@@ -207,7 +213,11 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     ids=["no encoders", "the template has no encoders", "the template has encoders"],
 )
 def test_an_answer_that_leaves_no_sensor_is_asked_for_again(
-    given: dict[str, Any], typed: list[int], sensors: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    given: dict[str, Any],
+    typed: list[int],
+    sensors: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     """One part of the sensors is an option, the other a question."""
     from hframe_gym.cli import machine_questions
@@ -227,7 +237,9 @@ def test_an_answer_that_leaves_no_sensor_is_asked_for_again(
     assert sum(line.startswith("no sensor is left") for line in said) == 1
 
 
-def test_accepted_defaults_give_the_template_to_the_last_digit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_accepted_defaults_give_the_template_to_the_last_digit(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     from hframe_gym.cli import machine_questions
 
     monkeypatch.setattr(machine_questions.sys.stdin, "isatty", lambda: True, raising=False)

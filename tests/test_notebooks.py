@@ -67,7 +67,11 @@ def test_the_names_that_it_uses_are_public(path: Path) -> None:
                 imported += 1
                 assert hasattr(module, alias.name), f"{node.module} has no {alias.name}"
                 assert alias.name in getattr(module, "__all__", [alias.name]), f"{node.module}.{alias.name}"
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "hframe_gym":
+        elif (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "hframe_gym"
+        ):
             imported += 1
             assert node.attr in hframe_gym.__all__
     assert imported >= 3
@@ -81,7 +85,10 @@ def test_it_runs_in_a_copy_of_the_examples(path: Path, tmp_path: Path) -> None:
     notebook = read(copy)
     search_path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     client = nbclient.NotebookClient(
-        notebook, timeout=MAX_SECONDS, kernel_name="python3", resources={"metadata": {"path": str(copy.parent)}}
+        notebook,
+        timeout=MAX_SECONDS,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(copy.parent)}},
     )
     client.execute(env={**os.environ, "PYTHONPATH": search_path})
     stored = [len(cell.outputs) > 0 for cell in code_cells(path)]

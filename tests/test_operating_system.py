@@ -38,7 +38,9 @@ def test_words_are_quoted_for_the_shell_of_the_system() -> None:
 
 
 @pytest.mark.parametrize("absent", [(), ("process_cpu_count",), ("process_cpu_count", "sched_getaffinity")])
-def test_cores_are_counted_by_what_the_system_offers(absent: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cores_are_counted_by_what_the_system_offers(
+    absent: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in absent:
         monkeypatch.delattr(os, name, raising=False)
     operating_system._cores.cache_clear()

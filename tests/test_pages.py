@@ -78,7 +78,9 @@ def episodes_of(seed: int, *, contour: bool, decay_s: float) -> Episodes:
 def scorecard_page(task: str, folder: Path, **changes: Any) -> Path:
     """Write the scorecard of three controllers that differ in their time constants."""
     names = ("pid", "textbook-pid", "out/agents/a_folder_with_a_long_name")
-    recorded = {name: episodes_of(k, contour=task == "track", decay_s=0.04 * (k + 1)) for k, name in enumerate(names)}
+    recorded = {
+        name: episodes_of(k, contour=task == "track", decay_s=0.04 * (k + 1)) for k, name in enumerate(names)
+    }
     bound = np.full(20, 0.15) if task == "reach" else None
     scores = {
         "schema": 1, "machine": "hframe", "task": task, "randomize": "default", "episodes": 20, "seed": 0,
@@ -121,7 +123,15 @@ def test_the_checks_find_faults(tmp_path: Path, driver: Any) -> None:
         "<div style='width: 2000px'>c</div></main><script>throw Error('broken')</script></body></html>"
     )
     faults = " ".join(faults_of(driver, page, 390, "light"))
-    for text in ("px wide", "no language", "level skipped", "no alternative text", "contrast", "console: ", "broken"):
+    for text in (
+        "px wide",
+        "no language",
+        "level skipped",
+        "no alternative text",
+        "contrast",
+        "console: ",
+        "broken",
+    ):
         assert text in faults
 
 
@@ -149,7 +159,9 @@ def test_the_keyboard_reaches_and_unfolds_the_details(pages: dict[str, Path], dr
     for _ in range(30):
         ActionChains(driver).send_keys(Keys.TAB).perform()
         reached.append(driver.execute_script("return document.activeElement.tagName"))
-        assert driver.execute_script("return getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        assert (
+            driver.execute_script("return getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        )
         if reached[-1] == "SUMMARY":
             break
     assert reached[0] == "A"  # the link that skips the head of the page
@@ -265,7 +277,9 @@ def test_a_controller_that_never_settles_is_not_praised(tmp_path: Path) -> None:
 
 
 def test_the_plot_of_settling_times_leaves_out_a_controller_that_never_settles(tmp_path: Path) -> None:
-    recorded = {name: episodes_of(0, contour=False, decay_s=s) for name, s in {"pid": 0.04, "idle": 10.0}.items()}
+    recorded = {
+        name: episodes_of(0, contour=False, decay_s=s) for name, s in {"pid": 0.04, "idle": 10.0}.items()
+    }
     scores = {"controllers": {name: score_episodes(episodes) for name, episodes in recorded.items()}}
     text = scorecard_page("reach", tmp_path, **scores).read_text()
     (described,) = re.findall(r"Settling time to 0.2 mm, mean over the episodes: ([^\"]*)\.", text)

@@ -37,7 +37,9 @@ def curve(folder: Path) -> list[dict[str, Any]]:
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills a worker of Ray by a signal")
-def test_with_two_workers_of_which_one_is_killed_every_seed_gives_the_agent_of_the_plain_run(tmp_path: Path) -> None:
+def test_with_two_workers_of_which_one_is_killed_every_seed_gives_the_agent_of_the_plain_run(
+    tmp_path: Path,
+) -> None:
     words = [word for seed in SEEDS for word in ("--seed", seed)]
     lines, killed = [], 0
     with start(*TRAIN, *words, "--ray", "--jobs", 2, "--out", tmp_path / "ray") as program:
@@ -45,7 +47,11 @@ def test_with_two_workers_of_which_one_is_killed_every_seed_gives_the_agent_of_t
         assert program.stderr
         for line in program.stdout:
             lines.append(line)
-            if not killed and (found := re.search(r"pid=(\d+)\S* seed 1: +(\d+) steps", line)) and int(found[2]) > 0:
+            if (
+                not killed
+                and (found := re.search(r"pid=(\d+)\S* seed 1: +(\d+) steps", line))
+                and int(found[2]) > 0
+            ):
                 killed = int(found[1])
                 os.kill(killed, signal.SIGKILL)  # in the middle of the task: about 12 evaluations follow
         errors = program.stderr.read()
@@ -73,7 +79,9 @@ def test_scores_on_ray_are_those_without(tmp_path: Path) -> None:
         program = start(*evaluate, *options)
         _, errors = program.communicate()
         assert program.returncode == 0, errors
-    assert (tmp_path / "ray" / "scores.json").read_bytes() == (tmp_path / "plain" / "scores.json").read_bytes()
+    assert (tmp_path / "ray" / "scores.json").read_bytes() == (
+        tmp_path / "plain" / "scores.json"
+    ).read_bytes()
 
 
 def test_an_address_without_a_cluster_is_refused_in_one_line(tmp_path: Path) -> None:

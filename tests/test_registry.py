@@ -34,7 +34,9 @@ def test_a_name_cannot_be_registered_for_two_parts() -> None:
         numbers.register("one")(2)
 
 
-def test_classes_of_the_same_name_in_two_files_are_different(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_classes_of_the_same_name_in_two_files_are_different(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     text = "from hframe_gym.machine import SENSOR_KINDS, SensorKind\n@SENSOR_KINDS.register('twice')\n"
     for name in ("first_plugin", "second_plugin"):
         (tmp_path / f"{name}.py").write_text(f"{text}class Twice(SensorKind):\n    incremental = True\n")
@@ -56,7 +58,9 @@ def test_an_unknown_name_lists_the_registered_ones() -> None:
         numbers.get("two")
 
 
-def test_a_name_with_a_module_imports_the_module_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_name_with_a_module_imports_the_module_first(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "toy_kinds.py").write_text(
         "from hframe_gym.machine import SENSOR_KINDS, SensorKind\n"
         "@SENSOR_KINDS.register('toy')\n"
@@ -106,7 +110,9 @@ def test_a_mistake_in_a_module_is_named(monkeypatch: pytest.MonkeyPatch, tmp_pat
     (tmp_path / "faulty_kinds.py").write_text("1 / 0\n")
     monkeypatch.syspath_prepend(tmp_path)
     shapes: Registry[type] = Registry("shape")
-    with pytest.raises(InputError, match=r"cannot import 'faulty_kinds': ZeroDivisionError: division by zero$"):
+    with pytest.raises(
+        InputError, match=r"cannot import 'faulty_kinds': ZeroDivisionError: division by zero$"
+    ):
         shapes.get("faulty_kinds:toy")
 
 
@@ -159,7 +165,9 @@ def test_every_module_of_a_package_is_imported(monkeypatch: pytest.MonkeyPatch, 
         "import_modules(__name__, __path__, skip=('third',))\n"
     )
     for name in ("first", "second"):
-        (tmp_path / f"toy_package/{name}.py").write_text(f"from . import TOYS\nTOYS.register({name!r})({name!r})\n")
+        (tmp_path / f"toy_package/{name}.py").write_text(
+            f"from . import TOYS\nTOYS.register({name!r})({name!r})\n"
+        )
     (tmp_path / "toy_package/third.py").write_text("import no_such_module\n")
     monkeypatch.syspath_prepend(tmp_path)
     toys = importlib.import_module("toy_package").TOYS

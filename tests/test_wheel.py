@@ -24,7 +24,16 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 RIG = ROOT / "examples" / "rig_b"
 VERSIONS = ("3.11", "3.12", "3.13")
-EXTRA_PACKAGES = ("casadi", "jinja2", "matplotlib", "pyarrow", "pygame", "sklearn", "stable_baselines3", "torch")
+EXTRA_PACKAGES = (
+    "casadi",
+    "jinja2",
+    "matplotlib",
+    "pyarrow",
+    "pygame",
+    "sklearn",
+    "stable_baselines3",
+    "torch",
+)
 MAX_CORE_MB = 480  # LLVM (llvmlite) takes 180, SciPy 143, NumPy 71 and Numba 32
 NOT_IN_SDIST = (".gitattributes", ".gitignore", ".pre-commit-config.yaml", "benchmarks/data/")
 STEPS = """
@@ -71,7 +80,9 @@ def distributions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", params=VERSIONS)
-def installed(request: pytest.FixtureRequest, distributions: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(
+    request: pytest.FixtureRequest, distributions: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """Return the folder of the programs of an environment with the wheel and its core dependencies."""
     interpreter = find_interpreter(request.param)
     if interpreter is None:
@@ -108,7 +119,10 @@ def test_recordings_are_simulated_checked_and_identified(installed: Path, tmp_pa
     machines = run([installed / "python", "-m", "hframe_gym", "machines"], tmp_path)
     assert all(name in machines for name in ("hframe", "hframe-order20", "axis"))
     shutil.copytree(RIG, tmp_path / "runs")
-    run([installed / "hframe", "simulate", "--inputs", "runs/run_01.csv.gz", "--out", "predicted.csv"], tmp_path)
+    run(
+        [installed / "hframe", "simulate", "--inputs", "runs/run_01.csv.gz", "--out", "predicted.csv"],
+        tmp_path,
+    )
     with (tmp_path / "predicted.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2500
@@ -152,6 +166,8 @@ def test_the_source_distribution_is_the_repository(distributions: Path) -> None:
     (archive,) = distributions.glob("*.tar.gz")
     with tarfile.open(archive) as file:
         contained = {member.name.partition("/")[2] for member in file.getmembers() if member.isfile()}
-    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    tracked = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
     assert [path for path in tracked if path not in contained and not path.startswith(NOT_IN_SDIST)] == []
     assert [path for path in contained if path.startswith(NOT_IN_SDIST) or "hframe_gym/agents/" in path] == []

@@ -84,7 +84,9 @@ def test_recordings_and_mappings_are_read_with_line_ends_of_windows(
 
 
 @pytest.mark.parametrize("encode", list(ENCODINGS.values())[:2], ids=list(ENCODINGS)[:2])
-def test_a_path_to_follow_is_read_with_line_ends_of_windows(encode: Callable[[str], bytes], tmp_path: Path) -> None:
+def test_a_path_to_follow_is_read_with_line_ends_of_windows(
+    encode: Callable[[str], bytes], tmp_path: Path
+) -> None:
     path = tmp_path / "my path.csv"
     corners = "x_m,y_m\n-0.05,-0.05\n0.05,-0.05\n0.05,0.05\n-0.05,0.05\n"
     path.write_bytes(encode(corners))

@@ -77,9 +77,15 @@ def posix_names(source: Path) -> list[str]:
 
 def test_no_module_of_the_package_uses_a_name_of_posix_without_asking_for_it() -> None:
     """Also in code that no test executes."""
-    sources = [*(ROOT / "hframe_gym").rglob("*.py"), *(ROOT / "agents").rglob("*.py"), ROOT / "tools" / "tasks.py"]
+    sources = [
+        *(ROOT / "hframe_gym").rglob("*.py"),
+        *(ROOT / "agents").rglob("*.py"),
+        ROOT / "tools" / "tasks.py",
+    ]
     assert len(sources) > 200
-    assert {str(source.relative_to(ROOT)): names for source in sources if (names := posix_names(source))} == {}
+    assert {
+        str(source.relative_to(ROOT)): names for source in sources if (names := posix_names(source))
+    } == {}
 
 
 def test_names_are_absent_for_this_project_and_present_for_others(tmp_path: Path) -> None:
@@ -121,10 +127,14 @@ print("done")
 @pytest.mark.integration
 def test_commands_run(work: Path) -> None:
     run = work / "runs" / "run 1.csv"
-    hframe_without_posix("simulate", "--machine", "axis", "--inputs", run, "--out", "predicted 1.csv", folder=work)
+    hframe_without_posix(
+        "simulate", "--machine", "axis", "--inputs", run, "--out", "predicted 1.csv", folder=work
+    )
     hframe_without_posix("check", "runs", "--machine", "axis", folder=work)
     hframe_without_posix("import", run, "--machine", "axis", "--out", "imported runs", folder=work)
-    hframe_without_posix("identify", "runs", "--machine", "axis", "--jobs", "2", "--out", "answer", folder=work)
+    hframe_without_posix(
+        "identify", "runs", "--machine", "axis", "--jobs", "2", "--out", "answer", folder=work
+    )
     hframe_without_posix("report", "answer", folder=work)
     hframe_without_posix("evaluate", "pid", "--episodes", "2", "--html", "--out", "scores", folder=work)
     files = {path.relative_to(work).as_posix() for path in work.rglob("*") if path.is_file()}
@@ -138,7 +148,19 @@ def test_commands_run(work: Path) -> None:
 def test_training_runs(work: Path) -> None:
     hframe_without_posix("train", "ppo", "--steps", "2000", "--out", "agent", folder=work)
     hframe_without_posix(
-        "train", "ppo", "--steps", "2000", "--seed", "1", "--seed", "2", "--jobs", "2", "--out", "agents", folder=work
+        "train",
+        "ppo",
+        "--steps",
+        "2000",
+        "--seed",
+        "1",
+        "--seed",
+        "2",
+        "--jobs",
+        "2",
+        "--out",
+        "agents",
+        folder=work,
     )
     for folder in ("agent", "agents/seed_1", "agents/seed_2"):
         assert (work / folder / "agent.json").is_file()

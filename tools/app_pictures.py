@@ -27,7 +27,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--all", type=Path, help="folder for pictures of all stages")
     folder = parser.parse_args().all
-    with tempfile.TemporaryDirectory() as place, served(Path(place) / "my_session") as address, chromium() as driver:
+    with (
+        tempfile.TemporaryDirectory() as place,
+        served(Path(place) / "my_session") as address,
+        chromium() as driver,
+    ):
         visitor = Visitor(driver, address)
         newcomers_session(visitor)
         for width in WIDTHS:

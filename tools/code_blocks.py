@@ -30,7 +30,9 @@ SHOWN = ("csv", "json", "math", "text", "toml")  # languages of blocks that are 
 SLOW_COMMANDS = ("hframe identify", "hframe train", "hframe evaluate", "python -m benchmarks")
 _SLOW_MARK = "<!-- slow -->"
 _NOT_EXECUTED = re.compile(r"^# Not executed in the tests: \S.*")
-_INSTALLATION = re.compile(r"^\s*(make|pip|git|cd|pre-commit|sudo|apt(-get)?|source|python3? -m (venv|pip))\b")
+_INSTALLATION = re.compile(
+    r"^\s*(make|pip|git|cd|pre-commit|sudo|apt(-get)?|source|python3? -m (venv|pip))\b"
+)
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,9 @@ def run_page(page: Path, slow: bool) -> int:
         subprocess.CalledProcessError: If a command fails; exceptions of Python blocks are not caught.
     """
     variables: dict[str, Any] = {"__name__": "__main__"}
-    blocks = [block for block in read_blocks(page.read_text("utf-8")) if block.executed and (slow or not block.slow)]
+    blocks = [
+        block for block in read_blocks(page.read_text("utf-8")) if block.executed and (slow or not block.slow)
+    ]
     for block in blocks:
         print(f"--- {page.name}, line {block.line}", flush=True)
         if block.language == "python":
@@ -119,7 +123,9 @@ def enter_workspace(folder: Path) -> None:
 
 def main() -> None:
     """Execute the blocks of the pages that the command line names."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("pages", nargs="+", type=Path, help="pages in Markdown")
     parser.add_argument("--slow", action="store_true", help="execute the slow blocks as well")
     arguments = parser.parse_args()

@@ -118,7 +118,10 @@ def read_pins(text: str) -> dict[str, str]:
         Version by canonical name.
     """
     lines = (line.partition("#")[0].strip() for line in text.splitlines())
-    return {canonicalize_name(name): version for name, _, version in (line.partition("==") for line in lines if line)}
+    return {
+        canonicalize_name(name): version
+        for name, _, version in (line.partition("==") for line in lines if line)
+    }
 
 
 def find_problems(
@@ -158,7 +161,9 @@ def license_of(distribution: metadata.Distribution) -> str:
     fields = distribution.metadata
     if "License-Expression" in fields:
         return fields["License-Expression"]
-    classifiers = [c.rpartition(" :: ")[2] for c in fields.get_all("Classifier") or () if c.startswith("License :: ")]
+    classifiers = [
+        c.rpartition(" :: ")[2] for c in fields.get_all("Classifier") or () if c.startswith("License :: ")
+    ]
     declared = [text for text in classifiers if text != "OSI Approved"]
     if not declared and "License" in fields:
         declared = fields["License"].splitlines()[:1]  # some packages put the whole text of the license there
@@ -192,7 +197,9 @@ def main(arguments: list[str] | None = None) -> int:
         Exit code: 1 if there is a problem, else 0.
     """
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if something is missing")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; exit with 1 if something is missing"
+    )
     parser.add_argument(
         "--resolved", type=Path, metavar="FILE", help="check only that every name==version of it is pinned"
     )
@@ -213,7 +220,11 @@ def main(arguments: list[str] | None = None) -> int:
     pins, page = read_pins(CONSTRAINTS.read_text("utf-8")), PAGE.read_text("utf-8").splitlines()
     problems = [
         *find_problems(every, needed, pins),
-        *(f"{name}: docs/dependencies.md has no such row: {row}" for name, row in rows.items() if row not in page),
+        *(
+            f"{name}: docs/dependencies.md has no such row: {row}"
+            for name, row in rows.items()
+            if row not in page
+        ),
     ]
     for problem in problems:
         print(problem, file=sys.stderr)
@@ -240,9 +251,13 @@ def _write_pins(packages: Mapping[str, metadata.Distribution | None]) -> None:
     """Add the versions of installed packages that constraints.txt lacks; pins that it has stay."""
     text = CONSTRAINTS.read_text("utf-8")
     comments = [line for line in text.splitlines() if line.startswith("#")]
-    found = {name: Version(package.version).public for name, package in packages.items() if package is not None}
+    found = {
+        name: Version(package.version).public for name, package in packages.items() if package is not None
+    }
     pins = {**found, **read_pins(text)}
-    write_text(CONSTRAINTS, "\n".join([*comments, *(f"{name}=={pins[name]}" for name in sorted(pins))]) + "\n")
+    write_text(
+        CONSTRAINTS, "\n".join([*comments, *(f"{name}=={pins[name]}" for name in sorted(pins))]) + "\n"
+    )
 
 
 def _distribution(name: str) -> metadata.Distribution | None:

@@ -25,7 +25,11 @@ from hframe_gym.cli.app import registered_choices
 
 ROOT = Path(__file__).parents[1]
 # Pages of the site that are files of the repository's root folder.
-ROOT_PAGES = {"RESULTS.md": "results.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
+ROOT_PAGES = {
+    "RESULTS.md": "results.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+}
 TABLES_AND_HISTORY = ("identification_results.md", "results.md", "changelog.md")
 _LINK = re.compile(r"(!?)\[([^\]]+)\]\((?!https?:|#|mailto:)([^)#\s]+)(#[^)\s]*)?\)")
 
@@ -136,7 +140,9 @@ def _add_commands(sections: list[str], command: Any, name: str) -> None:
     if not hasattr(command, "commands"):
         return
     context = typer.Context(command)
-    for subcommand in sorted(command.list_commands(context)):  # `hframe export` makes its commands when listed
+    for subcommand in sorted(
+        command.list_commands(context)
+    ):  # `hframe export` makes its commands when listed
         _add_commands(sections, command.get_command(context, subcommand), f"{name} {subcommand}")
 
 
@@ -151,7 +157,11 @@ def _command_section(command: Any, name: str) -> str:
 def _parameter_row(parameter: Any) -> str:
     """Return the row of an argument or option."""
     names = ", ".join(parameter.opts) if parameter.param_type_name == "option" else parameter.name.upper()
-    default = "" if parameter.default is None or getattr(parameter, "is_flag", False) else str(parameter.default)
+    default = (
+        "" if parameter.default is None or getattr(parameter, "is_flag", False) else str(parameter.default)
+    )
     shown = "required" if parameter.required else f"`{default}`" if default else ""
-    text = re.sub(r"\{(\w+)\}", lambda match: registered_choices().get(match[1], match[0]), parameter.help or "")
+    text = re.sub(
+        r"\{(\w+)\}", lambda match: registered_choices().get(match[1], match[0]), parameter.help or ""
+    )
     return f"| `{names}` | {shown} | {html.escape(text, quote=False).replace('|', '&#124;')} |"

@@ -164,7 +164,9 @@ class House:
         of the same name in `elementwise`.
         """
         return [
-            f for f in self.functions if f.public and "effects" not in f.path.parts and f.path.stem != "lane_formulas"
+            f
+            for f in self.functions
+            if f.public and "effects" not in f.path.parts and f.path.stem != "lane_formulas"
         ]
 
     @property
@@ -219,7 +221,9 @@ def measure(root: Path = ROOT) -> House:
             if isinstance(node, _Documented) and ast.get_docstring(node) is not None:
                 house.docstring_lines[relative] += (node.body[0].end_lineno or 0) - node.body[0].lineno + 1
             if isinstance(node, ast.ClassDef):
-                fields = [ast.unparse(item.annotation) for item in node.body if isinstance(item, ast.AnnAssign)]
+                fields = [
+                    ast.unparse(item.annotation) for item in node.body if isinstance(item, ast.AnnAssign)
+                ]
                 if any(map(_ARRAY.search, fields)):
                     house.array_classes.add(node.name)
     return house
@@ -284,7 +288,9 @@ def _where(function: Function) -> str:
 
 def main() -> None:
     """Print the measures beside their limits."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--list", action="store_true", help="print every finding")
     parser.add_argument("--root", type=Path, default=ROOT, help="repository to measure (default: this one)")
     arguments = parser.parse_args()
@@ -293,13 +299,19 @@ def main() -> None:
     listed = ", ".join(f"{word} {count}" for word, count in counts.most_common())
     longest = sorted(house.module_lines.items(), key=lambda item: -item[1])[:5]
     long_functions = sorted(house.functions, key=lambda function: -function.lines)[:5]
-    print(f"words per 1000 lines: {house.words_per_1000_lines:.1f} (limit {MAX_WORDS_PER_1000_LINES:g}): {listed}")
+    print(
+        f"words per 1000 lines: {house.words_per_1000_lines:.1f} (limit {MAX_WORDS_PER_1000_LINES:g}): {listed}"
+    )
     print(f"lines of hframe_gym and agents: {house.lines}")
-    print(f"in hframe_gym without effects/: {len(house.modules)} modules, {len(house.packages)} package __init__ files")
+    print(
+        f"in hframe_gym without effects/: {len(house.modules)} modules, {len(house.packages)} package __init__ files"
+    )
     print(f"longest modules: {', '.join(f'{path} {count}' for path, count in longest)}")
     print(f"longest functions: {', '.join(f'{_where(f)} {f.lines}' for f in long_functions)}")
     shares = sorted(house.docstring_shares.items(), key=lambda item: -item[1][0])
-    print(f"docstrings: {', '.join(f'{room} {100 * part / count:.0f} % of {count}' for room, (count, part) in shares)}")
+    print(
+        f"docstrings: {', '.join(f'{room} {100 * part / count:.0f} % of {count}' for room, (count, part) in shares)}"
+    )
     print(f"public functions without docstring: {len(house.undocumented)} of {len(house.public_functions)}")
     print(f"public functions with an array without shape or a number without unit: {len(house.vague)}")
     if arguments.list:

@@ -68,7 +68,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     Returns:
         The table as lines of text.
     """
-    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---", *["---:"] * (len(header) - 1)], *rows))
+    return "\n".join(
+        f"| {' | '.join(line)} |" for line in (header, ["---", *["---:"] * (len(header) - 1)], *rows)
+    )
 
 
 def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
@@ -95,16 +97,28 @@ def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
         bounds = {kind: times for kind, times in bounds.items() if np.isfinite(times).any()}
         rows = []
         for entry in ranked:
-            against = _ratio(paired_ratio(values[id(entry)], values[id(best)])) if best and best is not entry else "1"
-            cells = _move_cells(entry, part, values[id(entry)], bounds) if bounds or task.metrics == "reach" else []
+            against = (
+                _ratio(paired_ratio(values[id(entry)], values[id(best)]))
+                if best and best is not entry
+                else "1"
+            )
+            cells = (
+                _move_cells(entry, part, values[id(entry)], bounds)
+                if bounds or task.metrics == "reach"
+                else []
+            )
             rows.append([_name(entry), *_about_cells(entry), *(cells or _path_cells(entry, part)), against])
         rows += [
             [f"**{recipe}, {len(seeds)} seeds**", *[""] * len(ABOUT), *(f"**{cell}**" for cell in cells)]
             for recipe, seeds in _trained_repeatedly(ranked).items()
-            for cells in [_cells_over_seeds(seeds, part, metric, bounds, values[id(best)] if best else None, protocol)]
+            for cells in [
+                _cells_over_seeds(seeds, part, metric, bounds, values[id(best)] if best else None, protocol)
+            ]
         ]
         reference = f"over {best.entry.name}" if best else "over the best controller"
-        header = _move_header(bounds) if task.metrics == "reach" else ["contour error, rms, mm", "maximum, mm"]
+        header = (
+            _move_header(bounds) if task.metrics == "reach" else ["contour error, rms, mm", "maximum, mm"]
+        )
         texts.append(f"**{part}**\n\n{table(['entry', *ABOUT, *header, reference], rows)}")
     return "\n\n".join(texts)
 
@@ -228,7 +242,9 @@ def bounds_table() -> str:
             ratio = paired_ratio(held, free)
             means = (f"{1e3 * times.mean():.1f}" for times in (free, held))
             rows.append([f"`{name}`", f"{len(free)} of {len(both)}", *means, _ratio(ratio)])
-    return table(["protocol", "draws with both", "free voltages, ms", "held over 10 ms, ms", "ratio of means"], rows)
+    return table(
+        ["protocol", "draws with both", "free voltages, ms", "held over 10 ms, ms", "ratio of means"], rows
+    )
 
 
 def effects_table() -> str:
@@ -243,7 +259,9 @@ def effects_table() -> str:
         for site, limits in family.ranges.items():
             sites.setdefault(limits, []).append(site)
         sign = "+-" if family.signed else ""
-        sizes = "; ".join(f"{', '.join(names)}: {sign}{low:.3g} to {high:.3g}" for (low, high), names in sites.items())
+        sizes = "; ".join(
+            f"{', '.join(names)}: {sign}{low:.3g} to {high:.3g}" for (low, high), names in sites.items()
+        )
         others = ", ".join([*family.others, *(f"{name} = {value:g}" for name, value in family.fixed.items())])
         rows.append([f"[`{family.name}`](effects.md#{family.name})", family.size, sizes, others or "none"])
     return table(["effect", "size", "sites and range, SI", "other parameters"], rows)
@@ -288,10 +306,16 @@ def rerun(path: Path, name: str | None = None) -> tuple[bool, str]:
     load_plugins()
     present = make_entry(name or result.entry.name, protocol, next(iter(protocol.parts)))[0]
     if present.kind == "agent" and len(protocol.parts) == 1 and present.sha256 != result.entry.sha256:
-        return False, f"{path}: swapped weights: {present.name} has the hash {present.sha256[:8]}, not that of the file"
+        return (
+            False,
+            f"{path}: swapped weights: {present.name} has the hash {present.sha256[:8]}, not that of the file",
+        )
     entry, draws = run_protocol(name or result.entry.name, protocol)
     if entry.kind == "agent" and entry.sha256 != result.entry.sha256:
-        return False, f"{path}: swapped weights: {entry.name} has the hash {entry.sha256[:8]}, not that of the file"
+        return (
+            False,
+            f"{path}: swapped weights: {entry.name} has the hash {entry.sha256[:8]}, not that of the file",
+        )
     compared = compare_draws(result, draws)
     verdict = "reproduced" if compared.reproduced else "NOT reproduced"
     worst = f"; largest difference: {compared.worst}" if compared.worst else ""
@@ -307,8 +331,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Check and repeat submissions to the leaderboard.")
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--check", nargs="+", type=Path, metavar="FILE", help="validate result files")
-    action.add_argument("--rerun", type=Path, metavar="FILE", help="run the entry again and compare every draw")
-    parser.add_argument("--as", dest="entry", help="controller, agent or folder, if its name in the file does not do")
+    action.add_argument(
+        "--rerun", type=Path, metavar="FILE", help="run the entry again and compare every draw"
+    )
+    parser.add_argument(
+        "--as", dest="entry", help="controller, agent or folder, if its name in the file does not do"
+    )
     arguments = parser.parse_args()
     try:
         if arguments.rerun:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from hframe_gym.recordings import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
+from hframe_gym.recordings import (
+    TABLES,
+    Table,
+    field_descriptions,
+    field_units,
+    machine_json_schema,
+    table_summary,
+)
 
 # Titles of the sections; the classes are private to the reader of the file.
 TITLES = {

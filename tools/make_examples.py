@@ -97,7 +97,9 @@ def encode(run: ExcitationRun, rng: np.random.Generator) -> bytes:
 
 def main() -> None:
     """Write the recordings and their README."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     default = Path(__file__).resolve().parents[1] / "examples"
     parser.add_argument("--out", type=Path, default=default, help="folder (default: examples/)")
     folder: Path = parser.parse_args().out

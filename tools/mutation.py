@@ -93,7 +93,14 @@ _COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Is: ast.IsNot,
     ast.IsNot: ast.Is,
 }
-_FUNCTIONS = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "sin": "cos", "cos": "sin"}
+_FUNCTIONS = {
+    "min": "max",
+    "max": "min",
+    "minimum": "maximum",
+    "maximum": "minimum",
+    "sin": "cos",
+    "cos": "sin",
+}
 _FUNCTIONS |= {"any": "all", "all": "any"}
 
 
@@ -148,7 +155,9 @@ def mutants_of(file: str, text: str, functions_only: bool) -> list[Mutant]:
             *lines[node.end_lineno :],
         ]
         change = f"{' '.join(before.split())} -> {after}"
-        mutants.append(Mutant(file, node.lineno, lines[node.lineno - 1].strip(), change, "\n".join(changed) + "\n"))
+        mutants.append(
+            Mutant(file, node.lineno, lines[node.lineno - 1].strip(), change, "\n".join(changed) + "\n")
+        )
     return sorted(mutants, key=lambda mutant: mutant.line)
 
 
@@ -171,7 +180,11 @@ def _changes(tree: ast.Module, functions_only: bool) -> Iterator[tuple[ast.expr,
 
 def _replacements(node: ast.expr) -> Iterator[ast.expr]:
     """Yield the expressions that replace an expression."""
-    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS and not isinstance(node.left, ast.JoinedStr):
+    if (
+        isinstance(node, ast.BinOp)
+        and type(node.op) in _OPERATORS
+        and not isinstance(node.left, ast.JoinedStr)
+    ):
         yield ast.BinOp(node.left, _OPERATORS[type(node.op)](), node.right)
     elif isinstance(node, ast.Compare) and len(node.ops) == 1:
         yield ast.Compare(node.left, [_COMPARISONS[type(node.ops[0])]()], node.comparators)
@@ -225,7 +238,10 @@ def copy_repository(folder: Path) -> None:
         folder: Empty folder.
     """
     listed = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, check=True
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
     )
     # With what Numba has compiled; it compiles again what a mutant changes.
     compiled = [path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("__pycache__/*.nb[ic]")]
@@ -299,7 +315,15 @@ def main(arguments: list[str] | None = None) -> int:
         for mutant, _ in chosen:
             print(f"{mutant.file}:{mutant.line}: {mutant.change}")
         return 0
-    for name in ("numpy", "scipy.optimize", "scipy.signal", "scipy.stats", "scipy.interpolate", "numba", "pydantic"):
+    for name in (
+        "numpy",
+        "scipy.optimize",
+        "scipy.signal",
+        "scipy.stats",
+        "scipy.interpolate",
+        "numba",
+        "pydantic",
+    ):
         importlib.import_module(name)
     importlib.import_module("pytest")
     with tempfile.TemporaryDirectory(prefix="mutation-") as name:

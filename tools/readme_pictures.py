@@ -47,7 +47,12 @@ HOLD_S = 1.2  # s for which the last picture of an episode stays
 
 WIDTH = 880  # pixels of the animation
 SCALE = 2  # pictures are composed at this multiple of the final size and reduced, which smooths all lines
-STAGE = (60, 54, 820, 646)  # part of the renderer's picture that holds the stage: left, top, right, bottom, pixels
+STAGE = (
+    60,
+    54,
+    820,
+    646,
+)  # part of the renderer's picture that holds the stage: left, top, right, bottom, pixels
 HEADER, STAGE_HEIGHT, CURVE_HEIGHT = 58, 330, 150  # pixels of the three parts, from the top
 ERROR_MM = (0.01, 500.0)  # mm, ends of the logarithmic axis of the distance
 QUALITY = 80  # of the WebP pictures, 0 to 100
@@ -159,7 +164,9 @@ class Composition:
         middle, width = left + WIDTH * SCALE // 4, STAGE[2] - STAGE[0]
         stage = Image.fromarray(rollout.pictures[step]).crop(STAGE)
         height = STAGE_HEIGHT * SCALE
-        stage = stage.resize((round(width * height / (STAGE[3] - STAGE[1])), height), Image.Resampling.LANCZOS)
+        stage = stage.resize(
+            (round(width * height / (STAGE[3] - STAGE[1])), height), Image.Resampling.LANCZOS
+        )
         image.paste(stage, (middle - stage.width // 2, HEADER * SCALE))
         draw.text((middle, 10 * SCALE), label, color, self._bold, anchor="ma")
         distance = rollout.distance_mm[step]
@@ -182,7 +189,9 @@ class Composition:
         ticks = range(0, STEPS + 1, 10)
         for tick in ticks:
             x, _ = self._point(tick, 1.0)
-            draw.text((x, self._bottom + 8 * SCALE), f"{tick * FRAME_S:.1f} s", MUTED, self._small, anchor="ma")
+            draw.text(
+                (x, self._bottom + 8 * SCALE), f"{tick * FRAME_S:.1f} s", MUTED, self._small, anchor="ma"
+            )
         text = f"distance to the goal, t = {step * FRAME_S:.2f} s, {SLOWDOWN} times slower than real time"
         draw.text((self._right, self._top), text, MUTED, self._small, anchor="ra")
 
@@ -200,7 +209,9 @@ def make_animation(path: Path) -> None:
         composition = Composition(rollouts)
         frames += [composition.frame(step) for step in range(STEPS + 1)]
         durations += [round(1e3 * FRAME_S * SLOWDOWN)] * STEPS + [round(1e3 * HOLD_S)]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=durations, loop=0, quality=QUALITY, method=4)
+    frames[0].save(
+        path, save_all=True, append_images=frames[1:], duration=durations, loop=0, quality=QUALITY, method=4
+    )
 
 
 def make_report(path: Path) -> None:
@@ -244,7 +255,9 @@ def screenshot(browser: str, address: str, path: Path, size: tuple[int, int]) ->
 
 def main() -> None:
     """Make the pictures that the command line names."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", choices=("animation", "report"), help="make only this picture")
     only = parser.parse_args().only
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")

@@ -59,7 +59,11 @@ def option_helps(function: Function, root: Path = ROOT) -> dict[str, str]:
             if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
                 aliases[node.targets[0].id] = node.value
     helps: dict[str, str] = {}
-    for argument in [*function.node.args.posonlyargs, *function.node.args.args, *function.node.args.kwonlyargs]:
+    for argument in [
+        *function.node.args.posonlyargs,
+        *function.node.args.args,
+        *function.node.args.kwonlyargs,
+    ]:
         annotation = argument.annotation
         if isinstance(annotation, ast.Name):
             annotation = aliases.get(annotation.id)
@@ -100,7 +104,9 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
 
 def main() -> None:
     """Print the sample."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=12)
     parser.add_argument("--count", type=int, default=30)
     parser.add_argument("--source", action="store_true", help="print the complete source")

@@ -72,7 +72,10 @@ def identify_examples(results: dict[str, Any]) -> str:
 
 def real_machines_emps(results: dict[str, Any]) -> str:
     """Format the relative force errors of both EMPS records."""
-    rows = [[name, *(f"{100 * e[k]:.2f} %" for k in ("train", "test"))] for name, e in results["force_error"].items()]
+    rows = [
+        [name, *(f"{100 * e[k]:.2f} %" for k in ("train", "test"))]
+        for name, e in results["force_error"].items()
+    ]
     return markdown(["EMPS", "first record (fitted)", "second record (held out)"], rows)
 
 
@@ -83,13 +86,27 @@ def identification(results: dict[str, Any]) -> str:
         median, parameters = summary["median"], summary["parameters"]
         rows.append(
             [
-                *(name, f"{summary['rigs']}", f"{summary['scores']['right']}", f"{summary['named_not_there']}"),
+                *(
+                    name,
+                    f"{summary['rigs']}",
+                    f"{summary['scores']['right']}",
+                    f"{summary['named_not_there']}",
+                ),
                 *(f"{median['before']:.3g}", f"{median['after']:.3g}", f"{summary['to_noise']}"),
                 f"{parameters['within']} of {parameters['rigs']}" if parameters["rigs"] else "",
                 *(f"{median['um_after']:.2g}", f"{median['seconds']:.1f}", f"{summary['most_seconds']:.0f}"),
             ]
         )
-    header = ["set", "rigs", "right", "false effects", "before", "after", "after <= 1.1", "parameters within 2 %"]
+    header = [
+        "set",
+        "rigs",
+        "right",
+        "false effects",
+        "before",
+        "after",
+        "after <= 1.1",
+        "parameters within 2 %",
+    ]
     return markdown([*header, "tool error, um", "s", "slowest, s"], rows)
 
 
@@ -115,7 +132,15 @@ def formulas(results: dict[str, Any]) -> str:
         seconds = f"{rig['seconds']['formulas']:.0f} s"
         errors = (f"{rig[key]:.3g}" for key in ("table_error", "formula_error"))
         rows.append([name, f"`{rig['tables'][0]}`", rig["terms"], f"{rig['complexity']}", *errors, seconds])
-    header = ["hidden", "table", "formula", "parameters", "error: table", "error: formula", "time for formulas"]
+    header = [
+        "hidden",
+        "table",
+        "formula",
+        "parameters",
+        "error: table",
+        "error: formula",
+        "time for formulas",
+    ]
     return markdown(header, rows)
 
 
@@ -123,11 +148,15 @@ def other_simulator_rigs(results: dict[str, Any]) -> str:
     """Format the fourteen rigs of another simulator: truth, named effects, errors on unseen runs and time."""
     rows = []
     for r in results["rigs"]:
-        marks = [text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present]
+        marks = [
+            text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present
+        ]
         named = ", ".join(f"`{label}`" for label in r["named"]) or r["verdict"]
         errors = (f"{r['unseen'][machine]['mean']:.3g}" for machine in ("before", "after"))
         residue = "yes" if r["residue"] else ""
-        rows.append([r["hidden"], residue, named, ", ".join(marks) or "yes", *errors, f"{r['seconds']['wall']:.0f} s"])
+        rows.append(
+            [r["hidden"], residue, named, ", ".join(marks) or "yes", *errors, f"{r['seconds']['wall']:.0f} s"]
+        )
     header = ["hidden", "residue", "named", "right", "unseen runs: before", "after", "time"]
     return markdown(header, rows)
 
@@ -138,10 +167,23 @@ def closed_loop_rigs(results: dict[str, Any]) -> str:
     for r in results["rigs"]:
         named = ", ".join(f"`{label}`" for label in r["named"]) or f"`{r['verdict']}`"
         hint = "" if r["hint"] is None else f"{r['hint']['component']}: {r['hint']['variable']}"
-        marks = [text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present]
+        marks = [
+            text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present
+        ]
         errors = (f"{r['unseen'][machine]:.3g}" for machine in ("declared", "before", "after"))
-        rows.append([r["hidden"], named, ", ".join(marks) or "yes", hint, *errors, f"{r['cpu_seconds']:.0f} s"])
-    header = ["hidden", "verdict", "right", "hint", "unseen runs: declared", "before", "after", "processor time"]
+        rows.append(
+            [r["hidden"], named, ", ".join(marks) or "yes", hint, *errors, f"{r['cpu_seconds']:.0f} s"]
+        )
+    header = [
+        "hidden",
+        "verdict",
+        "right",
+        "hint",
+        "unseen runs: declared",
+        "before",
+        "after",
+        "processor time",
+    ]
     return markdown(header, rows)
 
 
@@ -170,7 +212,18 @@ def outside_library(results: dict[str, Any]) -> str:
         errors = (f"{r['unseen'][machine]:.3g}" for machine in ("before", "after", "true"))
         loop = "closed" if r["closed_loop"] else "open"
         rows.append([r["hidden"], loop, named, false, *errors, text, right, f"{r['cpu_seconds']:.0f} s"])
-    header = ["hidden", "loop", "named", "false", "unseen runs: before", "after", "true", "hint", "", "processor time"]
+    header = [
+        "hidden",
+        "loop",
+        "named",
+        "false",
+        "unseen runs: before",
+        "after",
+        "true",
+        "hint",
+        "",
+        "processor time",
+    ]
     content = results["summary"]
     counts = [
         ["rigs; families", f"{content['rigs']}; {content['families']}"],
@@ -206,21 +259,33 @@ def random_rigs(results: dict[str, Any]) -> str:
             [f"{text}: median; 95 % quantile; share within {unseen[key]['limit']}", quantiles(unseen[key])]
             for key, text in (
                 ("clean_over_noise", "clean rigs: error on unseen runs over the noise"),
-                ("residue_over_truth", "rigs with a residue: error on unseen runs over that of the true machine"),
+                (
+                    "residue_over_truth",
+                    "rigs with a residue: error on unseen runs over that of the true machine",
+                ),
             )
         ),
         *(
-            [f"coverage of the 95 % intervals, {name}", f"{100 * found['95']:.0f} % of {found['parameters']} values"]
+            [
+                f"coverage of the 95 % intervals, {name}",
+                f"{100 * found['95']:.0f} % of {found['parameters']} values",
+            ]
             for name, found in intervals.items()
             if found["parameters"]
         ),
         ["written machine stable under random rated voltages", f"{content['stable']} of {content['rigs']}"],
         ["`hframe simulate` within 5 % of the report", f"{content['consistent']} of {content['rigs']}"],
-        ["processor time of an identification: median; slowest", f"{seconds['median']:.0f} s; {seconds['most']:.0f} s"],
+        [
+            "processor time of an identification: median; slowest",
+            f"{seconds['median']:.0f} s; {seconds['most']:.0f} s",
+        ],
     ]
     if again := content.get("repeated_seconds", {}).get("cpu"):
         measures += [
-            ["the same with compiled code, in a new process", f"{again['median']:.0f} s; {again['most']:.0f} s"],
+            [
+                "the same with compiled code, in a new process",
+                f"{again['median']:.0f} s; {again['most']:.0f} s",
+            ],
             ["report of the second identification is equal", f"{content['repeatable']} of {content['rigs']}"],
         ]
     return f"{table}\n\n{markdown(['measure', 'value'], measures)}"
@@ -293,8 +358,15 @@ def env_speed(results: dict[str, Any]) -> str:
             low, high = result["spread"]
             rows.append([name, f"{result['ratio']:.2f} ({low:.2f} to {high:.2f})"])
         elif name.startswith("share of"):
-            fractions = (f"{100 * result[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall"))
-            rows.append([name.replace("share of the bare kernel", "fraction of the bare kernel"), ", ".join(fractions)])
+            fractions = (
+                f"{100 * result[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall")
+            )
+            rows.append(
+                [
+                    name.replace("share of the bare kernel", "fraction of the bare kernel"),
+                    ", ".join(fractions),
+                ]
+            )
     return markdown(["measure", "value"], rows)
 
 
@@ -314,9 +386,12 @@ def differentiable(results: dict[str, Any]) -> str:
         )
     header = ["machine", "friction", "with respect to", "differentiated steps/s", "cost in simulated steps"]
     errors = [
-        [name, f"{e['median']:.1e}", f"{100 * e['fraction_below_1e-6']:.1f} %"] for name, e in results["errors"].items()
+        [name, f"{e['median']:.1e}", f"{100 * e['fraction_below_1e-6']:.1f} %"]
+        for name, e in results["errors"].items()
     ]
-    compared = markdown(["machine", "median relative error against central differences", "below 1e-6"], errors)
+    compared = markdown(
+        ["machine", "median relative error against central differences", "below 1e-6"], errors
+    )
     return f"{markdown(header, rows)}\n\n{compared}"
 
 
@@ -325,7 +400,12 @@ def her(results: dict[str, Any]) -> str:
     rows = [
         [
             f"seed {r['seed']}",
-            *(f"{100 * r['success_5mm']:.1f} %", f"{r['steps']}", f"{r['steps_to_bar']}", f"{r['cpu_s']:.0f}"),
+            *(
+                f"{100 * r['success_5mm']:.1f} %",
+                f"{r['steps']}",
+                f"{r['steps_to_bar']}",
+                f"{r['cpu_s']:.0f}",
+            ),
         ]
         for r in results["runs"]
     ]
@@ -339,7 +419,9 @@ def bound(results: dict[str, Any]) -> str:
         pairs = [c["ratio_of_means"], c["mean_of_ratios"]]
         ratios = [f"{r['mean']:.3f} ({r['ci95'][0]:.3f} to {r['ci95'][1]:.3f})" for r in pairs]
         rows.append([name, f"{100 * c['success']:.1f} %", f"{c['mean_s']:.3f}", *ratios])
-    return markdown(["controller", "within 0.2 mm", "settling time, s", "ratio of means", "mean of ratios"], rows)
+    return markdown(
+        ["controller", "within 0.2 mm", "settling time, s", "ratio of means", "mean of ratios"], rows
+    )
 
 
 def controllers(results: dict[str, Any]) -> str:
@@ -360,10 +442,23 @@ def agents(results: dict[str, Any]) -> str:
         success = result["scores"]["success"]
         rates = [f"{100 * success[band]:.1f} %" for band in ("1mm", "0.2mm", "0.05mm")]
         rows.append(
-            [name, *rates, f"{result['scores']['settling_s']['0.2mm']['mean']:.3f}", _ratio(result, "over_bound")]
+            [
+                name,
+                *rates,
+                f"{result['scores']['settling_s']['0.2mm']['mean']:.3f}",
+                _ratio(result, "over_bound"),
+            ]
         )
     reach = markdown(
-        ["agent", "within 1 mm", "within 0.2 mm", "within 0.05 mm", "settling to 0.2 mm, s", "over the bound"], rows
+        [
+            "agent",
+            "within 1 mm",
+            "within 0.2 mm",
+            "within 0.05 mm",
+            "settling to 0.2 mm, s",
+            "over the bound",
+        ],
+        rows,
     )
     paths = list(tasks["track"]["compared"])
     by_path = [dict(_by_agent(tasks["track"], path)) for path in paths]
@@ -378,7 +473,8 @@ def agents(results: dict[str, Any]) -> str:
         if len(result["over_pid"]["by_seed"]) == 1:
             continue
         cells = [
-            _ratio({"over_pid": tasks["track"]["compared"][path][recipe]["over_pid"]}, "over_pid") for path in paths
+            _ratio({"over_pid": tasks["track"]["compared"][path][recipe]["over_pid"]}, "over_pid")
+            for path in paths
         ]
         rows.append([f"**{recipe}, all seeds**", *(f"**{cell}**" for cell in cells)])
     track = markdown(["agent", *(f"{path}: rms contour error, over the PID's" for path in paths)], rows)
@@ -401,7 +497,9 @@ def _trainings(variants: dict[str, Any]) -> str:
     for name, runs in variants.items():
         for r in runs:
             rates = [f"{100 * r['success'][band]:.1f} %" for band in ("0.2mm", "0.05mm")]
-            rows.append([name, str(r["seed"]), str(r["steps"]), f"{r['cpu_s']:.0f}", *rates, _ratio(r, "over_bound")])
+            rows.append(
+                [name, str(r["seed"]), str(r["steps"]), f"{r['cpu_s']:.0f}", *rates, _ratio(r, "over_bound")]
+            )
     header = ["training", "seed", "steps", "processor s", "within 0.2 mm", "within 0.05 mm", "over the bound"]
     return markdown(header, rows)
 
@@ -428,7 +526,9 @@ def closed_loop(results: dict[str, Any]) -> str:
         gains = [result[who]["gain"][over][label] for result in rigs.values() if who in result]
         better = len(results["better"][f"{who} over {over}"])
         worse = sum(gain["ci95"][0] > 0.0 for gain in gains)
-        rows.append([f"{who} ({label}), over {over}", f"{better}", f"{worse}", f"{len(gains) - better - worse}"])
+        rows.append(
+            [f"{who} ({label}), over {over}", f"{better}", f"{worse}", f"{len(gains) - better - worse}"]
+        )
     counts = markdown(["controller (score), comparison", "better", "worse", "not significant"], rows)
     rows = []
     for rig, result in rigs.items():
@@ -446,7 +546,16 @@ def closed_loop(results: dict[str, Any]) -> str:
     return f"{counts}\n\n{markdown(['rig', *header, 'corrected minus declared'], rows)}"
 
 
-IDENTIFICATION_SETS = ("library_full", "library_small", "pairs", "triples", "four_runs", "order20", "none", "outside")
+IDENTIFICATION_SETS = (
+    "library_full",
+    "library_small",
+    "pairs",
+    "triples",
+    "four_runs",
+    "order20",
+    "none",
+    "outside",
+)
 
 
 def gap(results: dict[str, Any]) -> str:
@@ -474,7 +583,15 @@ def gap(results: dict[str, Any]) -> str:
         ]
         for name, s in results["entries"].items()
     ]
-    header = ["entry", "track", "knows", "plants", "moves: over the bound", "until 0.2 mm, s", "within 0.2 mm"]
+    header = [
+        "entry",
+        "track",
+        "knows",
+        "plants",
+        "moves: over the bound",
+        "until 0.2 mm, s",
+        "within 0.2 mm",
+    ]
     header += ["circle, um rms", "square, um rms"]
     header += ["largest belt force, N", "at the limit", "left the workspace", "preparation, s", "control, us"]
     return markdown(header, rows)
@@ -490,19 +607,25 @@ def gap_steps(results: dict[str, Any]) -> str:
             cells.append(f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})")
             cells.append(f"{mean:.3f} ({low:.3f} to {high:.3f})")
         rows.append([f"`{name}`", f"{parts['reach']['plants']}", *cells])
-    titles = [title for part in ("moves", "circle", "square") for title in (f"{part}: better, worse", "ratio")]
+    titles = [
+        title for part in ("moves", "circle", "square") for title in (f"{part}: better, worse", "ratio")
+    ]
     return markdown(["entry, against its declared model", "plants", *titles], rows)
 
 
 def gap_plants(results: dict[str, Any]) -> str:
     """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
-    names = [f"{base}{step}" for base in ("pid", "predictive") for step in ("", "-plain", "-corrected", "-online")]
+    names = [
+        f"{base}{step}" for base in ("pid", "predictive") for step in ("", "-plain", "-corrected", "-online")
+    ]
     names = [name for name in names if name in results["entries"]]
     rows = []
     for plant in results["plants"]:
         found = " + ".join(plant.get("found", ())) or plant.get("verdict", "")
         times = [plant["settling_s"].get(name) for name in names]
-        rows.append([f"{plant['plant']}: {plant['hides']}", found, *("" if t is None else f"{t:.3f}" for t in times)])
+        rows.append(
+            [f"{plant['plant']}: {plant['hides']}", found, *("" if t is None else f"{t:.3f}" for t in times)]
+        )
     return markdown(["plant", "identified", *(f"`{name}`" for name in names)], rows)
 
 
@@ -544,7 +667,10 @@ def fuzzing(results: dict[str, Any]) -> str:
         ]
         for name, r in readers.items()
     ]
-    sums = [f"{sum(r[key] for r in readers.values())}" for key in ("cases", "refused", "failures", "hangs_or_crashes")]
+    sums = [
+        f"{sum(r[key] for r in readers.values())}"
+        for key in ("cases", "refused", "failures", "hangs_or_crashes")
+    ]
     largest = [
         f"{max(r['slowest_cpu_s'] for r in readers.values()):.1f}",
         f"{max(r['peak_MB'] for r in readers.values()):.0f}",
@@ -554,10 +680,17 @@ def fuzzing(results: dict[str, Any]) -> str:
 
 def env_soak(results: dict[str, Any]) -> str:
     """Format the extremes of the long runs of the environment."""
-    parts = {name: part for name, part in results.items() if isinstance(part, dict) and "largest_energy_J" in part}
+    parts = {
+        name: part for name, part in results.items() if isinstance(part, dict) and "largest_energy_J" in part
+    }
     rows = [
         [
-            *(name, f"{part['steps']:.3g}", f"{part['not_finite']}", f"{1e3 * part['furthest_beyond_m']:.1f}"),
+            *(
+                name,
+                f"{part['steps']:.3g}",
+                f"{part['not_finite']}",
+                f"{1e3 * part['furthest_beyond_m']:.1f}",
+            ),
             f"{part['largest_energy_J']:.1f} of {part['energy_bound_J']:.0f}",
             f"{part['memory']['last_MB'] - part['memory']['first_MB']:+.0f}",
         ]
@@ -565,7 +698,14 @@ def env_soak(results: dict[str, Any]) -> str:
     ]
     total = sum(part["steps"] for part in parts.values())
     rows.append(["all", f"{total:.3g}", f"{sum(part['not_finite'] for part in parts.values())}", "", "", ""])
-    header = ["machines", "steps", "not finite", "furthest beyond the workspace, mm", "largest energy, J", "memory, MB"]
+    header = [
+        "machines",
+        "steps",
+        "not finite",
+        "furthest beyond the workspace, mm",
+        "largest energy, J",
+        "memory, MB",
+    ]
     return markdown(header, rows)
 
 
@@ -598,7 +738,10 @@ PLANNED_CORES = (2, 16, 64, 256)
 
 def cluster_plan(results: dict[str, Any]) -> str:
     """Calculate core hours, memory and times on clusters from measured costs of tasks."""
-    cards = [json.loads(path.read_text("utf-8")) for path in sorted(ROOT.glob("agents/shipped/reach/ppo-*/card.json"))]
+    cards = [
+        json.loads(path.read_text("utf-8"))
+        for path in sorted(ROOT.glob("agents/shipped/reach/ppo-*/card.json"))
+    ]
     ppo_s = statistics.mean(card["curve"][-1]["cpu_s"] for card in cards)
     rigs = [row["seconds"]["cpu"] for row in _results(RANDOM_RIGS)["rigs"]]
     training, speed = results["training"], results["training"]["steps_per_s_per_core"]
@@ -629,7 +772,10 @@ def cluster_plan(results: dict[str, Any]) -> str:
         ],
         ["memory of a worker, at most", f"{memory:.0f} MB"],
         [f"memory of workers on {PLANNED_CORES[-2]} cores", f"{1e-3 * PLANNED_CORES[-2] * memory:.0f} GB"],
-        ["work of one of two workers, in multiples of a plain run's (training)", f"{training['ratio'] / 2:.2f}"],
+        [
+            "work of one of two workers, in multiples of a plain run's (training)",
+            f"{training['ratio'] / 2:.2f}",
+        ],
         ["start of Ray and two workers", f"{results['start_s']:.0f} s"],
     ]
     return f"{markdown(['measured', 'value'], figures)}\n\n{markdown(header, rows)}"
@@ -637,7 +783,13 @@ def cluster_plan(results: dict[str, Any]) -> str:
 
 def _duration(hours: float) -> str:
     """Format a duration in hours, minutes or seconds."""
-    return f"{hours:.3g} h" if hours >= 1.0 else f"{60 * hours:.0f} min" if hours >= 1 / 60 else f"{3600 * hours:.0f} s"
+    return (
+        f"{hours:.3g} h"
+        if hours >= 1.0
+        else f"{60 * hours:.0f} min"
+        if hours >= 1 / 60
+        else f"{3600 * hours:.0f} s"
+    )
 
 
 def _results(name: str) -> dict[str, Any]:
@@ -739,7 +891,11 @@ def effects_page() -> str:
 
 def _code_cell(text: str) -> str:
     """Return code for a cell of a table, in which the sign | would begin the next cell."""
-    return f"<code>{html.escape(text, quote=False).replace('|', '&#124;')}</code>" if "|" in text else f"`{text}`"
+    return (
+        f"<code>{html.escape(text, quote=False).replace('|', '&#124;')}</code>"
+        if "|" in text
+        else f"`{text}`"
+    )
 
 
 def _section(effect: Effect) -> str:
@@ -747,7 +903,9 @@ def _section(effect: Effect) -> str:
     text = inspect.getdoc(importlib.import_module(f"hframe_gym.effects.{effect.name}"))
     rows = [[f"`{p.name}`", p.unit, f"{p.lower:g} to {p.upper:g}", p.role] for p in effect.parameters]
     family = "" if effect.family == effect.name else f" Family: {effect.family}."
-    equivalent = f"\n\nEquivalent in every recording: {', '.join(effect.equivalent)}." if effect.equivalent else ""
+    equivalent = (
+        f"\n\nEquivalent in every recording: {', '.join(effect.equivalent)}." if effect.equivalent else ""
+    )
     table = markdown(["parameter", "unit", "bounds", "kind"], rows, "---")
     return (
         f"\n## {effect.name}\n\n{text}\n\nSite: {effect.site}.{family} Source: {effect.source}.\n\n"
@@ -771,13 +929,18 @@ def pages() -> dict[Path, str]:
             docs / "machine.md": with_field_tables((docs / "machine.md").read_text("utf-8")),
             docs / "machine.schema.json": schema_text(),
         }
-        | {page: leaderboard_page(page.read_text("utf-8"), leaderboard_results()) for page in LEADERBOARD_PAGES}
+        | {
+            page: leaderboard_page(page.read_text("utf-8"), leaderboard_results())
+            for page in LEADERBOARD_PAGES
+        }
     )
 
 
 def main() -> None:
     """Write all pages, or check that they are up to date."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is out of date")
     check = parser.parse_args().check
     texts = pages()

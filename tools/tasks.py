@@ -48,7 +48,17 @@ def install() -> None:
     if not PROGRAMS.exists():
         venv.create(ENVIRONMENT, with_pip=True)
     for words in PACKAGES:
-        run("python", "-m", "pip", "install", "-q", "--disable-pip-version-check", "-c", "constraints.txt", *words)
+        run(
+            "python",
+            "-m",
+            "pip",
+            "install",
+            "-q",
+            "--disable-pip-version-check",
+            "-c",
+            "constraints.txt",
+            *words,
+        )
     INSTALLED.touch()
 
 
@@ -67,7 +77,18 @@ def demo() -> None:
     """Identify a recorded rig and control the corrected machine."""
     run("hframe", "identify", "examples/rig_a", "--out", "out/demo")
     machine = ("--machine", "out/demo/machine.json", "--randomize", "none")
-    run("hframe", "evaluate", "pid", "ppo", *machine, "--episodes", "32", "--html", "--out", "out/demo/control")
+    run(
+        "hframe",
+        "evaluate",
+        "pid",
+        "ppo",
+        *machine,
+        "--episodes",
+        "32",
+        "--html",
+        "--out",
+        "out/demo/control",
+    )
     print("open out/demo/report.html, out/demo/control/scorecard.html, pid.png and ppo.png")
 
 
@@ -95,7 +116,9 @@ def main(arguments: list[str] | None = None) -> None:
     Args:
         arguments: Command line without the program's name. Default: that of the process.
     """
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     texts = [f"{name}: {task.__doc__ or 'only install.'}" for name, task in TASKS.items()]
     parser.add_argument("task", nargs="+", choices=list(TASKS), metavar="TASK", help=" ".join(texts))
     chosen = parser.parse_args(arguments).task

@@ -35,7 +35,9 @@ def save(group: str, rows: list[Row]) -> None:
 
 def main() -> None:
     """Run the groups that the command line names; by default all but `large`."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     names = [*STAGED, *OTHERS]
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"any of {', '.join(names)}")
     groups = parser.parse_args().groups or [name for name in names if name != "large"]

@@ -86,7 +86,9 @@ def environment(**variables: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "120"} | variables
 
 
-def start(words: tuple[str, ...], folder: Path, variables: Mapping[str, str] | None = None) -> subprocess.Popen[str]:
+def start(
+    words: tuple[str, ...], folder: Path, variables: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
     """Start an `hframe` command in a working folder, in a process group of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "hframe_gym", *words],
@@ -96,7 +98,9 @@ def start(words: tuple[str, ...], folder: Path, variables: Mapping[str, str] | N
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # background jobs of a shell ignore it
     )
 
 
@@ -231,9 +235,18 @@ class Stage:
             if found == expected:
                 return state
         expected = contents(self.folder / "new" / job.name)
-        return f"neither: {sorted(n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n))}"
+        return (
+            f"neither: {sorted(n for n in found.keys() | expected.keys() if found.get(n) != expected.get(n))}"
+        )
 
 
 def row(group: str, what: str, tried: int, failures: list[str], note: str = "") -> Row:
     """Return a row of the fault table; `failures` lists what went wrong, once per failed try."""
-    return {"group": group, "what": what, "tried": tried, "failed": len(failures), "note": note, "failures": failures}
+    return {
+        "group": group,
+        "what": what,
+        "tried": tried,
+        "failed": len(failures),
+        "note": note,
+        "failures": failures,
+    }

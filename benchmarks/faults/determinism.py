@@ -26,14 +26,20 @@ CONDITIONS: dict[str, Mapping[str, str]] = {
     "PYTHONHASHSEED=1": {"PYTHONHASHSEED": "1"},
     "PYTHONHASHSEED=2": {"PYTHONHASHSEED": "2"},
     "files in another order": {},
-    "empty cache of compiled code": {"XDG_CACHE_HOME": "EMPTY", "HFRAME_CACHE": "EMPTY", "NUMBA_CACHE_DIR": "EMPTY"},
+    "empty cache of compiled code": {
+        "XDG_CACHE_HOME": "EMPTY",
+        "HFRAME_CACHE": "EMPTY",
+        "NUMBA_CACHE_DIR": "EMPTY",
+    },
 }
 
 
 def answers(command: str, condition: str, folder: Path) -> dict[str, bytes]:
     """Run a command under a condition and return the bytes of its answer by file, without the line of seconds."""
     folder.mkdir(parents=True)
-    variables = {key: value.replace("EMPTY", str(folder / "cache")) for key, value in CONDITIONS[condition].items()}
+    variables = {
+        key: value.replace("EMPTY", str(folder / "cache")) for key, value in CONDITIONS[condition].items()
+    }
     if command == "identify":
         runs = folder / "runs"
         runs.mkdir()
@@ -56,7 +62,9 @@ def determinism(log: Log) -> list[Row]:
     with tempfile.TemporaryDirectory() as temporary:
         for command, files in ANSWERS.items():
             conditions = [c for c in CONDITIONS if command == "identify" or "files" not in c]
-            found = {c: answers(command, c, Path(temporary) / command / str(i)) for i, c in enumerate(conditions)}
+            found = {
+                c: answers(command, c, Path(temporary) / command / str(i)) for i, c in enumerate(conditions)
+            }
             reference = found.pop("first run")
             failures = [
                 f"{condition}: {name}"
@@ -65,6 +73,8 @@ def determinism(log: Log) -> list[Row]:
                 if answer[name] != reference[name]
             ]
             what = f"`{command}`: {', '.join(found)}"
-            rows.append(row("determinism", what, len(found), failures, f"{', '.join(files)} equal to the byte"))
+            rows.append(
+                row("determinism", what, len(found), failures, f"{', '.join(files)} equal to the byte")
+            )
             log(f"determinism {command}: {failures}")
     return rows

@@ -31,7 +31,9 @@ def in_namespace(script: str, folder: Path, **variables: str) -> Finished:
 
 def possible() -> bool:
     """Return whether disks can be mounted in a namespace here."""
-    return shutil.which("unshare") is not None and in_namespace("mount -t tmpfs none /mnt", Path("/")).code == 0
+    return (
+        shutil.which("unshare") is not None and in_namespace("mount -t tmpfs none /mnt", Path("/")).code == 0
+    )
 
 
 def command(job: Job, stage: Stage) -> str:
@@ -43,7 +45,12 @@ def disks(stage: Stage, log: Log) -> list[Row]:
     """Run the commands on full and read-only disks."""
     if not possible():
         return [row("disk", "full and read-only disks", 0, [], "not possible here: mounting is not allowed")]
-    rows = [_full_disk(stage, log), _full_cache(stage, log), _read_only_work(stage, log), _read_only_home(stage, log)]
+    rows = [
+        _full_disk(stage, log),
+        _full_cache(stage, log),
+        _read_only_work(stage, log),
+        _read_only_home(stage, log),
+    ]
     return [r for r in rows if r]
 
 
@@ -61,11 +68,17 @@ def _full_disk(stage: Stage, log: Log) -> Row:
             rm -f /mnt/ballast; cp -a /mnt {after}; exit $code"""
         finished = in_namespace(script, stage.folder)
         outcome = stage.outcome(job, after) if job.name != "train" else _nothing_half(after)
-        said = len(finished.errors) == 1 and "No space left" in finished.errors[0] and "out" in finished.errors[0]
+        said = (
+            len(finished.errors) == 1
+            and "No space left" in finished.errors[0]
+            and "out" in finished.errors[0]
+        )
         if (finished.code, said, outcome) != (2, True, "old"):
             failures.append(f"{job.name}: code {finished.code}, {finished.errors[-3:]}, {outcome}")
     log(f"full disk: {failures}")
-    return row("disk", "output on a full disk, each command", len(JOBS), failures, "one line, code 2, the old output")
+    return row(
+        "disk", "output on a full disk, each command", len(JOBS), failures, "one line, code 2, the old output"
+    )
 
 
 def _nothing_half(folder: Path) -> str:
@@ -88,7 +101,9 @@ def _full_cache(stage: Stage, log: Log) -> Row:
         if finished.code or len(said) != 1 or stage.outcome(job, work) != "new":
             failures.append(f"{name}: code {finished.code}, {finished.errors}")
     log(f"full cache: {failures}")
-    return row("disk", "cache of compiled code on a full disk", 2, failures, "another folder serves, one message")
+    return row(
+        "disk", "cache of compiled code on a full disk", 2, failures, "another folder serves, one message"
+    )
 
 
 def _read_only_work(stage: Stage, log: Log) -> Row:
@@ -111,14 +126,19 @@ def _read_only_home(stage: Stage, log: Log) -> Row:
     failures = []
     package = stage.folder / "package"
     shutil.copytree(
-        ROOT, package, ignore=shutil.ignore_patterns("__pycache__", ".git", "out", "results", "*.png"), symlinks=True
+        ROOT,
+        package,
+        ignore=shutil.ignore_patterns("__pycache__", ".git", "out", "results", "*.png"),
+        symlinks=True,
     )
     home = stage.folder / "home"
     home.mkdir()
     for job in JOBS.values():
         work, temporary = stage.fresh(job, "home"), stage.folder / "work" / f"tmp-{job.name}"
         temporary.mkdir()
-        protect = " && ".join(f"mount --bind {p} {p} && mount -o remount,bind,ro {p}" for p in (package, home))
+        protect = " && ".join(
+            f"mount --bind {p} {p} && mount -o remount,bind,ro {p}" for p in (package, home)
+        )
         variables = f"HOME={home} PYTHONPATH={package} TMPDIR={temporary}"
         script = (
             f"{protect} && cd {work} && unset XDG_CACHE_HOME HFRAME_CACHE NUMBA_CACHE_DIR; "

@@ -47,7 +47,9 @@ def kills(stage: Stage, log: Log) -> list[Row]:
         failures, unfinished = [], 0
         for k in range(count):
             duration = stage.seconds[name]
-            moment = rng.uniform(0.0, 1.05 * duration) if k % 2 else rng.uniform(0.7 * duration, 1.05 * duration)
+            moment = (
+                rng.uniform(0.0, 1.05 * duration) if k % 2 else rng.uniform(0.7 * duration, 1.05 * duration)
+            )
             work = stage.fresh(job, "killed")
             kill_after(words_of(job, job.new, stage.inputs), work, moment)
             unfinished += any(work.rglob(f"{STAGE}*"))
@@ -95,7 +97,11 @@ def _killed_training(stage: Stage, rng: np.random.Generator, log: Log) -> Row:
     while killed < KILLS["train"]:
         work, resume = stage.fresh(job, "killed"), False
         for _ in range(4):
-            kill_after((*words, "--resume") if resume else words, work, rng.uniform(0.3, 1.0) * stage.seconds["train"])
+            kill_after(
+                (*words, "--resume") if resume else words,
+                work,
+                rng.uniform(0.3, 1.0) * stage.seconds["train"],
+            )
             killed += 1
             complete_commit(work / job.output)
             names = set(without_stages(contents(work)))
@@ -113,7 +119,9 @@ def _killed_training(stage: Stage, rng: np.random.Generator, log: Log) -> Row:
         if result != expected:
             different = sorted(n for n in result.keys() | expected.keys() if result.get(n) != expected.get(n))
             failures.append(f"kill {killed}: other than the unbroken run: {different}")
-    note = f"{kinds['with']} times with a checkpoint; agent and learning curve after `--resume` equal to the bit"
+    note = (
+        f"{kinds['with']} times with a checkpoint; agent and learning curve after `--resume` equal to the bit"
+    )
     log(f"kill -9 train: {dict(kinds)} {failures}")
     return row("kill -9", "`train`, then `--resume`", killed, failures, note)
 
@@ -140,12 +148,18 @@ def signals(stage: Stage, log: Log) -> list[Row]:
                 tried += 1
                 outcome = stage.outcome(job, work) if job.name != "train" else "new"
                 ended = finished.code == 0 and outcome == "new"  # the run was over before the signal
-                if not ended and (finished.code, len(finished.errors), outcome in ("old", "new")) != (code, 1, True):
+                if not ended and (finished.code, len(finished.errors), outcome in ("old", "new")) != (
+                    code,
+                    1,
+                    True,
+                ):
                     failures.append(f"{job.name}: code {finished.code}, {finished.errors}, {outcome}")
                 elif not ended and word not in finished.errors[0]:
                     failures.append(f"{job.name}: {finished.errors}")
         note = f"exit code {code}, one line; after the first 0.2 s, in which Python starts"
-        rows.append(row("signal", f"{number.name} in each of the {len(JOBS)} commands", tried, failures, note))
+        rows.append(
+            row("signal", f"{number.name} in each of the {len(JOBS)} commands", tried, failures, note)
+        )
         log(f"{number.name}: {failures}")
     return rows
 
@@ -171,7 +185,9 @@ def collisions(stage: Stage, log: Log) -> list[Row]:
         second = run(words, work)
         tried += 1
         if first.poll() is None and not (
-            second.code == 2 and len(second.errors) == 1 and "another hframe command is writing" in second.errors[0]
+            second.code == 2
+            and len(second.errors) == 1
+            and "another hframe command is writing" in second.errors[0]
         ):
             refused.append(f"{name}: code {second.code}, {second.errors}")
         with suppress(ProcessLookupError):
@@ -182,7 +198,13 @@ def collisions(stage: Stage, log: Log) -> list[Row]:
             after_kill.append(f"{name}: code {third.code}, {third.errors}")
     log(f"collisions: {refused} {after_kill}")
     return [
-        row("two runs", "second run into the folder of a running one", tried, refused, "refused in one line, code 2"),
+        row(
+            "two runs",
+            "second run into the folder of a running one",
+            tried,
+            refused,
+            "refused in one line, code 2",
+        ),
         row("two runs", "third run after the first was killed", tried, after_kill, "no lock remains"),
     ]
 

@@ -30,7 +30,11 @@ MAX_MB = 2000.0  # of one command
 
 def load(log: Log) -> list[Row]:
     """Try many environments and workers, and identifications side by side."""
-    rows = [_many_environments(), *(_workers(method) for method in ("fork", "spawn", "forkserver")), _side_by_side()]
+    rows = [
+        _many_environments(),
+        *(_workers(method) for method in ("fork", "spawn", "forkserver")),
+        _side_by_side(),
+    ]
     for finished in rows:
         log(f"{finished['what']}: {finished['note']} {finished['failures']}")
     return rows
@@ -65,7 +69,9 @@ def _many_environments() -> Row:
         failures.append("differs from a batch of 8 with the same seeds")
     rate = 50 * ENVS / (time.perf_counter() - begin)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    return row("load", f"{ENVS} environments, 50 steps", 1, failures, f"{rate / 1e6:.2g} M steps/s, {memory:.0f} MB")
+    return row(
+        "load", f"{ENVS} environments, 50 steps", 1, failures, f"{rate / 1e6:.2g} M steps/s, {memory:.0f} MB"
+    )
 
 
 def _rewards(seed: int) -> list[float]:
@@ -97,7 +103,9 @@ def _side_by_side() -> Row:
         ]
         began = time.perf_counter()
         finished = [finish(process, began) for process in [start(w, folder, cache) for w in words]]
-        failures = [f"run {i}: code {f.code}, {f.errors}" for i, f in enumerate(finished) if f.code or f.errors]
+        failures = [
+            f"run {i}: code {f.code}, {f.errors}" for i, f in enumerate(finished) if f.code or f.errors
+        ]
         answers = [json.loads((folder / f"out{i}" / "report.json").read_text()) for i in range(SIDE_BY_SIDE)]
         for answer in answers:
             del answer["seconds"]
@@ -159,7 +167,9 @@ def _measured(command: str, data: str, folder: Path) -> Row:
     finished = subprocess.run(launched, capture_output=True, text=True, env=environment())
     *output, usage = finished.stdout.strip().splitlines()
     if not usage.startswith("{"):
-        return row("load", f"`{command}` on {data}", 1, ["the process that measures it was ended"], "not measured")
+        return row(
+            "load", f"`{command}` on {data}", 1, ["the process that measures it was ended"], "not measured"
+        )
     peak, wall = json.loads(usage)["peak_MB"], json.loads(usage)["wall_s"]
     failures = [finished.stderr.strip()[-500:]] if finished.returncode else []
     failures += [f"{peak:.0f} MB"] if peak > MAX_MB else []

@@ -79,7 +79,9 @@ def compute_bounds(seed: int, indices: list[int]) -> None:
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("action", choices=("run", "table", "list", "plants", "bounds", "picture"))
     parser.add_argument("entries", nargs="*", metavar="ENTRY")
     parser.add_argument("--plants", type=int, nargs="+", default=list(range(COUNT)), metavar="INDEX")

@@ -121,7 +121,9 @@ def control(controller: Controller, plant: GapPlant, task: Task, starts: Starts,
                 "desired_goal": task.goal(starts.plan, elapsed),
             }
             if task.ahead_s:
-                observation["preview"] = np.hstack([task.goal(starts.plan, elapsed + ahead) for ahead in task.ahead_s])
+                observation["preview"] = np.hstack(
+                    [task.goal(starts.plan, elapsed + ahead) for ahead in task.ahead_s]
+                )
             actions[:, period] = np.clip(controller.act(observation), -1.0, 1.0)
             volts = np.round(actions[:, period] * rated / steps) * steps
         before = exact

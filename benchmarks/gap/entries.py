@@ -84,7 +84,9 @@ class GapEntry(ABC):
             episodes: The episode, without its true positions: `position` holds the measured ones of each period.
             controller: The controller after the episode.
         """
-        raise NotImplementedError(f"{type(self).__name__} is of the online track and must learn from practice")
+        raise NotImplementedError(
+            f"{type(self).__name__} is of the online track and must learn from practice"
+        )
 
     def about(self) -> dict[str, object]:
         """Return what a result should say about the preparation on this plant, as plain data."""
@@ -118,7 +120,9 @@ def sha256_of(entry: type[GapEntry]) -> str:
     return digest.hexdigest()
 
 
-def from_measurements(controller: Controller, machine: Machine, covariance: Array | None = None) -> Controller:
+def from_measurements(
+    controller: Controller, machine: Machine, covariance: Array | None = None
+) -> Controller:
     """Combine a controller that needs the full state with a state estimator.
 
     Args:
@@ -211,7 +215,12 @@ class IdentifiedController(DeclaredController):
     def about(self) -> dict[str, object]:
         """Return verdict, effects and processor time of the identification."""
         effects = list(self.found.found)
-        return {"verdict": self.found.verdict, "found": effects, "left": self.found.left, "cpu_s": self.found.cpu_s}
+        return {
+            "verdict": self.found.verdict,
+            "found": effects,
+            "left": self.found.left,
+            "cpu_s": self.found.cpu_s,
+        }
 
 
 class OnlineController(DeclaredController):
@@ -348,14 +357,18 @@ def get_entry(name: str) -> type[GapEntry]:
     if name in CONTROLLERS:
         return _made(DeclaredController, name, registered=name)
     if base in CONTROLLERS and variant in MODELS:
-        return _made(IdentifiedController, name, registered=base, model=variant, knowledge=f"{variant} machine")
+        return _made(
+            IdentifiedController, name, registered=base, model=variant, knowledge=f"{variant} machine"
+        )
     if base in CONTROLLERS and variant == "online":
         return _made(OnlineController, name, registered=base)
     if name in AGENTS:
         return _made(ShippedAgent, name, agent=name)
     if base in TRAINED and variant == "identified":
         return _made(TrainedAgent, name, recipes=TRAINED[base])
-    raise InputError(f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, or package.module:Class")
+    raise InputError(
+        f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, or package.module:Class"
+    )
 
 
 def _made(base: type[GapEntry], name: str, **attributes: object) -> type[GapEntry]:

@@ -44,7 +44,9 @@ class Identified(NamedTuple):
     cpu_s: float
 
 
-def identified(record: Callable[[], Sequence[Recording]], session: str, declared: Machine, folder: Path) -> Identified:
+def identified(
+    record: Callable[[], Sequence[Recording]], session: str, declared: Machine, folder: Path
+) -> Identified:
     """Identify a plant, or load what an earlier call has identified.
 
     Args:

@@ -35,9 +35,13 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
     scores = {name: plant_scores(content) for name, content in contents.items()}
     entries = {name: [name if step == "declared" else f"{name}-{step}" for step in steps] for name in shown}
     # The same plants for all points, where an entry has not been scored on all of them.
-    plants = sorted(set.intersection(*(set(scores[e]) for names in entries.values() for e in names if e in scores)))
+    plants = sorted(
+        set.intersection(*(set(scores[e]) for names in entries.values() for e in names if e in scores))
+    )
     last = max(i for names in entries.values() for i, entry in enumerate(names) if entry in scores)
-    for offset, (name, names) in zip(np.linspace(-0.05, 0.05, max(len(shown), 2)), entries.items(), strict=False):
+    for offset, (name, names) in zip(
+        np.linspace(-0.05, 0.05, max(len(shown), 2)), entries.items(), strict=False
+    ):
         present = [i for i, entry in enumerate(names) if entry in scores]
         for axis, field in zip(axes, ("settling_s", "circle_mm"), strict=True):
             means = np.array([[getattr(scores[names[i]][p], field).mean() for p in plants] for i in present])

@@ -27,7 +27,14 @@ from tests.reference_simulator.parameter_arrays import parameter_arrays
 from tests.reference_simulator.sensors import Sensors
 from tests.rigs.hidden_effects import change_site, random_rig
 from tests.rigs.outside_effects import FAMILIES, OutsideEffect
-from tests.rigs.random_effects import SITES, DrawnEffect, draw_effect, draw_outside, library_parameters, log_uniform
+from tests.rigs.random_effects import (
+    SITES,
+    DrawnEffect,
+    draw_effect,
+    draw_outside,
+    library_parameters,
+    log_uniform,
+)
 from tests.rigs.random_rigs import Residue, draw_residue
 from tests.rigs.true_machine import base_parameters
 
@@ -35,7 +42,9 @@ PUBLIC_SEED = 47_000  # of the published plants
 COUNT = 24
 CURRENT_LIMIT_A = 12.0
 SMALLEST_SIZE = 0.3  # of an effect of the library; a smaller one is hidden by the errors of the parameters
-_LIBRARY = tuple(name for name in SITES if name not in ("idler_inertia", "sensor_skew", "sensor_scale", "sensor_range"))
+_LIBRARY = tuple(
+    name for name in SITES if name not in ("idler_inertia", "sensor_skew", "sensor_scale", "sensor_range")
+)
 _OUTSIDE = tuple(family for family in FAMILIES if family not in ("bent scale", "clock drift"))
 _RESIDUES = ("missing force", "hysteresis", "colored noise", "clock jitter")
 _OUTSIDE_SHARE, _OUTSIDE_DRAWS = 1.0 / 3.0, 4  # `draw_outside` draws one of four families

@@ -76,7 +76,11 @@ def compute_digest() -> str:
         16 hexadecimal digits.
     """
     settings = [NAME, EPISODES, PRACTICE_EPISODES, PERIOD_S, DURATION_S, CHOSEN_S, LOGS_S, RATE_HZ, COUNT]
-    content: list[Any] = [settings, machine_to_dict(declared_machine()), {k: repr(t) for k, t in PARTS.items()}]
+    content: list[Any] = [
+        settings,
+        machine_to_dict(declared_machine()),
+        {k: repr(t) for k, t in PARTS.items()},
+    ]
     for index in range(COUNT):
         plant = draw_plant(PUBLIC_SEED, index)
         content.append([_rounded_numbers(repr(part)) for part in (*plant.stage, plant.residue)])
@@ -106,7 +110,10 @@ def check() -> None:
 
 
 def score(
-    entry: GapEntry, plant: GapPlant, folder: Path, known: Mapping[tuple[int, str], dict[str, Any]] | None = None
+    entry: GapEntry,
+    plant: GapPlant,
+    folder: Path,
+    known: Mapping[tuple[int, str], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Score an entry on a plant.
 

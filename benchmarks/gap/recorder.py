@@ -53,7 +53,9 @@ class Recorder:
     @property
     def session(self) -> str:
         """Hash of the plant and of the budget: the same calls on an equal one give the same recordings."""
-        content = repr((self._plant.name, self._plant.stage, self._plant.residue, self._allowed, CHOSEN_S, RATE_HZ))
+        content = repr(
+            (self._plant.name, self._plant.stage, self._plant.residue, self._allowed, CHOSEN_S, RATE_HZ)
+        )
         return hashlib.sha256(content.encode()).hexdigest()
 
     def excite(self, kind: str, start: str = "elsewhere") -> Recording:
@@ -70,11 +72,15 @@ class Recorder:
             InputError: If a name is unknown or the budget does not allow the run.
         """
         if kind not in KINDS or start not in STARTS:
-            raise InputError(f"excitation {kind!r} from {start!r}: choose of {', '.join(KINDS)}; {', '.join(STARTS)}")
+            raise InputError(
+                f"excitation {kind!r} from {start!r}: choose of {', '.join(KINDS)}; {', '.join(STARTS)}"
+            )
         time_s = self._begin(RUN_S)
         jitter_s = self._plant.residue.jitter_s
         place = draw_start(start, self._rng, 0.6)
-        played = play(lambda start_s: self._plant.at_rest(place, start_s), kind, start, time_s, self._rng, jitter_s)
+        played = play(
+            lambda start_s: self._plant.at_rest(place, start_s), kind, start, time_s, self._rng, jitter_s
+        )
         return self._measured(played)
 
     def record(self, excitation: Excitation, start_xy: tuple[float, float], duration_s: float) -> Recording:
@@ -101,13 +107,19 @@ class Recorder:
             states[row, :4], states[row, 4:] = stage.position, stage.velocity
             if now - time_s[0] >= 0.1 - 1e-9:
                 seen = sensors.graduated(states[row, [2, 3, 0, 1]])
-                volts = np.asarray(excitation(float(now - time_s[0]), noisy(seen[None], self._rng)[0]), np.float64)
+                volts = np.asarray(
+                    excitation(float(now - time_s[0]), noisy(seen[None], self._rng)[0]), np.float64
+                )
                 if volts.shape != (2,) or not np.isfinite(volts).all():
-                    raise InputError(f"excitation at {now - time_s[0]:.3f} s: {volts} is not two finite voltages")
+                    raise InputError(
+                        f"excitation at {now - time_s[0]:.3f} s: {volts} is not two finite voltages"
+                    )
                 inputs[row] = np.clip(volts, -MAX_VOLTAGE_V, MAX_VOLTAGE_V)
             if row + 1 < len(time_s):
                 stage.step(inputs[row], time_s[row + 1])
-        return self._measured(Played("own", "own", time_s, time_s, inputs, states[:, :4].copy(), states[:, 4:].copy()))
+        return self._measured(
+            Played("own", "own", time_s, time_s, inputs, states[:, :4].copy(), states[:, 4:].copy())
+        )
 
     def logs(self) -> tuple[Recording, ...]:
         """Return the given closed-loop logs: 30 runs of 2 s of machine programs, in place of chosen excitation.
@@ -143,7 +155,9 @@ class Recorder:
         if not 0.2 <= duration_s <= _LONGEST_RUN_S:
             raise InputError(f"a run of {duration_s} s: runs take 0.2 to {_LONGEST_RUN_S:g} s")
         if duration_s > self.left_s + 1e-9:
-            raise InputError(f"a run of {duration_s:g} s exceeds the budget, of which {self.left_s:g} s are left")
+            raise InputError(
+                f"a run of {duration_s:g} s exceeds the budget, of which {self.left_s:g} s are left"
+            )
         time_s = self._times(duration_s)
         self.left_s -= duration_s
         return time_s

@@ -93,7 +93,10 @@ def read(path: Path) -> dict[str, Any]:
     """
     try:
         content = json.loads(path.read_text("utf-8"))
-        found = {key: content[key] for key in ("schema", "protocol", "digest", "checksum", "plants", "entry", "seed")}
+        found = {
+            key: content[key]
+            for key in ("schema", "protocol", "digest", "checksum", "plants", "entry", "seed")
+        }
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{path}: no result file of {NAME} ({error}); write it with python -m benchmarks.gap"
@@ -104,12 +107,16 @@ def read(path: Path) -> dict[str, Any]:
             f"{SCHEMA}, {NAME}, {DIGEST}; it was scored on other plants or episodes"
         )
     if found["checksum"] != _checksum(content):
-        raise InputError(f"{path}: the checksum does not fit: the file was edited after the run; run it again")
+        raise InputError(
+            f"{path}: the checksum does not fit: the file was edited after the run; run it again"
+        )
     bounds = stored_bounds(found["seed"])
     for row in found["plants"]:
         for part, columns in row["values"].items():
             if part not in PARTS or any(len(column) != EPISODES[part] for column in columns.values()):
-                raise InputError(f"{path}: plant {row['plant']}: {part} must hold {EPISODES.get(part, 0)} episodes")
+                raise InputError(
+                    f"{path}: plant {row['plant']}: {part} must hold {EPISODES.get(part, 0)} episodes"
+                )
         least = bounds.get(row["plant"])
         times = np.array(row["values"]["reach"][SETTLED], np.float64)
         impossible = np.zeros(len(times), bool) if least is None else times < _POSSIBLE * least - _SAMPLE_S

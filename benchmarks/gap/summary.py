@@ -105,7 +105,9 @@ def overview(contents: dict[str, dict[str, Any]]) -> str:
     if not contents:
         return "no results yet"
     summary = summarize(contents)
-    lines = [f"{'entry':24} {'plants':>6} {'over bound':>22} {'success':>8} {'circle mm':>10} {'square mm':>10}"]
+    lines = [
+        f"{'entry':24} {'plants':>6} {'over bound':>22} {'success':>8} {'circle mm':>10} {'square mm':>10}"
+    ]
     for name, s in summary["entries"].items():
         mean, low, high = s["over_bound"]
         lines.append(
@@ -113,6 +115,8 @@ def overview(contents: dict[str, dict[str, Any]]) -> str:
             f"{s['circle_mm'][0]:10.4f} {s['square_mm'][0]:10.4f}"
         )
     for name, parts in summary["steps"].items():
-        texts = [f"{part} better {c['better']}, worse {c['worse']} of {c['plants']}" for part, c in parts.items()]
+        texts = [
+            f"{part} better {c['better']}, worse {c['worse']} of {c['plants']}" for part, c in parts.items()
+        ]
         lines.append(f"{name} against its declared machine: {'; '.join(texts)}")
     return "\n".join(lines)

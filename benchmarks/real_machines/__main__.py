@@ -13,7 +13,9 @@ STUDIES = {"emps": emps.run, "ced": ced.run, "xl330": xl330.run, "printers": pri
 
 def main() -> None:
     """Run the study that the command line names, or all of them."""
-    parser = argparse.ArgumentParser(description="Recordings of real machines through the identification loop.")
+    parser = argparse.ArgumentParser(
+        description="Recordings of real machines through the identification loop."
+    )
     parser.add_argument("machine", choices=["all", *STUDIES])
     machine = parser.parse_args().machine
     console = Console(width=110)

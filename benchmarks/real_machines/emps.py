@@ -28,7 +28,9 @@ from hframe_gym.recordings import load_machine, load_recordings
 
 # Janot et al. (2019): viscous and Coulomb friction and an offset, least squares on the first record.
 PUBLISHED = {"train": 0.04083, "test": 0.05982}
-PUBLISHED_OFFSET = -3.165  # N, in their equation on the side of the inertia, so it is a force of the opposite sign
+PUBLISHED_OFFSET = (
+    -3.165
+)  # N, in their equation on the side of the inertia, so it is a force of the opposite sign
 RECORDS = ("emps_train", "emps_test_pulses")
 
 
@@ -62,7 +64,10 @@ def run(console: Console) -> None:
     errors = {"published": PUBLISHED, "declared (textbook friction, no offset)": stages.pop("declared")}
     errors |= {"declared with the published offset": measure(textbook)} | stages
     print_errors(
-        "EMPS, relative force error", "%", {k: {n: 100 * v for n, v in e.items()} for k, e in errors.items()}, console
+        "EMPS, relative force error",
+        "%",
+        {k: {n: 100 * v for n, v in e.items()} for k, e in errors.items()},
+        console,
     )
     print_effects(answer, console)
     test = answer.held_out.runs[0]

@@ -55,7 +55,9 @@ def spectra(folder: Path) -> dict[str, dict[str, list[tuple[str, Array, Array]]]
     for name, (axis, column) in _EDDIE.items():
         table = np.genfromtxt(folder / "eddie_v2_vib" / name, delimiter=",", names=True)
         machine = "CoreXY, after an update" if name.startswith("update") else "CoreXY, before"
-        by_machine.setdefault(machine, {}).setdefault(axis, []).append((name, table["freq"], table[column] ** 2))
+        by_machine.setdefault(machine, {}).setdefault(axis, []).append(
+            (name, table["freq"], table[column] ** 2)
+        )
     for path in sorted((folder / "voron24_250_psd").glob("resonances_*.csv")):
         axis = path.name.split("_")[1]
         table = np.genfromtxt(path, delimiter=",", names=True)
@@ -70,7 +72,9 @@ def run(console: Console) -> None:
     folder = data_folder("corexy_printers", console)
     if folder is None:
         return
-    table = Table("printer", "direction", "spectra", "lowest peak, Hz", "damping ratio", "other peaks, Hz", "(fx/fy)^2")
+    table = Table(
+        "printer", "direction", "spectra", "lowest peak, Hz", "damping ratio", "other peaks, Hz", "(fx/fy)^2"
+    )
     results: dict[str, dict[str, object]] = {}
     panels = []
     for machine, by_axis in spectra(folder).items():
@@ -91,13 +95,21 @@ def run(console: Console) -> None:
             table.add_row(
                 *(machine, axis, str(len(resonances)), f"{lowest[axis]:.1f} ({low:.1f} to {high:.1f})"),
                 f"{result['damping_ratio']:.3f}",
-                f"{min(others):.1f} to {max(others):.1f} in {result['with_more_peaks']}" if others else "none",
+                f"{min(others):.1f} to {max(others):.1f} in {result['with_more_peaks']}"
+                if others
+                else "none",
                 "" if ratio is None else f"{ratio:.2f}",
             )
             results[f"{machine}, {axis}"] = result | ({} if ratio is None else {"mass_ratio_y_over_x": ratio})
-            panels.append((f"{machine}, {axis}", measured[0][1], {"power": measured[0][2] / measured[0][2].max()}))
+            panels.append(
+                (f"{machine}, {axis}", measured[0][1], {"power": measured[0][2] / measured[0][2].max()})
+            )
     console.print(table)
     picture(
-        "printers", "CoreXY printers: power at the tool over frequency (first spectrum of each)", panels, console, "Hz"
+        "printers",
+        "CoreXY printers: power at the tool over frequency (first spectrum of each)",
+        panels,
+        console,
+        "Hz",
     )
     write_results("real_machines_printers", {"resonances": results}, seed=None)

@@ -34,7 +34,9 @@ def data_folder(name: str, console: Console) -> Path | None:
     base = Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data")
     if (base / name).is_dir():
         return base / name
-    console.print(f"{name}: skipped, no folder {name} in $HFRAME_DATA (docs/real_machines.md lists the sources)")
+    console.print(
+        f"{name}: skipped, no folder {name} in $HFRAME_DATA (docs/real_machines.md lists the sources)"
+    )
     return None
 
 
@@ -72,11 +74,19 @@ def print_effects(answer: IdentificationResult, console: Console) -> None:
             std = "-" if p["std"] is None else f"{p['std']:.2g}"
             gain = f"{e['held_out_gain']:.3f}"
             table.add_row(
-                f"{e['name']}@{e['site']}", key, f"{p['value']:.4g}", std, p["unit"], gain, ", ".join(e["rivals"])
+                f"{e['name']}@{e['site']}",
+                key,
+                f"{p['value']:.4g}",
+                std,
+                p["unit"],
+                gain,
+                ", ".join(e["rivals"]),
             )
     if report["effects"]:
         console.print(table)
-    follows = ", ".join(f"{d['variable']} {100 * d['share']:.0f} %" for d in report["residual"]["depends_on"][:4])
+    follows = ", ".join(
+        f"{d['variable']} {100 * d['share']:.0f} %" for d in report["residual"]["depends_on"][:4]
+    )
     console.print(
         f"verdict {report['verdict']} in {report['seconds']:.1f} s; the residual force before depends on: {follows}"
     )

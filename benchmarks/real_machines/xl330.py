@@ -46,7 +46,9 @@ def convert(source: Path, target: Path) -> None:
         log = log[: released[0]] if len(released) else log
         voltage = log["load_raw_signed"] / FULL_DUTY * log["input_V"]
         held = np.append((voltage[:-1] + voltage[1:]) / 2, voltage[-1])
-        write_recording(target / path.name, {"time_s": log["t_s"], "v_V": held, "arm_rad": log["position_rad"]})
+        write_recording(
+            target / path.name, {"time_s": log["t_s"], "v_V": held, "arm_rad": log["position_rad"]}
+        )
 
 
 def simulate_angle(machine: Machine, run: Recording) -> Array:

@@ -209,7 +209,11 @@ def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
         "brushType": "lineX",
         "brushMode": "single",
         "throttleType": "debounce",
-        "brushStyle": {"color": ink("after", dark) + "33", "borderColor": ink("after", dark), "borderWidth": 1},
+        "brushStyle": {
+            "color": ink("after", dark) + "33",
+            "borderColor": ink("after", dark),
+            "borderWidth": 1,
+        },
         "outOfBrush": {"colorAlpha": 1},
     }
     return options
@@ -233,7 +237,14 @@ def error_chart(errors: Sequence[tuple[float, float]], now: float, dark: bool) -
     options["grid"] = [{"left": _LEFT, "right": 24, "top": 30, "height": 120}]
     axis = {"nameTextStyle": {"color": muted}, "axisLabel": {"color": muted, "hideOverlap": True}}
     options["xAxis"] = [
-        {**axis, "type": "value", "name": "processor time, s", "nameLocation": "middle", "nameGap": 26, "min": 0}
+        {
+            **axis,
+            "type": "value",
+            "name": "processor time, s",
+            "nameLocation": "middle",
+            "nameGap": 26,
+            "min": 0,
+        }
         | {"splitLine": {"show": False}, "axisLine": {"lineStyle": {"color": line}}}
     ]
     options["yAxis"] = [

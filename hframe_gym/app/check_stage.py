@@ -82,7 +82,8 @@ class CheckStage(Stage):
         faults = sum(finding.severity == "fault" for finding in groups)
         if faults:
             text = (
-                "Correct what they name, in the logs or in the stage Logs (a wrong sign by the factor -1); check again."
+                "Correct what they name, in the logs or in the stage Logs (a wrong sign by the factor -1); "
+                "check again."
             )
             banner("warning", f"{faults} fault{'s' if faults > 1 else ''}.", text)
         else:
@@ -169,7 +170,9 @@ class CheckStage(Stage):
             if not simulated or chart.is_deleted:
                 continue
             both = [
-                dataclasses.replace(c, others={"declared machine": simulated[c.name]}) if c.name in simulated else c
+                dataclasses.replace(c, others={"declared machine": simulated[c.name]})
+                if c.name in simulated
+                else c
                 for c in curves
             ]
             chart.options.clear()

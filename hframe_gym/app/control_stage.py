@@ -23,7 +23,14 @@ from .session import CONTROL, evaluate_command
 from .stage import Stage, State, banner, heading, table
 from .stage_drawing import drawing_of, read_motions
 
-_COLOR_NAMES = ("blue", "orange", "green", "purple", "ocher", "red")  # of the curves, `hframe_gym.web_page.SERIES`
+_COLOR_NAMES = (
+    "blue",
+    "orange",
+    "green",
+    "purple",
+    "ocher",
+    "red",
+)  # of the curves, `hframe_gym.web_page.SERIES`
 
 
 class ControlStage(Stage):
@@ -79,7 +86,9 @@ class ControlStage(Stage):
         """Build the stage."""
         machine = load_machine(self.session.path(self.session.corrected))
         if len(machine.tool_axes) == 0:
-            banner("neutral", "", f"{machine.name} has no tool that moves, so there are no controllers for it.")
+            banner(
+                "neutral", "", f"{machine.name} has no tool that moves, so there are no controllers for it."
+            )
             return
         if self.session.corrected == "machine.json":
             banner("neutral", "", "No identification yet: controllers run on the machine as declared.")
@@ -93,7 +102,9 @@ class ControlStage(Stage):
             chosen = ui.select(names, value=self._controllers, multiple=True, label="controllers and agents")
             chosen.props("dense outlined options-dense use-chips data-controllers").classes("w-full")
             chosen.on_value_change(self._set_controllers)
-            task = ui.select(list(TASKS), value=self._task, label="task").props("dense outlined options-dense")
+            task = ui.select(list(TASKS), value=self._task, label="task").props(
+                "dense outlined options-dense"
+            )
             task.on_value_change(self._set_task)
             period = ui.input("control period, s", value=self._period, placeholder="0.01").props(
                 "dense outlined stack-label"
@@ -130,7 +141,9 @@ class ControlStage(Stage):
 
     def _scores(self) -> dict[str, Any]:
         """Return the content of scores.json."""
-        content: dict[str, Any] = json.loads(self.session.path(CONTROL, "scores.json").read_text(encoding="utf-8"))
+        content: dict[str, Any] = json.loads(
+            self.session.path(CONTROL, "scores.json").read_text(encoding="utf-8")
+        )
         return content
 
     def _show_scores(self) -> None:
@@ -146,7 +159,9 @@ class ControlStage(Stage):
         ]
         rows = []
         for name, score in scores["controllers"].items():
-            success = [f"{100 * score['success'][band]:.0f} %" if "success" in score else "" for band in bands]
+            success = [
+                f"{100 * score['success'][band]:.0f} %" if "success" in score else "" for band in bands
+            ]
             settling = score.get("settling_s", {}).get("0.2mm", {}).get("mean")
             left = score.get("final_error_mm", {}).get("mean")
             error = "-" if left is None else "< 0.001" if left < 1e-3 else number(left)
@@ -160,7 +175,9 @@ class ControlStage(Stage):
         machine = load_machine(self.session.path(self.session.corrected))
         drawing = drawing_of(machine)
         names = [Path(name).name.replace(":", "-") for name in self._scores()["controllers"]]
-        files = [path for path in (self.session.path(CONTROL, f"{name}.csv") for name in names) if path.exists()]
+        files = [
+            path for path in (self.session.path(CONTROL, f"{name}.csv") for name in names) if path.exists()
+        ]
         if drawing is None or not files:
             return
         motions = {path.stem: read_motions(path, machine) for path in files}
@@ -204,7 +221,8 @@ def _curves(motions: list[dict[str, Any]], inputs: Sequence[str]) -> list[Curve]
         return np.pad(values, (0, longest - len(values)), constant_values=np.nan)
 
     distances = [
-        padded(1e3 * np.linalg.norm(np.subtract(m["motion"]["tool"], m["motion"]["goal"]), axis=1)) for m in motions
+        padded(1e3 * np.linalg.norm(np.subtract(m["motion"]["tool"], m["motion"]["goal"]), axis=1))
+        for m in motions
     ]
     curves = [_together("distance to the goal, mm", colors, time, names, distances)]
     for k, channel in enumerate(inputs):

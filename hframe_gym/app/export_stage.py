@@ -20,7 +20,9 @@ class ExportStage(Stage):
     """Export the corrected machine."""
 
     key, title, action = "export", "Export", "Export"
-    purpose = "Files for other tools. Each export names the machine, the version that wrote it, and the units."
+    purpose = (
+        "Files for other tools. Each export names the machine, the version that wrote it, and the units."
+    )
 
     def __init__(self, page: Any) -> None:
         """Create the stage."""
@@ -68,7 +70,9 @@ class ExportStage(Stage):
                 elif isinstance(field.default, bool):
                     switch = ui.checkbox(field.name, value=field.name in self._options)
                     switch.props(f'title="{html.escape(_plain(text))}"')
-                    switch.on_value_change(lambda e, name=field.name: self._set_option(name, "" if e.value else None))
+                    switch.on_value_change(
+                        lambda e, name=field.name: self._set_option(name, "" if e.value else None)
+                    )
                 else:
                     default = "" if field.default is None else str(field.default)
                     value = self._options.get(field.name, "")
@@ -79,7 +83,9 @@ class ExportStage(Stage):
                     )
         self.command_box()
         with ui.expansion("What this export has").classes("w-full"):
-            ui.html(f"<pre class='hf-output'>{html.escape(inspect.getdoc(exporter) or '')}</pre>", sanitize=False)
+            ui.html(
+                f"<pre class='hf-output'>{html.escape(inspect.getdoc(exporter) or '')}</pre>", sanitize=False
+            )
         files = self._files()
         if files:
             heading("Exported")

@@ -13,7 +13,9 @@ from .jobs import Job
 from .session import CONTROL, EXPORTS, RESULT, identify_command
 from .stage import Stage, State, banner
 
-_CHECKED_FIRST = "The check found a fault, which makes a fit meaningless. Correct it, or identify nevertheless."
+_CHECKED_FIRST = (
+    "The check found a fault, which makes a fit meaningless. Correct it, or identify nevertheless."
+)
 
 
 class IdentifyStage(Stage):
@@ -65,8 +67,12 @@ class IdentifyStage(Stage):
             held.props('hint="default: one of four"')
             held.props("dense outlined options-dense use-chips").classes("w-full")
             held.on_value_change(self._set_hold_out)
-            budget = ui.input("budget, s of processor time", value=self._budget, placeholder="a minute per core")
-            budget.props("dense outlined stack-label data-budget").classes("w-full").on_value_change(self._set_budget)
+            budget = ui.input(
+                "budget, s of processor time", value=self._budget, placeholder="a minute per core"
+            )
+            budget.props("dense outlined stack-label data-budget").classes("w-full").on_value_change(
+                self._set_budget
+            )
             force = ui.checkbox("fit although the check finds faults", value=self._force)
             force.on_value_change(self._set_force)
         self.command_box()
@@ -75,10 +81,14 @@ class IdentifyStage(Stage):
         self._live = ui.element("section").classes("w-full").props('aria-label="Progress"')
         with self._live:
             self._words = ui.label("").props("aria-live=polite")
-            self._bar = ui.linear_progress(value=0.0, show_value=False).props('aria-label="Part of the budget"')
+            self._bar = ui.linear_progress(value=0.0, show_value=False).props(
+                'aria-label="Part of the budget"'
+            )
             self._error = ui.label("").classes("hf-muted")
             chart = ui.echart(error_chart([], 0.0, self.page.dark)).classes("w-full").style("height: 200px")
-            self._chart = chart.props('role=img aria-label="Error of the best machine so far over the processor time"')
+            self._chart = chart.props(
+                'role=img aria-label="Error of the best machine so far over the processor time"'
+            )
         self._drawn = 0
         self._show_live()
 

@@ -16,7 +16,16 @@ from ..dynamics import NotFiniteError
 from ..errors import InputError
 from ..identification import simulate_recording
 from ..machine import Machine
-from ..recordings import TIME, ChannelSource, Log, MappingOptions, Recording, load_recording, map_columns, open_logs
+from ..recordings import (
+    TIME,
+    ChannelSource,
+    Log,
+    MappingOptions,
+    Recording,
+    load_recording,
+    map_columns,
+    open_logs,
+)
 
 Array = NDArray[np.float64]
 POINTS = 1600  # of a curve: two for each of 800 pixels
@@ -83,7 +92,8 @@ def thinned(
             kept += sorted(at)
         rows = np.array(kept)
     return [
-        [t, v if math.isfinite(v) else None] for t, v in zip(time[rows].tolist(), values[rows].tolist(), strict=True)
+        [t, v if math.isfinite(v) else None]
+        for t, v in zip(time[rows].tolist(), values[rows].tolist(), strict=True)
     ]
 
 
@@ -196,7 +206,11 @@ def _times(log: Log, sources: Sequence[ChannelSource], values: dict[str, Array])
         return rows, False
     raw = values.get(source.column.header, rows)
     time = raw if source.column.kind == "stamp" else source.conversion.apply(raw)
-    if len(time) != length or not np.all(np.diff(time[np.isfinite(time)]) >= 0.0) or not np.isfinite(time).all():
+    if (
+        len(time) != length
+        or not np.all(np.diff(time[np.isfinite(time)]) >= 0.0)
+        or not np.isfinite(time).all()
+    ):
         return rows, False
     return time, True
 

@@ -180,7 +180,10 @@ class LogsStage(Stage):
                 column = ui.select(menu, value=chosen, label="column", with_input=len(menu) > 12)
                 column.props(f'dense outlined options-dense data-channel="{channel}"').classes("hf-column")
                 column.on_value_change(lambda e, c=channel: self._set_column(c, e.value))
-                units = {_AS_LOGGED: "as in the log", **{unit: unit for unit in accepted_units(machine, channel)}}
+                units = {
+                    _AS_LOGGED: "as in the log",
+                    **{unit: unit for unit in accepted_units(machine, channel)},
+                }
                 unit = ui.select(units, value=self._choices.units.get(channel, _AS_LOGGED), label="unit")
                 unit.props(f'dense outlined options-dense data-unit="{channel}"')
                 unit.on_value_change(lambda e, c=channel: self._set_unit(c, e.value))
@@ -224,7 +227,9 @@ class LogsStage(Stage):
         self._choices.scales.pop(channel, None)
         if factor.strip():
             self._choices.scales[channel] = factor.strip()
-            source = next((s for s in (self._view.sources if self._view else ()) if s.channel == channel), None)
+            source = next(
+                (s for s in (self._view.sources if self._view else ()) if s.channel == channel), None
+            )
             stated = source.column.unit if source is not None and source.column is not None else ""
             if stated in self._units[channel].options and not self._choices.units.get(channel):
                 self._units[channel].set_value(stated)
@@ -304,7 +309,9 @@ class LogsStage(Stage):
     def _arm(chart: Any) -> None:
         """Let the mouse select an interval without a button before."""
         option = {"brushType": "lineX", "brushMode": "single"}
-        chart.run_chart_method("dispatchAction", {"type": "takeGlobalCursor", "key": "brush", "brushOption": option})
+        chart.run_chart_method(
+            "dispatchAction", {"type": "takeGlobalCursor", "key": "brush", "brushOption": option}
+        )
 
     async def _zoomed(self, chart: Any, args: dict[str, Any]) -> None:
         """Send more points of the part that is visible after a zoom."""
@@ -338,7 +345,9 @@ class LogsStage(Stage):
         choice.props('aria-label="How logs become runs" data-split')
         if self._split in self._seconds:
             label = "shortest rest, s" if self._split == "rests" else "duration of a run, s"
-            seconds = ui.number(label, value=self._seconds[self._split], min=0.01, step=0.1).props("dense outlined")
+            seconds = ui.number(label, value=self._seconds[self._split], min=0.01, step=0.1).props(
+                "dense outlined"
+            )
 
             def store(event: events.ValueChangeEventArguments[Any]) -> None:
                 self._seconds[self._split] = float(event.value or 0.5)
@@ -381,7 +390,9 @@ class LogsStage(Stage):
             for interval in self._choices.intervals:
                 with ui.element("li"):
                     ui.label(f"{interval.log}: {interval.begin:g} to {interval.end:g} s")
-                    ui.button("Remove", on_click=lambda i=interval: self._drop_interval(i)).props("flat dense")
+                    ui.button("Remove", on_click=lambda i=interval: self._drop_interval(i)).props(
+                        "flat dense"
+                    )
 
     def _drop_interval(self, interval: Interval) -> None:
         """Forget an interval."""
@@ -414,4 +425,8 @@ class LogsStage(Stage):
         if len(paths) > _MOST_RUNS:
             ui.label(f"and {len(paths) - _MOST_RUNS} more").classes("hf-muted")
         if len(paths) == 1:
-            banner("warning", "One run only.", "Identification needs at least two, because one is held out: cut it.")
+            banner(
+                "warning",
+                "One run only.",
+                "Identification needs at least two, because one is held out: cut it.",
+            )

@@ -26,7 +26,11 @@ from .stage_drawing import drawing_of
 
 _MODES = 3  # natural frequencies that the table lists
 _OF_MACHINE = (RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)  # what belongs to one machine
-_KINDS = {"hframe": "H-frame, one belt for both motors", "axis": "One axis", "corexy": "CoreXY, a belt for each motor"}
+_KINDS = {
+    "hframe": "H-frame, one belt for both motors",
+    "axis": "One axis",
+    "corexy": "CoreXY, a belt for each motor",
+}
 
 
 class StageView(Element, component="stage_view.js"):
@@ -133,12 +137,14 @@ def _show_machine(machine: Machine) -> None:
             if drawing is not None:
                 StageView(drawing)
             else:
-                ui.label("This machine has no tool that moves in a plane, so it is not drawn.").classes("hf-muted")
+                ui.label("This machine has no tool that moves in a plane, so it is not drawn.").classes(
+                    "hf-muted"
+                )
         with ui.element("div"):
             ui.html(f"<b>{machine.name}</b>", sanitize=True)
-            ui.label("Compare with what you know. A value ten or a thousand times off shows a wrong unit.").classes(
-                "hf-muted"
-            )
+            ui.label(
+                "Compare with what you know. A value ten or a thousand times off shows a wrong unit."
+            ).classes("hf-muted")
             limits, others = plausibility(machine)
             if limits:
                 axes = list(motion_limits(machine))
@@ -192,7 +198,9 @@ def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:
         Rows of name, value (with its standard deviation where it was identified), and unit.
     """
     known = machine.uncertainty
-    deviations = {} if known is None else dict(zip(known.names, known.covariance.diagonal() ** 0.5, strict=True))
+    deviations = (
+        {} if known is None else dict(zip(known.names, known.covariance.diagonal() ** 0.5, strict=True))
+    )
     rows = []
     for name, value in machine.parameters.items():
         deviation = f" ± {number(float(deviations[name]))}" if name in deviations else ""

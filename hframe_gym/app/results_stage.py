@@ -13,7 +13,11 @@ from ..recordings import load_machine
 from .session import MACHINE, RESULT
 from .stage import Stage, State, banner, heading
 
-_TITLES = {"effect_found": "Effects found.", "no_effect": "No effect is missing.", "unexplained": "Unexplained."}
+_TITLES = {
+    "effect_found": "Effects found.",
+    "no_effect": "No effect is missing.",
+    "unexplained": "Unexplained.",
+}
 # The report is a page; its frame grows with it, so that there is one bar for scrolling.
 _FRAME = """<iframe class="hf-report" src="{address}" title="Report of the identification" onload="
   const page = this.contentDocument.documentElement;
@@ -66,9 +70,9 @@ class ResultsStage(Stage):
             if page.exists():
                 ui.link("Open the report in another tab", f"/session/{RESULT}/report.html", new_tab=True)
         if page.exists():
-            ui.label("The report is one file that opens anywhere: result/report.html in the session.").classes(
-                "hf-muted"
-            )
+            ui.label(
+                "The report is one file that opens anywhere: result/report.html in the session."
+            ).classes("hf-muted")
             address = f"/session/{RESULT}/report.html?{page.stat().st_mtime_ns}"
             ui.html(_FRAME.format(address=address), sanitize=False).classes("w-full")
         heading("Command")

@@ -63,7 +63,9 @@ class TokenGate:
 
         async def with_headers(message: Any) -> None:
             if message["type"] == "http.response.start":
-                extra = [(b"content-security-policy", _POLICY.format(socket=f"ws://{headers['host']}").encode())]
+                extra = [
+                    (b"content-security-policy", _POLICY.format(socket=f"ws://{headers['host']}").encode())
+                ]
                 extra.append((b"referrer-policy", b"no-referrer"))
                 if by_address:
                     cookie = f"{COOKIE}_{self._port}={self._token}; HttpOnly; SameSite=Strict; Path=/"
@@ -116,14 +118,18 @@ def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], N
         listener.bind((HOST, port))
         listener.listen()  # requests wait until the server has started
     except OSError as error:
-        raise InputError(f"--port {port}: {error.strerror}; choose another one, or 0 for any free port") from None
+        raise InputError(
+            f"--port {port}: {error.strerror}; choose another one, or 0 for any free port"
+        ) from None
     port = listener.getsockname()[1]
     token = secrets.token_urlsafe(16)
     application = FastAPI(openapi_url=None)
     application.mount(_SHARED, StaticFiles(directory=session.folder))
     window = Window(session)
     ui.page("/", title=f"hframe: {session.folder.name}", response_timeout=30.0)(window.page)
-    ui.run_with(application, title="hframe", dark=None, favicon="data:,", tailwind=False, show_welcome_message=False)
+    ui.run_with(
+        application, title="hframe", dark=None, favicon="data:,", tailwind=False, show_welcome_message=False
+    )
     application.add_middleware(TokenGate, token=token, port=port)
     address = f"http://{HOST}:{port}/?token={token}"
     log(f"session {session.folder}")

@@ -15,7 +15,9 @@ from ..recordings import Interval, find_logs, load_machine, recording_files
 MACHINE, LOGS, RUNS, RESULT, CONTROL, EXPORTS = "machine.json", "logs", "runs", "result", "control", "export"
 FINDINGS = "check.json"
 SCRIPT = "commands.sh"  # all commands of the session, in the order in which they ran
-_SCRIPT_HEAD = '#!/bin/sh\n# The commands of this session; a line that failed is marked.\ncd "$(dirname "$0")"\n'
+_SCRIPT_HEAD = (
+    '#!/bin/sh\n# The commands of this session; a line that failed is marked.\ncd "$(dirname "$0")"\n'
+)
 
 
 @dataclass
@@ -227,7 +229,11 @@ def import_command(choices: ImportChoices) -> list[str]:
         Words after "hframe".
     """
     words = ["import", LOGS, "--machine", MACHINE]
-    for option, values in (("--map", choices.columns), ("--unit", choices.units), ("--scale", choices.scales)):
+    for option, values in (
+        ("--map", choices.columns),
+        ("--unit", choices.units),
+        ("--scale", choices.scales),
+    ):
         for channel, value in values.items():
             if value:
                 words += [option, f"{channel}={value}"]
@@ -271,7 +277,14 @@ def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[
 
 
 def evaluate_command(
-    controllers: Sequence[str], machine: str, *, task: str, randomize: str, period: str, episodes: int, motions: int
+    controllers: Sequence[str],
+    machine: str,
+    *,
+    task: str,
+    randomize: str,
+    period: str,
+    episodes: int,
+    motions: int,
 ) -> list[str]:
     """Return the command that compares controllers on a machine.
 
@@ -292,7 +305,9 @@ def evaluate_command(
     return [*words, "--episodes", str(episodes), "--motions", str(motions), "--html", "--out", CONTROL]
 
 
-def export_command(kind: str, machine: str | None, options: Mapping[str, str], arguments: Sequence[str]) -> list[str]:
+def export_command(
+    kind: str, machine: str | None, options: Mapping[str, str], arguments: Sequence[str]
+) -> list[str]:
     """Return the command of an export.
 
     Args:

@@ -169,7 +169,9 @@ class Stage(ABC):
         with ui.element("details").classes("hf-details") as self._details:
             with ui.element("summary"):
                 self._summary = ui.label("Output")
-            self._output = ui.html("", sanitize=False).classes("hf-output").props('tabindex=0 aria-label="Output"')
+            self._output = (
+                ui.html("", sanitize=False).classes("hf-output").props('tabindex=0 aria-label="Output"')
+            )
         self._show_output()
 
     def update_command(self) -> None:
@@ -235,7 +237,9 @@ class Stage(ABC):
         else:
             self._details.props("open")
         if running:
-            ui.run_javascript(f"{{const e = getHtmlElement({self._output.id}); if (e) e.scrollTop = e.scrollHeight}}")
+            ui.run_javascript(
+                f"{{const e = getHtmlElement({self._output.id}); if (e) e.scrollTop = e.scrollHeight}}"
+            )
 
     def _ending(self, job: Job) -> str:
         """Return a line about the end of a job."""
@@ -276,7 +280,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[
 
     def cells(tag: str, texts: Sequence[str]) -> str:
         parts = (
-            f"<{tag}{' class=num' if k in numbers else ''}>{html.escape(text)}</{tag}>" for k, text in enumerate(texts)
+            f"<{tag}{' class=num' if k in numbers else ''}>{html.escape(text)}</{tag}>"
+            for k, text in enumerate(texts)
         )
         return f"<tr>{''.join(parts)}</tr>"
 

@@ -45,7 +45,12 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
 
     shapes = [_shape(*part) for part in zip(parts(0.0, 0.0), parts(1.0, 0.0), parts(0.0, 1.0), strict=True)]
     workspace = [float(v) for v in (geometry.left, geometry.low, geometry.right, geometry.high)]
-    return {"view": _limits(geometry, shapes), "workspace": workspace, "shapes": shapes, "axes": machine.tool_axes}
+    return {
+        "view": _limits(geometry, shapes),
+        "workspace": workspace,
+        "shapes": shapes,
+        "axes": machine.tool_axes,
+    }
 
 
 def _corners(box: tuple[float, float, float, float]) -> list[tuple[float, float]]:

@@ -30,7 +30,10 @@ _STAGES: tuple[type[Stage], ...] = (
     ExportStage,
 )
 _POLL_S = 0.3  # s between two looks at a job
-_FILLED = ("#0b69c7", "#1f6fc4")  # color of filled buttons, light and dark; white text has a contrast of 5 or more
+_FILLED = (
+    "#0b69c7",
+    "#1f6fc4",
+)  # color of filled buttons, light and dark; white text has a contrast of 5 or more
 
 
 def style_sheet() -> str:
@@ -40,7 +43,8 @@ def style_sheet() -> str:
         Text of the style sheet.
     """
     light, dark = (
-        "".join(f"--{role}: {pair[k]};" for role, pair in COLORS.items()) + f"--filled: {_FILLED[k]};" for k in (0, 1)
+        "".join(f"--{role}: {pair[k]};" for role, pair in COLORS.items()) + f"--filled: {_FILLED[k]};"
+        for k in (0, 1)
     )
     text = (Path(__file__).parent / "style.css").read_text(encoding="utf-8")
     colors = f":root {{ color-scheme: light dark; {light} }}"
@@ -123,7 +127,9 @@ class Page:
         with panels:
             for stage in self.stages.values():
                 with ui.tab_panel(stage.key):
-                    stage.container = ui.element("main").classes("hf-stage").props(f'data-stage="{stage.key}"')
+                    stage.container = (
+                        ui.element("main").classes("hf-stage").props(f'data-stage="{stage.key}"')
+                    )
         for stage in self.stages.values():
             stage.refresh()
         self._bar.on_value_change(lambda event: self.stages[event.value].opened())
@@ -167,4 +173,6 @@ class Page:
         for key, stage in self.stages.items():
             job = self.window.jobs.get(key)
             state: State = "running" if job is not None and job.running else stage.state()
-            self._tabs[key].classes(remove="hf-done hf-running hf-problem", add=f"hf-{state}" if state else "")
+            self._tabs[key].classes(
+                remove="hf-done hf-running hf-problem", add=f"hf-{state}" if state else ""
+            )

@@ -43,7 +43,9 @@ class Command(TyperCommand):
 
         Typer writes a required one as "{runs_dir}", which looks like a placeholder that was not filled in.
         """
-        return [piece.replace("{", "").replace("}", "").upper() for piece in super().collect_usage_pieces(ctx)]
+        return [
+            piece.replace("{", "").replace("}", "").upper() for piece in super().collect_usage_pieces(ctx)
+        ]
 
 
 class CommandGroup(TyperGroup):
@@ -139,7 +141,9 @@ def closed_output_tolerated() -> Iterator[None]:
 
 console = Console(soft_wrap=True)
 
-MachineOption = Annotated[str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")]
+MachineOption = Annotated[
+    str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")
+]
 OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
 MaxRowsOption = Annotated[
     int,
@@ -150,8 +154,12 @@ MaxRowsOption = Annotated[
         "but at least 20,000.",
     ),
 ]
-TaskOption = Annotated[str, typer.Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")]
-RandomizeOption = Annotated[str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")]
+TaskOption = Annotated[
+    str, typer.Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")
+]
+RandomizeOption = Annotated[
+    str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")
+]
 EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
 ControllersArgument = Annotated[
     list[str],
@@ -161,7 +169,8 @@ ControllersArgument = Annotated[
     ),
 ]
 SensorsOption = Annotated[
-    str, typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
+    str,
+    typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements."),
 ]
 CONTROL_PERIOD = 0.01  # s, as in EnvConfig, which is not imported because it would delay every command
 PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]

@@ -13,10 +13,15 @@ from .app import app, log
 @app.command("app")
 def run_app(
     session: Annotated[
-        Path, typer.Argument(help="Folder of the session, with its machine, logs and results; created if missing.")
+        Path,
+        typer.Argument(help="Folder of the session, with its machine, logs and results; created if missing."),
     ] = Path("session"),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on the loopback address; 0: any free one.")] = 0,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Print the address, and open no browser.")] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port on the loopback address; 0: any free one.")
+    ] = 0,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address, and open no browser.")
+    ] = False,
 ) -> None:
     """Open a local page for all steps: machine, logs, check, identify, results, control, export.
 

@@ -56,19 +56,29 @@ def train(
         str | None, typer.Option(help="Randomization: {randomizations} (default: the recipe's).")
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(min=1, max=10**12, help="Environment steps in total (default: the recipe's).")
+        int | None,
+        typer.Option(min=1, max=10**12, help="Environment steps in total (default: the recipe's)."),
     ] = None,
     seed: Annotated[
         list[int] | None,
         typer.Option(
-            min=0, max=MAX_SEED, help="Seed of network, episodes and algorithm (default: 0); repeat for more agents."
+            min=0,
+            max=MAX_SEED,
+            help="Seed of network, episodes and algorithm (default: 0); repeat for more agents.",
         ),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue from the checkpoint in the folder.")] = False,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Resume from a checkpoint of another installation; it can execute code.")
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue from the checkpoint in the folder.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace the agent and checkpoint in the folder.")] = False,
+    trust: Annotated[
+        bool,
+        typer.Option(
+            "--trust", help="Resume from a checkpoint of another installation; it can execute code."
+        ),
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the agent and checkpoint in the folder.")
+    ] = False,
     jobs: Annotated[int, typer.Option(min=1, max=1024, help="Number of seeds to train at a time.")] = 1,
     ray: RayOption = None,
 ) -> None:
@@ -89,7 +99,9 @@ def train(
     declared, seeds = load_machine(machine), seed or [0]
     if ray is not None or len(seeds) > 1:
         if resume:
-            raise InputError("--resume: continues one seed in this process; leave out --ray and all but one --seed")
+            raise InputError(
+                "--resume: continues one seed in this process; leave out --ray and all but one --seed"
+            )
         recipe: dict[str, Any] = {"algorithm": algorithm, "machine": declared, "task": task, "steps": steps}
         _train_seeds(out, seeds=seeds, randomize=randomize, jobs=jobs, ray=ray, force=force, **recipe)
         return
@@ -101,7 +113,9 @@ def train(
         def progress(done: int, total: int) -> None:
             bar.update(bar_task, completed=done, total=total)
 
-        run_training(algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust, force)
+        run_training(
+            algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust, force
+        )
     options = option_words(machine=machine, task=task, randomize=randomize, out=str(out / "scores"))
     log(f"wrote {out}. Next: hframe evaluate {quoted(str(out))} pid{options} --html")
 
@@ -111,7 +125,11 @@ def _train_seeds(out: Path, **options: Any) -> None:
     from ..agents import train_seeds
 
     options["show_curves"] = not console.is_terminal  # the workers' lines would interrupt the bar
-    with locked_folder(require_folder(out)), value_errors_as_input_errors(), progress_bar("training") as progress:
+    with (
+        locked_folder(require_folder(out)),
+        value_errors_as_input_errors(),
+        progress_bar("training") as progress,
+    ):
         train_seeds(out=out, log=log, progress=progress, **options)
 
 
@@ -124,20 +142,29 @@ def evaluate(
     task: TaskOption = "reach",
     path: Annotated[
         str | None,
-        typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV of x_m,y_m."),
+        typer.Option(
+            help="Path to follow, for the task track: circle, square, lissajous or a CSV of x_m,y_m."
+        ),
     ] = None,
     randomize: RandomizeOption = "default",
     sensors: SensorsOption = "state",
     period: PeriodOption = CONTROL_PERIOD,
     episodes: EpisodesOption = 512,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of starts, goals and parameters.")] = 0,
-    html: Annotated[bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")] = False,
+    html: Annotated[
+        bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")
+    ] = False,
     motions: Annotated[
-        int, typer.Option(min=0, max=1000, help="Also write the motion in the first N episodes to CONTROLLER.csv.")
+        int,
+        typer.Option(
+            min=0, max=1000, help="Also write the motion in the first N episodes to CONTROLLER.csv."
+        ),
     ] = 0,
     protocol: Annotated[
         str | None,
-        typer.Option(help="Fixed benchmark for the leaderboard: {protocols}; it sets all options but --out and --ray."),
+        typer.Option(
+            help="Fixed benchmark for the leaderboard: {protocols}; it sets all options but --out and --ray."
+        ),
     ] = None,
     ray: RayOption = None,
 ) -> None:
@@ -277,21 +304,28 @@ def play(
         str | None, typer.Argument(help="What drives the stage: {controllers}, {agents}, ... (default: you).")
     ] = None,
     beside: Annotated[
-        str | None, typer.Option(help="Controller of a second stage: {controllers}, {agents}, the folder of an agent.")
+        str | None,
+        typer.Option(help="Controller of a second stage: {controllers}, {agents}, the folder of an agent."),
     ] = None,
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",
     path: Annotated[
-        str | None, typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV file.")
+        str | None,
+        typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV file."),
     ] = None,
     randomize: RandomizeOption = "none",
     sensors: SensorsOption = "state",
     period: PeriodOption = CONTROL_PERIOD,
     speed: Annotated[
-        float, typer.Option(min=0.001, max=100.0, help="Speed relative to real time; a hand is slower than a motor.")
+        float,
+        typer.Option(
+            min=0.001, max=100.0, help="Speed relative to real time; a hand is slower than a motor."
+        ),
     ] = 0.3,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the first start and goal.")] = 0,
-    frames: Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames (50 per second).")] = None,
+    frames: Annotated[
+        int | None, typer.Option(min=1, help="Stop after this number of frames (50 per second).")
+    ] = None,
     picture: Annotated[Path | None, typer.Option(help="PNG file for the last frame.")] = None,
 ) -> None:
     """Drive a simulated stage by mouse or keys; with --beside, a controller has the same task on a second stage.
@@ -313,8 +347,12 @@ def play(
         game = Game(scenario, controller, beside, speed)
     game.run(frames)
     for stage in game.stages:
-        state = "outside the band" if stage.settled_s is None else f"in the band since {stage.settled_s:.2f} s"
-        log(f"{stage.name}: {1e3 * stage.distance:.3f} mm from the goal after {stage.elapsed_s:.2f} s, {state}")
+        state = (
+            "outside the band" if stage.settled_s is None else f"in the band since {stage.settled_s:.2f} s"
+        )
+        log(
+            f"{stage.name}: {1e3 * stage.distance:.3f} mm from the goal after {stage.elapsed_s:.2f} s, {state}"
+        )
     if picture is not None:
         game.save_picture(picture)
         log(f"wrote {picture}")

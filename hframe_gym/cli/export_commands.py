@@ -63,7 +63,9 @@ def _require_controller(word: str, kinds: list[str]) -> None:
     from ..agents import shipped_agent_names
     from ..controllers import CONTROLLERS
 
-    agents = {name.partition("-seed")[0] for name in (word, word.rpartition("-seed")[0])} & set(shipped_agent_names())
+    agents = {name.partition("-seed")[0] for name in (word, word.rpartition("-seed")[0])} & set(
+        shipped_agent_names()
+    )
     if word in CONTROLLERS or ":" in word or agents or Path(word).is_dir():
         return
     near = get_close_matches(word, kinds, 1)
@@ -81,7 +83,9 @@ def _command(kind: str) -> Any:
         register_agents()
         exporter(**options).write(out, log)
 
-    out = Annotated[Path, typer.Option(help="Folder of the files, created if it does not exist, or one of the files.")]
+    out = Annotated[
+        Path, typer.Option(help="Folder of the files, created if it does not exist, or one of the files.")
+    ]
     types = typing.get_type_hints(exporter)
     parameters = [_parameter(f, types[f.name]) for f in dataclasses.fields(exporter)]
     arguments = [p for p in parameters if p.default is inspect.Parameter.empty]

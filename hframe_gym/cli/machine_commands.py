@@ -69,8 +69,12 @@ def list_machines() -> None:
 
 @machines_app.command("show")
 def show_machine(
-    machine: Annotated[str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")],
-    plot: Annotated[Path | None, typer.Option(help="Draw the machine into this file (.png, .svg or .pdf).")] = None,
+    machine: Annotated[
+        str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")
+    ],
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the machine into this file (.png, .svg or .pdf).")
+    ] = None,
 ) -> None:
     """Print a machine as tables with units; with --plot, also draw it.
 
@@ -113,9 +117,15 @@ def new_machine_file(
     out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
     name: Annotated[str, typer.Option(help="Name of the machine (default: name of the file).")] = "",
     travel: Annotated[str, typer.Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",
-    mass: Annotated[str, typer.Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2.")] = "",
-    pulley_radius: Annotated[float | None, typer.Option(help="Pitch radius of the motors' pulleys, m.")] = None,
-    gear_ratio: Annotated[float | None, typer.Option(help="Turns of the motor per turn of the pulley.")] = None,
+    mass: Annotated[
+        str, typer.Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2.")
+    ] = "",
+    pulley_radius: Annotated[
+        float | None, typer.Option(help="Pitch radius of the motors' pulleys, m.")
+    ] = None,
+    gear_ratio: Annotated[
+        float | None, typer.Option(help="Turns of the motor per turn of the pulley.")
+    ] = None,
     rotor_inertia: Annotated[float | None, typer.Option(help="Inertia of a motor's rotor, kg m^2.")] = None,
     torque_constant: Annotated[
         float | None, typer.Option("--Kt", help="Torque constant, Nm/A; Ke becomes the same, in Vs/rad.")
@@ -124,7 +134,9 @@ def new_machine_file(
     rated_voltage: Annotated[float | None, typer.Option(help="Rated voltage, V.")] = None,
     encoder_lines: Annotated[int | None, typer.Option(help="Lines of the motors' encoders; 0: none.")] = None,
     linear_sensor: Annotated[bool | None, typer.Option(help="Whether sensors measure x and y.")] = None,
-    values: Annotated[list[str] | None, typer.Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")] = None,
+    values: Annotated[
+        list[str] | None, typer.Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a commented machine.json from a template; without --like or --out, ask for the values.
@@ -171,7 +183,9 @@ def list_effects() -> None:
 @effects_app.command("new")
 def new_effect(
     name: Annotated[str, typer.Argument(help="Name of the effect: lower-case letters, digits, underscores.")],
-    folder: Annotated[Path, typer.Option("--from", help="A folder that `hframe identify` wrote, with a table.")],
+    folder: Annotated[
+        Path, typer.Option("--from", help="A folder that `hframe identify` wrote, with a table.")
+    ],
     out: Annotated[Path | None, typer.Option(help="Python file to write (default: NAME.py).")] = None,
     formula: Annotated[int, typer.Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
     table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
@@ -202,7 +216,9 @@ def new_effect(
 
 @app.command()
 def kernel(
-    machine: Annotated[str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")],
+    machine: Annotated[
+        str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")
+    ],
 ) -> None:
     """Print the source of the integrator that is generated for a machine: its compiled form runs all simulations.
 

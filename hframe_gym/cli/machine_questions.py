@@ -67,7 +67,15 @@ class MachineAnswers:
         Raises:
             InputError: If a text is not a number, or does not have the form PARAMETER=VALUE.
         """
-        plain = ("pulley_radius", "gear_ratio", "rotor_inertia", "Kt", "resistance", "rated_voltage", "encoder_lines")
+        plain = (
+            "pulley_radius",
+            "gear_ratio",
+            "rotor_inertia",
+            "Kt",
+            "resistance",
+            "rated_voltage",
+            "encoder_lines",
+        )
         values = {}
         for text in self.values:
             parameter, separator, value = text.partition("=")
@@ -180,7 +188,9 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
     return answers
 
 
-def _ask_value(answers: MachineAnswers, option: str, question: str, log: Callable[[str], None]) -> MachineAnswers:
+def _ask_value(
+    answers: MachineAnswers, option: str, question: str, log: Callable[[str], None]
+) -> MachineAnswers:
     """Ask for the value of an option until it can be used, and return the answers with it."""
     default = template_value(new_machine(answers.like, "template", MachineOptions()), option)
     while True:

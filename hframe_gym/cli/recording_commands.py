@@ -68,14 +68,18 @@ def examples(
 
     copied = copy_examples(out)
     log(f"wrote {', '.join(map(str, copied))}")
-    log(f"Next: hframe check {out / 'rig_a'}, then hframe identify {out / 'rig_a'} --out {Path('out', 'rig_a')}")
+    log(
+        f"Next: hframe check {out / 'rig_a'}, then hframe identify {out / 'rig_a'} --out {Path('out', 'rig_a')}"
+    )
 
 
 @app.command("import")
 def import_logs(
     logs: Annotated[
         Path,
-        typer.Argument(help="A log or a folder of logs: text, MATLAB, Parquet, LeRobot, WPILib, ROS, MCAP, Klipper."),
+        typer.Argument(
+            help="A log or a folder of logs: text, MATLAB, Parquet, LeRobot, WPILib, ROS, MCAP, Klipper."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the recordings; existing runs are never replaced.")],
     machine: MachineOption = "hframe",
@@ -87,11 +91,16 @@ def import_logs(
     ] = None,
     unit: Annotated[
         list[str] | None,
-        typer.Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms, or time_s=8kHz for a counter."),
+        typer.Option(
+            help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms, or time_s=8kHz for a counter."
+        ),
     ] = None,
-    scale: Annotated[list[str] | None, typer.Option(help="CHANNEL=FACTOR to the channel's unit: x_m=0.001.")] = None,
+    scale: Annotated[
+        list[str] | None, typer.Option(help="CHANNEL=FACTOR to the channel's unit: x_m=0.001.")
+    ] = None,
     mapping: Annotated[
-        Path | None, typer.Option(help="TOML or JSON file with the tables map, unit and scale; options override it.")
+        Path | None,
+        typer.Option(help="TOML or JSON file with the tables map, unit and scale; options override it."),
     ] = None,
     split_at_rests: Annotated[
         bool, typer.Option("--split-at-rests", help="Cut each log into runs where the machine rests.")
@@ -102,12 +111,16 @@ def import_logs(
     split_every: Annotated[
         float | None,
         typer.Option(
-            min=0.5, max=3600.0, help="Cut each log into runs of about this duration, s, also where the machine moves."
+            min=0.5,
+            max=3600.0,
+            help="Cut each log into runs of about this duration, s, also where the machine moves.",
         ),
     ] = None,
     cut: Annotated[
         list[str] | None,
-        typer.Option(help="FROM:TO, s: keep this part of each log as a run; LOG=FROM:TO of one log; repeatable."),
+        typer.Option(
+            help="FROM:TO, s: keep this part of each log as a run; LOG=FROM:TO of one log; repeatable."
+        ),
     ] = None,
     format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
@@ -131,7 +144,10 @@ def import_logs(
     from ..recordings import import_logs as run_import
 
     from_file = read_mapping_file(mapping) if mapping is not None else MappingOptions()
-    scales = {channel: parse_factor(f"--scale {channel}={value}", value) for channel, value in _pairs("scale", scale)}
+    scales = {
+        channel: parse_factor(f"--scale {channel}={value}", value)
+        for channel, value in _pairs("scale", scale)
+    }
     options = MappingOptions(
         {**from_file.columns, **dict(_pairs("map", map))},
         {**from_file.units, **dict(_pairs("unit", unit))},
@@ -141,7 +157,9 @@ def import_logs(
     settings = ImportSettings(options, split_at_rests, min_rest, format.value, split_every, intervals)
     with progress_bar("import") as progress:
         files = run_import(logs, out, load_machine(machine), settings, log, progress)
-    log(f"wrote {len(files)} run{'s' if len(files) > 1 else ''} to {out}. Next: hframe check {out} --machine {machine}")
+    log(
+        f"wrote {len(files)} run{'s' if len(files) > 1 else ''} to {out}. Next: hframe check {out} --machine {machine}"
+    )
 
 
 @app.command()
@@ -170,7 +188,9 @@ def check(
         write_findings(findings, json)
         log(f"wrote {json}")
     if any(finding.severity == "fault" for finding in findings):
-        log("Next: correct what the faults name, and check again; `hframe identify` stops at faults without --force")
+        log(
+            "Next: correct what the faults name, and check again; `hframe identify` stops at faults without --force"
+        )
         raise typer.Exit(FAULT_FOUND)
     log(f"Next: hframe identify {runs_dir} --machine {machine} --out {Path('out', runs_dir.name)}")
 
@@ -178,11 +198,14 @@ def check(
 @app.command(cls=CommandWithChoices)
 def identify(
     runs_dir: Annotated[
-        Path, typer.Argument(help="A folder of recordings, one run per file; or of such folders, one per rig.")
+        Path,
+        typer.Argument(help="A folder of recordings, one run per file; or of such folders, one per rig."),
     ],
     out: OutOption,
     machine: MachineOption = "hframe",
-    hold_out: Annotated[list[str] | None, typer.Option(help="Run (file name without ending); repeatable.")] = None,
+    hold_out: Annotated[
+        list[str] | None, typer.Option(help="Run (file name without ending); repeatable.")
+    ] = None,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -192,7 +215,9 @@ def identify(
         ),
     ] = None,
     # Kept for scripts that pass it.
-    seed: Annotated[int, typer.Option(hidden=True, help="No effect: identification draws no random numbers.")] = 0,
+    seed: Annotated[
+        int, typer.Option(hidden=True, help="No effect: identification draws no random numbers.")
+    ] = 0,
     force: Annotated[
         bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,
@@ -228,7 +253,9 @@ def identify(
     with locked_folder(require_folder(out)):
         if rigs or ray is not None:
             outputs = {rig: out / rig.name for rig in rigs} or {runs_dir: out}
-            read = [_Rig(rig, folder, _runs_or_error(rig, declared, max_rows)) for rig, folder in outputs.items()]
+            read = [
+                _Rig(rig, folder, _runs_or_error(rig, declared, max_rows)) for rig, folder in outputs.items()
+            ]
             _identify_rigs(fit, read, jobs or 1, ray)
             return
         if jobs:
@@ -300,7 +327,12 @@ def _fit_rig(
 
 
 def _write_rig(
-    result: IdentificationResult, findings: Sequence[Finding], runs_dir: Path, folder: Path, out: Path, log: _Log
+    result: IdentificationResult,
+    findings: Sequence[Finding],
+    runs_dir: Path,
+    folder: Path,
+    out: Path,
+    log: _Log,
 ) -> tuple[dict[str, Any], Exception | None]:
     """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
     from ..identification import write_result
@@ -412,6 +444,8 @@ def _pairs(option: str, values: Sequence[str] | None) -> list[tuple[str, str]]:
     for text in values or ():
         channel, sign, value = text.partition("=")
         if not sign or not channel.strip():
-            raise InputError(f"--{option} {text}: must be CHANNEL={'COLUMN' if option == 'map' else option.upper()}")
+            raise InputError(
+                f"--{option} {text}: must be CHANNEL={'COLUMN' if option == 'map' else option.upper()}"
+            )
         pairs.append((channel.strip(), value.strip()))
     return pairs

@@ -114,8 +114,14 @@ def training_proposal(machine: str, task: str, randomize: str, period: float) ->
         recipe = load_recipe("ppo", task)
     except InputError:
         return ""
-    words = option_words(machine=machine, task=task, randomize=None if randomize == recipe.randomize else randomize)
-    note = "" if period == recipe.period else f" with --period {recipe.period:g}, the control period of the recipe"
+    words = option_words(
+        machine=machine, task=task, randomize=None if randomize == recipe.randomize else randomize
+    )
+    note = (
+        ""
+        if period == recipe.period
+        else f" with --period {recipe.period:g}, the control period of the recipe"
+    )
     return f"Next: hframe train ppo{words} --out FOLDER, then evaluate FOLDER too{note}"
 
 
@@ -178,7 +184,9 @@ def describe_failure(error: Exception) -> tuple[int, str]:
         return INPUT_AT_FAULT, f"{text.rstrip('.')}: check the inputs and the machine's parameters"
     if isinstance(error, OSError) and (error.filename is not None or error.errno in FULL_DISK):
         place = "writing" if error.filename is None else str(error.filename)
-        advice = "; make room or write to another disk (nothing was replaced)" if error.errno in FULL_DISK else ""
+        advice = (
+            "; make room or write to another disk (nothing was replaced)" if error.errno in FULL_DISK else ""
+        )
         return INPUT_AT_FAULT, plain_text(f"{place}: {error.strerror}{advice}")
     hint = f"set {DEBUG_VARIABLE}=1 to see the traceback"
     return INTERNAL_ERROR, f"internal error, please report it ({hint}): {type(error).__name__}: {text}"
@@ -188,7 +196,9 @@ def _example(error: Exception) -> str:
     """Return the example of the command in whose words something is missing, empty if nothing is or it has none."""
     command = getattr(getattr(error, "ctx", None), "command", None)
     found = re.search(r"Examples?:\s+(hframe .+)", getattr(command, "help", None) or "")
-    return f"for example: {found[1].strip()}; " if found and type(error).__name__ == "MissingParameter" else ""
+    return (
+        f"for example: {found[1].strip()}; " if found and type(error).__name__ == "MissingParameter" else ""
+    )
 
 
 def print_warning(message: Warning | str, category: type[Warning], *_args: Any, **_keywords: Any) -> None:
@@ -245,7 +255,9 @@ def check_recordings_before_fit(
         if finding.severity == "fault":
             log(str(finding))
     if others:
-        log(f"{len(others)} note{'s' if len(others) > 1 else ''} about the recordings; they follow the result")
+        log(
+            f"{len(others)} note{'s' if len(others) > 1 else ''} about the recordings; they follow the result"
+        )
     if refuse is not None:
         refuse_faults(findings, refuse)
     return findings
@@ -317,7 +329,9 @@ def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def proposed_formulas(result: IdentificationResult, log: Callable[[str], None]) -> tuple[TableComparison, ...]:
+def proposed_formulas(
+    result: IdentificationResult, log: Callable[[str], None]
+) -> tuple[TableComparison, ...]:
     """Propose formulas for the forces that an identification could only describe by tables of values.
 
     Such a table stands for a force that no known effect explains. Without scikit-learn, nothing is proposed,

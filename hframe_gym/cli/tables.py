@@ -41,7 +41,9 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     title = "simulation error on held-out recordings: rms (x: multiple of the sensor noise, % of the motion)"
     lacking = [report[stage].get("missing_force_percent") for stage in ("declared", "before", "after")]
     forces = ", ".join("unknown" if force is None else f"{number(force)} %" for force in lacking)
-    caption = None if lacking == [None] * 3 else f"missing force (below 10 Hz), of that of the drives: {forces}"
+    caption = (
+        None if lacking == [None] * 3 else f"missing force (below 10 Hz), of that of the drives: {forces}"
+    )
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.caption, table.caption_justify = caption, "left"
     table.add_column("channel", overflow="fold")
@@ -102,8 +104,12 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     if fixed_goal:
         columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound"]
     else:
-        columns += [f"{label}\nerror\n{kind}\nmm" for label in PATH_ERRORS.values() for kind in ("rms", "max")]
-    table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+        columns += [
+            f"{label}\nerror\n{kind}\nmm" for label in PATH_ERRORS.values() for kind in ("rms", "max")
+        ]
+    table = Table(
+        title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
     table.add_column("name", overflow="fold")
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True, min_width=max(map(len, column.split("\n"))))
@@ -252,7 +258,9 @@ def machine_tables(machine: Machine) -> list[Table]:
     tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
     effects = _titled("effects", "effect@site", "parameters")
     for effect in machine.effects:
-        values = (f"{k} = {v:.4g} {_unit(machine, f'{effect.label}.{k}')}" for k, v in effect.parameters.items())
+        values = (
+            f"{k} = {v:.4g} {_unit(machine, f'{effect.label}.{k}')}" for k, v in effect.parameters.items()
+        )
         effects.add_row(escape(effect.label), escape(", ".join(values)))
     return [table for table in (*tables, effects, _limits_table(machine)) if table.row_count]
 
@@ -317,8 +325,13 @@ def _drive_table(machine: Machine) -> Table:
     table = _titled("drives", "name", "channel", "moves", "Kt", "Ke", "R", "gear ratio", "rated")
     keys = ("Kt", "Ke", "resistance", "gear_ratio")
     for d in machine.drives:
-        cells = [_cell(machine, f"{d.name}.{key}", getattr(d, key)) if key in d.parameter_names else "" for key in keys]
-        table.add_row(*map(escape, (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} {d.command_unit}")))
+        cells = [
+            _cell(machine, f"{d.name}.{key}", getattr(d, key)) if key in d.parameter_names else ""
+            for key in keys
+        ]
+        table.add_row(
+            *map(escape, (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} {d.command_unit}"))
+        )
     return table
 
 
@@ -334,7 +347,9 @@ def _sensor_table(machine: Machine) -> Table:
 def _limits_table(machine: Machine) -> Table:
     """Format what the drives can do along each rigid motion; wrong units in a file show here."""
     title = "motion at rated voltage, belts not stretched: are these values plausible?"
-    table = _titled(title, "along", "moved mass", "force at rest", "acceleration", "top speed", "other coordinates")
+    table = _titled(
+        title, "along", "moved mass", "force at rest", "acceleration", "top speed", "other coordinates"
+    )
     motions = rigid_motions(machine)
     for name, limit in motion_limits(machine).items():
         leading = machine.coordinate(name)

@@ -52,7 +52,9 @@ FRICTION_STD, MASS_STD, BELT_STD = 0.5, 0.1, 0.2
 # coordinates that reverse during the period, and for the tool a fraction of the belt force, because the belts' lengths
 # are inaccurate too.
 BALANCE_NOISE, REVERSAL_NOISE, BELT_FORCE_NOISE = 0.7, 1.0, 0.15
-MEAN_REVERSAL_SPEED = 0.01  # m/s, over which the direction of friction changes, in means over a period: tanh(v / it)
+MEAN_REVERSAL_SPEED = (
+    0.01  # m/s, over which the direction of friction changes, in means over a period: tanh(v / it)
+)
 
 
 @CONTROLLERS.register("adaptive-pid")
@@ -78,7 +80,10 @@ class AdaptiveController(FullStateController):
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
         self._bank = [
-            [ModelBasedController(scaled_machine(machine, stiffness, mass), period) for mass in MASS_RATIOS.tolist()]
+            [
+                ModelBasedController(scaled_machine(machine, stiffness, mass), period)
+                for mass in MASS_RATIOS.tolist()
+            ]
             for stiffness in STIFFNESS_RATIOS.tolist()
         ]
         self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
@@ -155,7 +160,9 @@ class AdaptiveController(FullStateController):
         self._dead_time.reset(starts)
         self._elapsed_s = np.where(starts, 0.0, self._elapsed_s)
         midpoint, midpoint_s = 0.5 * (self._state + state), self._elapsed_s - 0.5 * self.period
-        effect_force = self.model.effect_force(midpoint, midpoint_s) + self.model.effect_friction(midpoint, midpoint_s)
+        effect_force = self.model.effect_force(midpoint, midpoint_s) + self.model.effect_friction(
+            midpoint, midpoint_s
+        )
         volts = self._inversion.motor_voltage(self._dead_time.mean_arrived())
         self._filter.update(self._state, state, volts, effect_force, starts)
         self._state, self._elapsed_s = state, self._elapsed_s + self.period
@@ -167,7 +174,9 @@ class AdaptiveController(FullStateController):
             return
         starts = self._starts.mask
         previous = self.expected_friction.reshape(len(starts), PERIODS_AHEAD + 1, -1)
-        recent = np.where(starts[:, None], 0.0, previous[:, -1] + RECENT_WEIGHT * (previous[:, 0] - previous[:, -1]))
+        recent = np.where(
+            starts[:, None], 0.0, previous[:, -1] + RECENT_WEIGHT * (previous[:, 0] - previous[:, -1])
+        )
         goals = self._dead_time.delayed_goals(goals)[:, : PERIODS_AHEAD + 2]
         if goals.shape[1] < PERIODS_AHEAD + 2:
             reach = f"the preview ends {goals.shape[1] - 1} periods after the dead time, {PERIODS_AHEAD + 1} are needed"
@@ -215,7 +224,12 @@ class MomentumFilter:
         return 1.0 + self.estimates[:, n:-1] @ (moving_mass / moving_mass.sum(axis=0))
 
     def update(
-        self, before: TravelStates, after: TravelStates, volts: Volts, effect_force: CoordinateForces, starts: Mask
+        self,
+        before: TravelStates,
+        after: TravelStates,
+        volts: Volts,
+        effect_force: CoordinateForces,
+        starts: Mask,
     ) -> None:
         """Update the estimates of friction, masses and belt stiffness with the momentum balances of the last period.
 
@@ -229,7 +243,10 @@ class MomentumFilter:
         """
         size = len(self._prior_std)
         if len(self.estimates) != len(starts):
-            self.estimates, self._covariance = np.zeros((len(starts), size)), np.zeros((len(starts), size, size))
+            self.estimates, self._covariance = (
+                np.zeros((len(starts), size)),
+                np.zeros((len(starts), size, size)),
+            )
         # Kalman filter for constant parameters: D are measurements with the matrix H, S is the covariance of the
         # innovation, K the gain.
         D, H, variance = self._balance(before, after, volts, effect_force)
@@ -241,7 +258,9 @@ class MomentumFilter:
         self._covariance = self._covariance - K @ PH.transpose(0, 2, 1)
         self.estimates[starts], self._covariance[starts] = 0.0, np.diag(self._prior_std**2)
 
-    def _balance(self, before: Array, after: Array, volts: Array, effect_force: Array) -> tuple[Array, Array, Array]:
+    def _balance(
+        self, before: Array, after: Array, volts: Array, effect_force: Array
+    ) -> tuple[Array, Array, Array]:
         """Return the residuals D (B, 2 axes), N, their regressors H (B, 2 axes, 2 n + 1) and noise variances of D."""
         model, n, axes = self.model, len(self.model.mass), len(self._tool)
         velocities = before[:, n:], after[:, n:]
@@ -264,7 +283,9 @@ class MomentumFilter:
         """Return the mean force of the model's belts on the tool over a period, N, shape (B, axes)."""
         n = len(self.model.mass)
         # Mean of the cubic through both states, because belt modes oscillate within two or three periods.
-        mean_travel = 0.5 * (before[:, :n] + after[:, :n]) + self.period / 12.0 * (before[:, n:] - after[:, n:])
+        mean_travel = 0.5 * (before[:, :n] + after[:, :n]) + self.period / 12.0 * (
+            before[:, n:] - after[:, n:]
+        )
         points = self._grid.nearest(self.model.tool_position(after))
         return -np.einsum("bij,bj->bi", self._stiffness[points], mean_travel)
 
@@ -299,7 +320,9 @@ def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) 
     factors = {"EA": stiffness_ratio, "mass": mass_ratio}
     values = machine.parameters.items()
     kinds = {name: name.rpartition(".")[2] for name in machine.parameters}
-    return machine.replace({name: factors[kinds[name]] * value for name, value in values if kinds[name] in factors})
+    return machine.replace(
+        {name: factors[kinds[name]] * value for name, value in values if kinds[name] in factors}
+    )
 
 
 def _interpolation_weights(values: Array, grid: Array) -> Array:

@@ -145,7 +145,9 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
     values = np.asarray(observation["observation"], np.float64)
     achieved = np.asarray(observation["achieved_goal"], np.float64)
     rotary = [i for i, name in enumerate(model.observed) if model.machine.coordinate(name).kind == "rotary"]
-    if not rotary or values.shape[1] != 2 * count:  # no angle shows the scale: the size of the workspace has to
+    if (
+        not rotary or values.shape[1] != 2 * count
+    ):  # no angle shows the scale: the size of the workspace has to
         check_goal_units(observation, model.machine)
         return
     radii = np.array([model.machine.coordinate(model.observed[i]).travel_per_unit for i in rotary])
@@ -279,7 +281,9 @@ class FullStateController(Controller):
         check_state_units(observation, self.model)
         goals = [np.asarray(observation["desired_goal"], np.float64)[:, None]]
         if "preview" in observation:
-            goals.append(np.asarray(observation["preview"], np.float64).reshape(len(state), -1, len(self.model.axes)))
+            goals.append(
+                np.asarray(observation["preview"], np.float64).reshape(len(state), -1, len(self.model.axes))
+            )
         return self.act_on_state(state, np.concatenate(goals, axis=1))
 
     @abstractmethod

@@ -20,8 +20,25 @@ except ImportError as error:
     raise ImportError("time-optimal motions need CasADi: pip install 'hframe_gym[bound]'") from error
 
 # Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
-MOTION_HOOKS = ("force", "coulomb", "friction", "viscous", "tension", "energy_slope", "belt_travel", "lever_arm")
-SWITCHING_OPERATIONS = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_LT, ca.OP_LE)
+MOTION_HOOKS = (
+    "force",
+    "coulomb",
+    "friction",
+    "viscous",
+    "tension",
+    "energy_slope",
+    "belt_travel",
+    "lever_arm",
+)
+SWITCHING_OPERATIONS = (
+    ca.OP_FMIN,
+    ca.OP_FMAX,
+    ca.OP_IF_ELSE_ZERO,
+    ca.OP_SIGN,
+    ca.OP_COPYSIGN,
+    ca.OP_LT,
+    ca.OP_LE,
+)
 
 
 class SymbolicModel:

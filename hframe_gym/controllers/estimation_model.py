@@ -19,7 +19,9 @@ from .motion_model import MotionModel
 PARAMETER_STD = {"mass": 0.1, "coulomb": 0.4, "viscous": 0.2, "EA": 0.1, "Kt": 0.05, "Ke": 0.05}
 COMMON_BELT_STD = 0.17  # of the error that all belts have in common because they are cut from one piece
 LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or the inverse
-SMALLEST_NOISE_M = 1e-7  # m, floor of the measurement noise in travel, also for sensors declared without noise
+SMALLEST_NOISE_M = (
+    1e-7  # m, floor of the measurement noise in travel, also for sensors declared without noise
+)
 
 
 class ParameterRatios:
@@ -61,7 +63,11 @@ class AugmentedParameters(ParameterRatios):
 
     def __init__(self, machine: Machine) -> None:
         values = machine.parameters
-        components = [*machine.coordinate_names, *(b.name for b in machine.belts), *(d.name for d in machine.drives)]
+        components = [
+            *machine.coordinate_names,
+            *(b.name for b in machine.belts),
+            *(d.name for d in machine.drives),
+        ]
         candidates = [f"{component}.{key}" for component in components for key in PARAMETER_STD]
         super().__init__(machine, (name for name in candidates if values.get(name, 0.0) != 0.0))
         keys = [name.rpartition(".")[2] for name in self.names]
@@ -122,7 +128,9 @@ class MeasurementModel:
         names = machine.coordinate_names
         self.channels = len(machine.sensors)
         ranges = {e.site: e.parameters for e in machine.effects if e.name == "sensor_range"}
-        unlimited = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if e.name != "sensor_range"))
+        unlimited = dataclasses.replace(
+            machine, effects=tuple(e for e in machine.effects if e.name != "sensor_range")
+        )
         equations = Equations(unlimited)
         zeros = np.zeros(len(names))
         self._used = np.array([_is_linear(sensor) for sensor in machine.sensors], np.bool_)
@@ -133,7 +141,9 @@ class MeasurementModel:
             for q, v in (np.split(state, 2) for state in states)
         ]
         # Sensitivity of each channel to travel and speed of each coordinate, in the channel's unit per m and per m/s.
-        sensitivity = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / np.tile(machine.travel_per_unit, 2)
+        sensitivity = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / np.tile(
+            machine.travel_per_unit, 2
+        )
         sensitivity[~self._used] = 0.0
         norm = np.linalg.norm(sensitivity, axis=1)
         self._unit = 1.0 / np.where(norm > 0.0, norm, 1.0)  # m or m/s per channel's unit

@@ -126,7 +126,11 @@ class MinimumEnergyTransfers:
         return np.stack(gains, axis=1)
 
     def select(
-        self, error: TravelStates, goal: ToolPositions, limits: tuple[Array, Array], at_least: NDArray[np.intp]
+        self,
+        error: TravelStates,
+        goal: ToolPositions,
+        limits: tuple[Array, Array],
+        at_least: NDArray[np.intp],
     ) -> TransferSelection:
         """Select for each machine the shortest motion to rest at its goal whose voltages stay within the limits.
 
@@ -150,7 +154,10 @@ class MinimumEnergyTransfers:
             # Voltages of the k checked periods, (B, k, drives).
             volts = np.einsum("bkij,bj->bki", self.gains[points, middle], error)
             admissible = np.all((volts >= lowest[:, None, :]) & (volts <= highest[:, None, :]), axis=(1, 2))
-            low, high = np.where(admissible | (low == high), low, middle + 1), np.where(admissible, middle, high)
+            low, high = (
+                np.where(admissible | (low == high), low, middle + 1),
+                np.where(admissible, middle, high),
+            )
         volts = np.einsum("bij,bj->bi", self.gains[points, high, 0], error)
         return TransferSelection(high + self.shortest, volts)
 
@@ -178,7 +185,9 @@ class MinimumEnergyTransfers:
         for _ in range(N):
             powers.append(A @ powers[-1])
         # The voltages with the least sum of squares that bring the scaled state error to zero in N periods.
-        response = np.hstack([powers[j] @ B for j in reversed(range(N))])  # reachability matrix, (2 n, drives * N)
+        response = np.hstack(
+            [powers[j] @ B for j in reversed(range(N))]
+        )  # reachability matrix, (2 n, drives * N)
         volts = -np.linalg.lstsq(response, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
         states = [error[0] / scale]
         for period_volts in volts:
@@ -238,7 +247,12 @@ class PreviewGains:
         normal = volts_response.T @ volts_response + change_weight**2 * difference.T @ difference
         first = np.asarray(np.linalg.inv(normal)[:inputs], np.float64)
         goal = first @ volts_response.T
-        return -goal @ np.vstack(powers[1:]), change_weight**2 * first[:, :inputs], goal, -goal @ impulse_response(E)
+        return (
+            -goal @ np.vstack(powers[1:]),
+            change_weight**2 * first[:, :inputs],
+            goal,
+            -goal @ impulse_response(E),
+        )
 
 
 class PreviewTracker:
@@ -262,7 +276,9 @@ class PreviewTracker:
         self._force_from_residual = np.linalg.pinv(self.gains.E)
         self._planned_force = self._disturbance = np.zeros((0, len(model.mass)))  # N
 
-    def update_disturbance(self, before: TravelStates, after: TravelStates, volts: Volts, starts: Mask) -> None:
+    def update_disturbance(
+        self, before: TravelStates, after: TravelStates, volts: Volts, starts: Mask
+    ) -> None:
         """Update the estimated disturbance with the states before and after the last period.
 
         The disturbance is the force on each coordinate, in addition to the modeled forces, that explains the
@@ -293,7 +309,9 @@ class PreviewTracker:
         path = path.reshape(len(state) * H, -1)
         # Friction and effects are evaluated at the middle of each period on the goal's path with unstretched belts.
         times = (elapsed_s[:, None] + self.period * (0.5 + np.arange(H))).ravel()
-        modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(len(state), H, -1)
+        modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(
+            len(state), H, -1
+        )
         force = modeled + self._disturbance[:, None]
         self._planned_force = force[:, 0]
         # The plan's first voltages: feedback of the state and the last voltages, feedforward of goals and forces.

@@ -52,7 +52,9 @@ class DeadTime:
                 set to 0 V.
         """
         if len(self._sent) != len(mask):
-            self._sent = np.zeros((len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives)))
+            self._sent = np.zeros(
+                (len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives))
+            )
         self._sent[mask] = 0.0
 
     def send(self, volts: Volts) -> None:
@@ -128,13 +130,17 @@ class DeadTime:
         if self.delay_s == 0.0:
             return state
         # At first, for the remainder of the delay, the motors still receive the voltages of one period earlier.
-        times = np.concatenate([[0.0], self.remainder_s + self.period * np.arange(self._complete_periods + 1)])
+        times = np.concatenate(
+            [[0.0], self.remainder_s + self.period * np.arange(self._complete_periods + 1)]
+        )
         volts = self._sent[:, [*range(self._complete_periods, -1, -1), 0]]
         if self.remainder_s == 0.0:
             times, volts = times[1:], volts[:, 1:]
         volts = volts if offset is None else volts + offset[:, None]
         machine, scale = self.machine_without_delay, np.tile(self.machine_without_delay.travel_per_unit, 2)
-        end = rollout(machine, times, volts, start=state / scale, parameters=parameters, velocities=True)[:, -1]
+        end = rollout(machine, times, volts, start=state / scale, parameters=parameters, velocities=True)[
+            :, -1
+        ]
         return np.asarray(end * scale)
 
 

@@ -32,7 +32,10 @@ from ..dynamics import Equations, MotionPoint, rollout
 from ..errors import InputError
 from .motion_model import FRICTION_COMPENSATION_SPEED, MotionModel
 
-TAYLOR_DEGREE, HALVINGS = 8, 7  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
+TAYLOR_DEGREE, HALVINGS = (
+    8,
+    7,
+)  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
 VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
 FRICTION_TRAVEL = 1e-3  # m, position error over which the expected direction of friction changes
 SIMULATED_PERIODS, CORRECTIONS = 6, 5  # longest plan that is simulated, and how often it is corrected
@@ -50,7 +53,9 @@ class LinearMotion:
     def __init__(self, model: MotionModel, period: float) -> None:
         self._model, self._period = model, period
         self._machine = dataclasses.replace(model.machine, effects=())
-        self._extension = model.machine.belt_matrix / model.machine.travel_per_unit  # per belt travel, (belts, n)
+        self._extension = (
+            model.machine.belt_matrix / model.machine.travel_per_unit
+        )  # per belt travel, (belts, n)
         # Coulomb friction, N, is the value of its parameter over a unit, times the force of this unit. The unit is the
         # declared value, because voltages are then bit for bit those of the stored scores; 1 N where that is 0.
         names = [f"{name}.coulomb" for name in model.machine.coordinate_names]
@@ -75,7 +80,9 @@ class LinearMotion:
         travel = position @ model.rigid.T
         belts = equations.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
         values = [belt.stiffness for belt in belts] + [equations.mass(i) for i in range(n)]
-        stiffness, mass = np.split(np.array([value + np.zeros(len(parameters)) for value in values]).T, [len(belts)], 1)
+        stiffness, mass = np.split(
+            np.array([value + np.zeros(len(parameters)) for value in values]).T, [len(belts)], 1
+        )
         rates = np.zeros((len(parameters), 3 * n + drives, 3 * n + drives))
         rates[:, :n, n : 2 * n] = np.eye(n)
         rates[:, n : 2 * n, :n] = -np.einsum("bk,ki,kj->bij", stiffness, self._extension, self._extension)
@@ -84,7 +91,11 @@ class LinearMotion:
         rates[:, n : 2 * n, 2 * n + drives :] = np.eye(n)
         rates[:, n : 2 * n] /= mass[:, :, None]
         discrete = _exponential(rates * self._period)[:, : 2 * n]
-        return discrete[:, :, : 2 * n], discrete[:, :, 2 * n : 2 * n + drives], discrete[:, :, 2 * n + drives :]
+        return (
+            discrete[:, :, : 2 * n],
+            discrete[:, :, 2 * n : 2 * n + drives],
+            discrete[:, :, 2 * n + drives :],
+        )
 
     def opposing_friction(
         self, state: TravelStates, error: TravelStates, parameters: ParameterRows
@@ -190,7 +201,9 @@ class SimulatedTransfers:
 
     def __init__(self, model: MotionModel, period: float, durations: Sequence[int]) -> None:
         if not durations or durations[0] < 1 or list(durations) != sorted(set(durations)):
-            raise InputError(f"durations of transfers are {list(durations)}; they must be positive and ascending")
+            raise InputError(
+                f"durations of transfers are {list(durations)}; they must be positive and ascending"
+            )
         self._model, self._linear = model, LinearMotion(model, period)
         self._durations = np.array(durations)
         self._scale = state_scale(2 * len(model.mass))
@@ -256,12 +269,18 @@ class SimulatedTransfers:
         final = np.concatenate([np.stack(powers, axis=1), np.stack(accumulated, axis=1)[..., None]], axis=3)
         return np.stack(pulses, axis=1), chosen, -np.linalg.solve(chosen, final[:, self._durations])
 
-    def _final_states(self, pulse: Array, costates: Array, state: Array, parameters: Array, last_volts: Array) -> Array:
+    def _final_states(
+        self, pulse: Array, costates: Array, state: Array, parameters: Array, last_volts: Array
+    ) -> Array:
         """Simulate the plans that end soon, within the voltage limits; return the states at their ends (B, k, 2 n)."""
         periods, rated = int(self._simulated[-1]), self._model.rated
         remaining = self._simulated[:, None] - 1 - np.arange(periods)
         by_period = np.where((remaining >= 0)[..., None, None], pulse[:, np.maximum(remaining, 0)], 0.0)
-        volts = np.einsum("bkjis,bki->bkjs", by_period, costates).clip(-rated, rated).reshape(-1, periods, len(rated))
+        volts = (
+            np.einsum("bkjis,bki->bkjs", by_period, costates)
+            .clip(-rated, rated)
+            .reshape(-1, periods, len(rated))
+        )
         volts = np.concatenate([volts, volts[:, -1:]], axis=1)
         count = len(self._simulated)
         if self._delayed:
@@ -276,5 +295,7 @@ class SimulatedTransfers:
             longest_step=CORRECTION_STEP_S,
             parallel=False,
         )
-        ends = states[:, -periods:].reshape(len(state), count, periods, -1)[:, np.arange(count), self._simulated - 1]
+        ends = states[:, -periods:].reshape(len(state), count, periods, -1)[
+            :, np.arange(count), self._simulated - 1
+        ]
         return np.asarray(ends * self._units)

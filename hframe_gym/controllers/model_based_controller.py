@@ -50,7 +50,9 @@ APPROACH_MARGIN = 2
 VOLTAGE_HEADROOM = 1.6
 REST_TRAVEL_M = 3e-5  # m, travel per period below which a stage is at rest
 LONGEST_HOLD = 2.0  # longest transfer of a ringing stage, in shortest transfers
-STRETCH_FILTER_GAIN = 0.2  # fraction of the measured stretch error by which the motor reference changes per period
+STRETCH_FILTER_GAIN = (
+    0.2  # fraction of the measured stretch error by which the motor reference changes per period
+)
 
 
 @CONTROLLERS.register("pid")
@@ -77,7 +79,9 @@ class ModelBasedController(FullStateController):
         self._dead_time = DeadTime(machine, period)
         self._inversion = InputInversion(machine)
         self._tracker: PreviewTracker | None = None  # created when the length of the preview is known
-        self._disturbance_limit = DISTURBANCE_LIMIT * np.abs(self.model.rigid.T) @ self.model.coulomb  # N, (2,)
+        self._disturbance_limit = (
+            DISTURBANCE_LIMIT * np.abs(self.model.rigid.T) @ self.model.coulomb
+        )  # N, (2,)
         self._longest_hold = int(np.ceil(LONGEST_HOLD * self.transfers.shortest))
         self._state = np.zeros((0, 0))  # at the last observation
         self._stretch = np.zeros((0, 0))  # m, motor reference minus that of unstretched belts

@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, CoordinateForces, ElapsedTimes, KeyedObservation, ToolPositions, TravelStates, Volts
+from ..arrays import (
+    Array,
+    CoordinateForces,
+    ElapsedTimes,
+    KeyedObservation,
+    ToolPositions,
+    TravelStates,
+    Volts,
+)
 from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine, argument_names, observed_coordinates, rest_state
@@ -39,10 +47,16 @@ class OperatingPointGrid:
         axes = machine.tool_axes
         ranges = [r for r in (machine.coordinate(axis).range for axis in axes) if r is not None]
         if len(ranges) < len(axes):
-            raise InputError(f"machine {machine.name!r}: {' and '.join(axes)} must have a range to be controlled in")
-        self._lines = [np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=False)]
+            raise InputError(
+                f"machine {machine.name!r}: {' and '.join(axes)} must have a range to be controlled in"
+            )
+        self._lines = [
+            np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=False)
+        ]
         self._shape = tuple(len(line) for line in self._lines)
-        self.points: Array = np.stack(np.meshgrid(*self._lines, indexing="ij"), axis=-1).reshape(-1, len(axes))
+        self.points: Array = np.stack(np.meshgrid(*self._lines, indexing="ij"), axis=-1).reshape(
+            -1, len(axes)
+        )
         self.span: Array = np.array([line[-1] - line[0] for line in self._lines])
 
     def nearest(self, position: ToolPositions) -> NDArray[np.intp]:
@@ -239,7 +253,9 @@ class MotionModel:
         """
         return force @ self._volts_per_force.T
 
-    def disturbance_force(self, before: TravelStates, after: TravelStates, volts: Volts, period: float) -> Array:
+    def disturbance_force(
+        self, before: TravelStates, after: TravelStates, volts: Volts, period: float
+    ) -> Array:
         """Compute the mean disturbance force along the axes from the momentum balance of the rigid motion.
 
         Force = change of momentum / period + viscous friction - drive force, N, shape (B, axes); Coulomb

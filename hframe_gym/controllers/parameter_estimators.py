@@ -81,7 +81,11 @@ class ParameterEstimator(ABC):
         machine = model.machine
         coordinates, belts = machine.coordinate_names, tuple(belt.name for belt in machine.belts)
         components = {"coulomb": coordinates, "mass": coordinates, "EA": belts, "rest_length": belts}
-        std = {f"{component}.{kind}": value for kind, value in self.prior_std.items() for component in components[kind]}
+        std = {
+            f"{component}.{kind}": value
+            for kind, value in self.prior_std.items()
+            for component in components[kind]
+        }
         std = {name: value for name, value in std.items() if name in machine.parameters}
         self._model, self._ratios = model, ParameterRatios(machine, std)
         self.parameter_names = self._ratios.names
@@ -284,7 +288,9 @@ class ParameterWindow(ParameterEstimator):
         for column in range(self._offsets.start, self.size):
             covariance[:, column, column] += walk**2
         self._information_matrix[inexact] = np.linalg.inv(covariance)
-        self._information_vector[inexact] = np.einsum("bij,bj->bi", self._information_matrix[inexact], expected)
+        self._information_vector[inexact] = np.einsum(
+            "bij,bj->bi", self._information_matrix[inexact], expected
+        )
 
     def _linearized(self, chosen: slice) -> tuple[Array, Array]:
         """Return measured minus simulated states of periods (B, W, 2 n) and the derivatives of the simulated ones.
@@ -294,7 +300,9 @@ class ParameterWindow(ParameterEstimator):
         before, after, actions = self._before[chosen], self._after[chosen], self._actions[chosen]
         periods, batch, states = before.shape
         simulated = self._simulate(
-            np.tile(self.estimates, (periods, 1)), before.reshape(-1, states), actions.reshape(periods * batch, -1)
+            np.tile(self.estimates, (periods, 1)),
+            before.reshape(-1, states),
+            actions.reshape(periods * batch, -1),
         )
         error = simulated.reshape(-1, periods, batch, states) - after / self._state_unit
         error = np.clip(np.nan_to_num(error), -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)

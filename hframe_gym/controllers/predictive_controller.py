@@ -37,7 +37,13 @@ from .predictive_plans import ArrivalPlanner, PlanSimulation
 
 LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on the way
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time
-DELAYS = (-1, 0, 1, 2, 3)  # periods by which the arrival may change from one period to the next, in the order tried
+DELAYS = (
+    -1,
+    0,
+    1,
+    2,
+    3,
+)  # periods by which the arrival may change from one period to the next, in the order tried
 # Periods before the arrival in which a plan is corrected by simulations, and simulated periods after the arrival.
 REFINED_PERIODS, PERIODS_BEYOND = 3, 3
 CHANGE_WEIGHT = 1e-5  # m/V, tool error that is as costly as a voltage change of 1 V along a path
@@ -66,7 +72,9 @@ class PredictiveController(FullStateController):
         self._undelayed_model = MotionModel(self._dead_time.machine_without_delay)
         self.estimator = ParameterWindow(self._undelayed_model, period, self._dead_time.remainder_s)
         self._linear, self._grid = LinearMotion(self._undelayed_model, period), OperatingPointGrid(machine)
-        self._longest = min(LONGEST_PERIODS, int(np.ceil(longest_transfer_s(self.model, self._grid) / period)))
+        self._longest = min(
+            LONGEST_PERIODS, int(np.ceil(longest_transfer_s(self.model, self._grid) / period))
+        )
         self._arrival_planner = ArrivalPlanner(self._undelayed_model, period, self._longest)
         self._simulation = PlanSimulation(self._undelayed_model, period, REFINED_PERIODS + PERIODS_BEYOND)
         self._path_planner: _PathPlanner | None = None  # created when the length of the preview is known
@@ -146,7 +154,9 @@ class PredictiveController(FullStateController):
         goal = goals[:, 0]
         error = state - self.model.goal_state(goal)
         elapsed_s = self._elapsed.astype(np.float64) * self.period
-        force = self._linear.opposing_friction(state, error, parameters) + self.model.effect_force(state, elapsed_s)
+        force = self._linear.opposing_friction(state, error, parameters) + self.model.effect_force(
+            state, elapsed_s
+        )
         force += self.estimator.offset @ self.model.drive.T
         self._arrival_planner.predict(self._linear.matrices(parameters, goal), error, force)
         plans = self._plan_arrival()
@@ -187,7 +197,9 @@ class PredictiveController(FullStateController):
             low, high = np.where(arrives | (low == high), low, middle + 1), np.where(arrives, middle, high)
         return high
 
-    def _refine(self, rows: NDArray[np.intp], state: Array, parameters: Array, goal: Array, commands: Array) -> Array:
+    def _refine(
+        self, rows: NDArray[np.intp], state: Array, parameters: Array, goal: Array, commands: Array
+    ) -> Array:
         """Return the first commanded voltages (rows, drives) of refined plans, and store the plans."""
         previous, periods = self._refined[rows], self._simulation.periods
         planned = np.zeros(previous.shape)
@@ -196,7 +208,9 @@ class PredictiveController(FullStateController):
         offset = self.estimator.offset[rows, None]
         plans = [np.where(np.isnan(shifted), planned, shifted) + offset, planned + offset]
         count = int(self._elapsed.max(initial=0))
-        best = self._simulation.improve(state[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count)
+        best = self._simulation.improve(
+            state[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count
+        )
         self._refined[rows] = best - offset
         return best[:, 0] - offset[:, 0]
 
@@ -205,9 +219,16 @@ class PredictiveController(FullStateController):
         goals = self._dead_time.delayed_goals(goals)
         horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
         if self._path_planner is None or self._path_planner.horizon != horizon:
-            self._path_planner = _PathPlanner(self._linear, self._grid, self._undelayed_model, self.period, horizon)
+            self._path_planner = _PathPlanner(
+                self._linear, self._grid, self._undelayed_model, self.period, horizon
+            )
         return self._path_planner.command(
-            state, goals[:, : horizon + 1], parameters, self.estimator.offset, self._inversion, self._starts.mask
+            state,
+            goals[:, : horizon + 1],
+            parameters,
+            self.estimator.offset,
+            self._inversion,
+            self._starts.mask,
         )
 
 
@@ -232,7 +253,13 @@ class _PathPlanner:
         self._response = self._by_state = np.zeros((0, 0, 0))
 
     def command(
-        self, state: Array, goals: Array, parameters: Array, offset: Array, inversion: InputInversion, starts: Mask
+        self,
+        state: Array,
+        goals: Array,
+        parameters: Array,
+        offset: Array,
+        inversion: InputInversion,
+        starts: Mask,
     ) -> Array:
         """Return the commanded voltages of the present period, V, shape (B, drives)."""
         if len(self._volts) != len(state):

@@ -26,7 +26,9 @@ Indices = NDArray[np.intp]
 # Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
 # fractions of their limits. The tool's error counts most.
 TOOL_UNIT, REST_WEIGHT, EFFORT_WEIGHT = 1e-4, 0.1, 1e-2
-REST_MODE_PERIODS = 1.2  # time in which the tool is held at its goal in the plan, in periods of the slowest belt mode
+REST_MODE_PERIODS = (
+    1.2  # time in which the tool is held at its goal in the plan, in periods of the slowest belt mode
+)
 # Newton's method on the dual problem: maximum number of steps, step lengths that are tried, largest slope at the end.
 NEWTON_STEPS, STEP_LENGTHS, CONVERGED = 10, (1.0, 0.4, 0.1), 1e-7
 # Refinement: steps of the differences, V, which reach across static friction; error per sample that costs about as much
@@ -67,7 +69,9 @@ class ArrivalPlanner:
         self._hold = max(3, int(np.ceil(rest_s / period - 0.3)))  # planned periods after the arrival
         self._scale = state_scale(2 * len(model.mass))
 
-    def predict(self, matrices: tuple[Array, Array, Array], error: TravelStates, force: CoordinateForces) -> None:
+    def predict(
+        self, matrices: tuple[Array, Array, Array], error: TravelStates, force: CoordinateForces
+    ) -> None:
         """Predict the motion at 0 V and the response to voltages, and store both for `plan` and `gain`.
 
         Call it in every control period before `plan` and `gain`. The prediction covers the longest plan.
@@ -129,7 +133,9 @@ class ArrivalPlanner:
             powers.append(self._A @ powers[-1])
         power, each = np.stack(powers, axis=1), np.arange(len(arrival))
         rows = [power[each, arrival + after][:, self._model.tool] for after in range(self._hold)]
-        by_state = np.concatenate([*rows, REST_WEIGHT * power[each, arrival + self._hold]], axis=1) / TOOL_UNIT
+        by_state = (
+            np.concatenate([*rows, REST_WEIGHT * power[each, arrival + self._hold]], axis=1) / TOOL_UNIT
+        )
         normal = (R * free[:, None]) @ R.transpose(0, 2, 1) + np.eye(R.shape[1])
         drives = len(self._model.rated)
         first = (R * free[:, None])[:, :, :drives].transpose(0, 2, 1)
@@ -147,7 +153,9 @@ class ArrivalPlanner:
         response, free = self._response(end, end.max(), arrival)
         rows.append(response * (REST_WEIGHT / TOOL_UNIT))
         constants.append(free * (REST_WEIGHT / TOOL_UNIT))
-        return np.concatenate(rows, axis=1) * np.tile(self._model.rated, end.max()), np.concatenate(constants, axis=1)
+        return np.concatenate(rows, axis=1) * np.tile(self._model.rated, end.max()), np.concatenate(
+            constants, axis=1
+        )
 
     def _response(self, time: Indices, periods: int, arrival: Indices) -> tuple[Array, Array]:
         """Return the response (B, 2 n, periods * drives) of the state at times (B,), in periods, and the state at 0 V.
@@ -158,7 +166,11 @@ class ArrivalPlanner:
         lag = time[:, None] - 1 - np.arange(periods)
         pulses = np.where((lag >= 0)[..., None, None], self._pulses[each[:, None], np.maximum(lag, 0)], 0.0)
         response = pulses.transpose(0, 2, 1, 3).reshape(len(time), pulses.shape[2], -1)
-        free = self._free[each, time] + self._pushed[each, time] - self._pushed[each, np.maximum(time - arrival, 0)]
+        free = (
+            self._free[each, time]
+            + self._pushed[each, time]
+            - self._pushed[each, np.maximum(time - arrival, 0)]
+        )
         return response, free
 
 
@@ -275,7 +287,9 @@ class PlanSimulation:
             turn = count * REFINEMENTS + iteration + np.arange(entries)
             steps = np.take(VOLTAGE_STEPS, turn % len(VOLTAGE_STEPS)) * np.where(turn % 2, 1.0, -1.0)
             changed = np.repeat(best.volts.reshape(batch, 1, entries), entries, axis=1) + np.diag(steps)
-            shifted = residuals(changed.reshape(-1, *best.volts.shape[1:]), entries).reshape(batch, entries, -1)
+            shifted = residuals(changed.reshape(-1, *best.volts.shape[1:]), entries).reshape(
+                batch, entries, -1
+            )
             J = (shifted - best.residual.reshape(batch, 1, -1)) / steps[:, None]
             robust = (1.0 + np.linalg.norm(best.residual, axis=2, keepdims=True) / ROBUST_UNITS) ** -2.0
             weighted = J * np.broadcast_to(robust, best.residual.shape).reshape(batch, 1, -1)
@@ -297,5 +311,8 @@ class _TriedPlan(NamedTuple):
     def or_better(self, other: _TriedPlan) -> _TriedPlan:
         """Return for each machine this plan or, if its cost is lower, the other one."""
         better = (other.cost < self.cost)[:, None, None]
-        volts, residual = np.where(better, other.volts, self.volts), np.where(better, other.residual, self.residual)
+        volts, residual = (
+            np.where(better, other.volts, self.volts),
+            np.where(better, other.residual, self.residual),
+        )
         return _TriedPlan(volts, residual, np.minimum(self.cost, other.cost))

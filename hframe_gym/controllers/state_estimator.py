@@ -31,7 +31,9 @@ from .estimation_model import AugmentedParameters, MeasurementModel
 from .input_compensation import DeadTime
 from .motion_model import MotionModel
 
-SIGMA_SQUARED = 3.0  # squared distance of the points in standard deviations: the kurtosis of a normal distribution
+SIGMA_SQUARED = (
+    3.0  # squared distance of the points in standard deviations: the kurtosis of a normal distribution
+)
 ROUNDING = 1e-9  # relative growth of variances that keeps a covariance positive definite in double precision
 
 INITIAL_STRETCH_STD = 1e-4  # m, of the travel at the start of an episode
@@ -83,12 +85,16 @@ class StateEstimator:
         self._initial_covariance = np.zeros((2 * n + count, 2 * n + count))
         self._initial_covariance[:n, :n] = INITIAL_STRETCH_STD**2 * np.eye(n)
         self._initial_covariance[2 * n :, 2 * n :] = self.augmented.covariance
-        self._largest_variance = np.concatenate([np.repeat(LARGEST_STD, n) ** 2, np.diag(self.augmented.covariance)])
+        self._largest_variance = np.concatenate(
+            [np.repeat(LARGEST_STD, n) ** 2, np.diag(self.augmented.covariance)]
+        )
         self._keep = np.exp(-period / PARAMETER_MEMORY_S)
         self._process_noise = (1.0 - self._keep**2) * self._initial_covariance
         largest_force = FORCE_NOISE * np.maximum(model.coulomb, 0.1 * model.coulomb.max())
         velocity_std = largest_force / model.mass * period
-        std = np.concatenate([0.5 * period * velocity_std, np.hypot(velocity_std, VELOCITY_NOISE * np.sqrt(period))])
+        std = np.concatenate(
+            [0.5 * period * velocity_std, np.hypot(velocity_std, VELOCITY_NOISE * np.sqrt(period))]
+        )
         self._process_noise[: 2 * n, : 2 * n] = np.diag(std**2)
         self._starts = EpisodeStarts()
         self._mean = np.zeros((0, len(self._initial_covariance)))

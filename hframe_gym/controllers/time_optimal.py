@@ -38,7 +38,9 @@ except ImportError as error:
 HOLD_S = 0.04  # s, in which the tool comes to rest within the band; twice as long changes T by less than 1 us
 DEGREE = 2  # Radau points per interval: third order, and L-stable, which steep friction needs
 SMOOTHED_REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 0.5 to 1 m/s
-EFFORT_WEIGHT_S = 1e-6  # s, weight of the mean squared voltage: selects one of several motions of nearly equal T
+EFFORT_WEIGHT_S = (
+    1e-6  # s, weight of the mean squared voltage: selects one of several motions of nearly equal T
+)
 LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search
 # By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of 1e-7 s per
 # limit leaves T at most 0.05 ms above its minimum.
@@ -109,7 +111,9 @@ class TimeOptimalReach:
         self.band, self.intervals, self.reversal_speed = band, intervals, reversal_speed
         self._axes = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
         positions = [np.split(rest_state(machine, row), 2)[0] for row in np.eye(len(self._axes))]
-        self._rigid = np.stack(positions, axis=1) * machine.travel_per_unit[:, None]  # travel per meter of each axis
+        self._rigid = (
+            np.stack(positions, axis=1) * machine.travel_per_unit[:, None]
+        )  # travel per meter of each axis
         self._points = np.array(ca.collocation_points(DEGREE, "radau"))
         self.solution: Array = np.zeros(0)  # unknowns of the last call of `solve`
         self._build()
@@ -167,7 +171,9 @@ class TimeOptimalReach:
             "g": ca.vertcat(*equalities, *inequalities),
             "p": ca.vertcat(start, goal, parameters),
         }
-        self._solver: Any = ca.nlpsol("time_optimal", "ipopt", problem, {"print_time": False, "ipopt": IPOPT_OPTIONS})
+        self._solver: Any = ca.nlpsol(
+            "time_optimal", "ipopt", problem, {"print_time": False, "ipopt": IPOPT_OPTIONS}
+        )
         low, high = np.array(limits).T
         lowest = np.repeat([0.0, -np.inf], [ca.vertcat(*equalities).numel(), len(inequalities)])
         self._bounds = {"lbx": low, "ubx": high, "lbg": lowest, "ubg": np.zeros(len(lowest))}
@@ -235,7 +241,9 @@ class TimeOptimalReach:
         """Return an initial guess: a smooth motion of the rigid stage, quintic in time, with zero voltage."""
         begin, length = np.array(self._grid(time_s), float).T[..., None]
         s = np.minimum((begin + self._points * length) / time_s, 1.0)[..., None]
-        travel = self._rigid @ start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (self._rigid @ (goal - start))
+        travel = self._rigid @ start + (10.0 * s**3 - 15.0 * s**4 + 6.0 * s**5) * (
+            self._rigid @ (goal - start)
+        )
         speed = 30.0 * s**2 * (1.0 - s) ** 2 / time_s * (self._rigid @ (goal - start))
         states = np.concatenate([travel, speed], axis=2).reshape(len(begin), -1)
         actions = np.zeros((len(begin), len(self.machine.drives)))

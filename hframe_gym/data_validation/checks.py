@@ -40,7 +40,9 @@ Array = NDArray[np.float64]
 
 _MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
-_MOVES = 0.1  # fraction of a channel's span in all runs; a run without input that moves by more has lost its input
+_MOVES = (
+    0.1  # fraction of a channel's span in all runs; a run without input that moves by more has lost its input
+)
 _ROUNDED = 1.01  # times the rounding error; a sensor with less noise has none beside it
 _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise is reported as advice
 
@@ -109,7 +111,9 @@ def _prepared(
     runs = [usable_run(recording, machine) for recording in recordings]
     cleaned, rests = [run.measured for run in runs], [run.rest for run in runs]
     data = prepare([run.usable for run in runs], machine)
-    moving = [recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2]
+    moving = [
+        recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2
+    ]
     return cleaned, rests, data, moving
 
 
@@ -134,7 +138,9 @@ def _faults_and_advice(
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
-    findings += _position_checks([recording for recording in cleaned if recording.name in moving], data, machine)
+    findings += _position_checks(
+        [recording for recording in cleaned if recording.name in moving], data, machine
+    )
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     return findings + check_input_timing(data.with_runs(moving), machine)
@@ -154,7 +160,11 @@ def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Ma
         )
         recordings = [dataclasses.replace(r, outputs=r.outputs[:, of_position]) for r in recordings]
         positions = prepare([without_moving_start(recording, machine) for recording in recordings], machine)
-    return stuck_outputs(recordings, machine) + check_wiring(positions, machine) + check_scales(positions, machine)
+    return (
+        stuck_outputs(recordings, machine)
+        + check_wiring(positions, machine)
+        + check_scales(positions, machine)
+    )
 
 
 def _wraps(recording: Recording, machine: Machine) -> list[Finding]:
@@ -180,9 +190,13 @@ def _motion_without_input(
     for recording, rest in zip(recordings, rests, strict=True):
         if not rest.moving.any():
             continue
-        names = [channel for channel, moving in zip(machine.output_channels, rest.moving, strict=True) if moving]
+        names = [
+            channel for channel, moving in zip(machine.output_channels, rest.moving, strict=True) if moving
+        ]
         severity: Severity = "advice"
-        if not np.any(recording.inputs) and np.any((peak_to_peak(recording.outputs) > _MOVES * spans)[rest.moving]):
+        if not np.any(recording.inputs) and np.any(
+            (peak_to_peak(recording.outputs) > _MOVES * spans)[rest.moving]
+        ):
             severity = "fault"
         message = _describe_motion(recording, rest, names, machine)
         findings.append(Finding(severity, recording.name, "", message))
@@ -270,13 +284,17 @@ def _unmeasured_outputs(recording: Recording, machine: Machine) -> list[Finding]
             message = "was not measured in this run; if there is no such sensor, leave it out of machine.json"
             findings.append(Finding("advice", recording.name, channel, message))
         elif fraction:
-            findings.append(Finding("note", recording.name, channel, f"{100 * fraction:.3g} % of its rows are empty"))
+            findings.append(
+                Finding("note", recording.name, channel, f"{100 * fraction:.3g} % of its rows are empty")
+            )
     return findings
 
 
 def _moves(recording: Recording, data: Dataset) -> bool:
     """Return whether any channel moves by more than its noise and quantum."""
-    return bool(np.any(peak_to_peak(recording.outputs) > np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum)))
+    return bool(
+        np.any(peak_to_peak(recording.outputs) > np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum))
+    )
 
 
 def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> list[Finding]:

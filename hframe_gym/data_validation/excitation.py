@@ -17,9 +17,13 @@ from .wiring import sensor_motions
 Array = NDArray[np.float64]
 
 _OVERVOLTAGE = 1.2  # times the rated voltage, above which the column's unit is doubted
-_NARROW_TRAVEL = 0.3  # fraction of a coordinate's range; less does not determine effects that depend on position
+_NARROW_TRAVEL = (
+    0.3  # fraction of a coordinate's range; less does not determine effects that depend on position
+)
 _WIDE_TRAVEL = 1.05  # fraction of a coordinate's range; more contradicts the declared range
-_ONE_SIDED = 0.15  # fraction of the moving time in the rarer direction that direction-dependent friction requires
+_ONE_SIDED = (
+    0.15  # fraction of the moving time in the rarer direction that direction-dependent friction requires
+)
 _SLOW = 0.1  # fraction of the top speed; motion below is slow
 _SLOW_TIME = 0.05  # fraction of the moving time that should be slow, to determine friction at low speed
 _MOVING = 0.01  # fraction of the top speed; motion below is rest
@@ -75,7 +79,9 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
             f"never changes, it is {values[0] + 0.0:.4g} {channel_unit(channel, machine)} throughout",  # never -0
         )
         for recording in recordings
-        for column, (channel, values) in enumerate(zip(machine.input_channels, recording.inputs.T, strict=True))
+        for column, (channel, values) in enumerate(
+            zip(machine.input_channels, recording.inputs.T, strict=True)
+        )
         if np.ptp(values) == 0.0 and (values[0] != 0.0 or not used[column])
     ]
 
@@ -101,7 +107,9 @@ def _amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Findin
         friction = float(np.abs(motion) @ coulomb)
         if friction == 0.0:
             continue
-        gains = np.array([d.gain * motion[machine.coordinate_names.index(d.coordinate)] for d in machine.drives])
+        gains = np.array(
+            [d.gain * motion[machine.coordinate_names.index(d.coordinate)] for d in machine.drives]
+        )
         ratio = np.concatenate([r.inputs @ gains for r in recordings]) / friction  # (rows of all runs,)
         high, low = float(ratio.max()), float(ratio.min())
         above = 100 * float(np.mean(np.abs(ratio) > 1.0))
@@ -126,18 +134,24 @@ def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Find
             if len(values) >= _MIN_SPECTRUM_ROWS and np.any(values):
                 period = float(np.median(np.diff(recording.time_s)))
                 grids.append(np.fft.rfftfreq(len(values), period))
-                powers.append(np.abs(np.fft.rfft(values * np.hanning(len(values)))) ** 2 * period / len(values))
+                powers.append(
+                    np.abs(np.fft.rfft(values * np.hanning(len(values)))) ** 2 * period / len(values)
+                )
         if not grids:
             continue
         frequency, power = np.concatenate(grids), np.concatenate(powers)
         order = np.argsort(frequency)
         frequency, power_below = frequency[order], np.cumsum(power[order])
-        half, most = (float(frequency[np.searchsorted(power_below, p * power_below[-1])]) for p in (0.5, 0.95))
+        half, most = (
+            float(frequency[np.searchsorted(power_below, p * power_below[-1])]) for p in (0.5, 0.95)
+        )
         message = f"half of its power is below {half:.3g} Hz, 95 % below {most:.3g} Hz"
         fraction = power_below / power_below[-1]
         below_mode = float(np.interp(modes[0] * _MODE_MARGIN, frequency, fraction)) if modes else 0.0
         if modes and 1 - below_mode < _MODE_POWER:
-            message += f"; almost none near the lowest belt mode ({modes[0]:.1f} Hz): belts are poorly identifiable"
+            message += (
+                f"; almost none near the lowest belt mode ({modes[0]:.1f} Hz): belts are poorly identifiable"
+            )
             findings.append(Finding("advice", "", channel, message))
         else:
             findings.append(Finding("note", "", channel, message))
@@ -181,7 +195,9 @@ def _check_travel(name: str, travel: Array, machine: Machine) -> list[Finding]:
         return [Finding("note", "", name, message)]
     fraction = (high - low) / (coordinate.range[1] - coordinate.range[0])
     if fraction > _WIDE_TRAVEL:
-        return [Finding("advice", "", name, f"{message}, more than its declared range {list(coordinate.range)}")]
+        return [
+            Finding("advice", "", name, f"{message}, more than its declared range {list(coordinate.range)}")
+        ]
     message += f", {100 * fraction:.0f} % of its range"
     if fraction < _NARROW_TRAVEL:
         message += ": effects that depend on position are poorly identifiable"
@@ -208,6 +224,8 @@ def _check_speed(name: str, speed: Array, machine: Machine) -> list[Finding]:
         message = f"moves {direction} {percent:.0f} % of the time: direction-dependent friction is poorly identifiable"
         findings.append(Finding("advice", "", name, message))
     if slow < _SLOW_TIME:
-        message = f"only {100 * slow:.1f} % of the motion is slow: friction at low speed is poorly identifiable"
+        message = (
+            f"only {100 * slow:.1f} % of the motion is slow: friction at low speed is poorly identifiable"
+        )
         findings.append(Finding("advice", "", name, message))
     return findings

@@ -43,7 +43,9 @@ class Finding:
     def __str__(self) -> str:
         """Return the finding as one line of text: "severity: run, channel: message"."""
         subject = ", ".join(part for part in (self.run, self.channel) if part)
-        return f"{self.severity}: {subject}: {self.message}" if subject else f"{self.severity}: {self.message}"
+        return (
+            f"{self.severity}: {subject}: {self.message}" if subject else f"{self.severity}: {self.message}"
+        )
 
 
 def channel_unit(channel: str, machine: Machine) -> str:
@@ -137,7 +139,9 @@ def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
     for fault in group_findings(faults):
         file = f"{folder / fault.run}" if fault.run else f"all runs of {folder}"
         lines.append(f"{file}{f', column {fault.channel}' if fault.channel else ''}: {fault.message}")
-    raise InputError(f"faults in the data, nothing was fitted (--force fits nevertheless): {'; '.join(lines)}")
+    raise InputError(
+        f"faults in the data, nothing was fitted (--force fits nevertheless): {'; '.join(lines)}"
+    )
 
 
 def write_findings(findings: Sequence[Finding], path: Path) -> None:

@@ -26,7 +26,9 @@ _MAX_ROWS = 20_000  # rows of a run that are simulated, to limit the time; more 
 _LARGE_STD = 0.1  # relative standard deviation above which a parameter is reported as poorly identifiable
 _INSEPARABLE = 0.98  # correlation above which two parameters are reported as inseparable
 _NO_INFLUENCE = 1e-12  # sensitivity relative to the largest one below which a parameter has no influence
-_SINGULAR = 1e-13  # eigenvalue of the normalized information matrix below which a combination is not determined
+_SINGULAR = (
+    1e-13  # eigenvalue of the normalized information matrix below which a combination is not determined
+)
 _TINY = 1e-300  # avoids a division by zero, and changes no other value
 
 
@@ -106,7 +108,9 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         One finding (severity, channel, message) per parameter or sum: advice if it has no influence on the measurements
         or its relative standard deviation exceeds 10 %, otherwise a note.
     """
-    names, information = _relative_information(data, machine, [f.name for f in default_free_parameters(machine)])
+    names, information = _relative_information(
+        data, machine, [f.name for f in default_free_parameters(machine)]
+    )
     bounds = _joint_bounds(names, information)
     sums = _inseparable_damping(bounds, machine)
     rows = [i for i, name in enumerate(names) if name not in sums]
@@ -131,7 +135,9 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         if bound.relative_std > _LARGE_STD:
             severity = "advice"
             if abs(bound.correlation) > _INSEPARABLE:
-                message += f"; cannot be separated from {bound.partner} (correlation {bound.correlation:+.3f})"
+                message += (
+                    f"; cannot be separated from {bound.partner} (correlation {bound.correlation:+.3f})"
+                )
         findings.append(Finding(severity, "", bound.name, message))
     return findings
 

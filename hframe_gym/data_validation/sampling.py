@@ -80,7 +80,9 @@ def check_sampling(recording: Recording) -> list[Finding]:
     """
     steps = np.diff(recording.time_s)
     if len(steps) + 1 < MIN_ROWS:
-        message = f"number of rows is {len(steps) + 1}, identification needs at least {MIN_ROWS}: delete the file"
+        message = (
+            f"number of rows is {len(steps) + 1}, identification needs at least {MIN_ROWS}: delete the file"
+        )
         return [Finding("fault", recording.name, "time_s", message)]
     findings = []
     period = float(np.median(steps))
@@ -102,7 +104,9 @@ def check_sampling(recording: Recording) -> list[Finding]:
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
     if np.sum(steps) > _LONG_RUN:
-        message = f"is {np.sum(steps):.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
+        message = (
+            f"is {np.sum(steps):.4g} s long, which makes a fit slow: cut it by hframe import --split-at-rests"
+        )
         findings.append(Finding("advice", recording.name, "", message))
     jitter = float(np.std(steps[~gaps])) if not gaps.all() else 0.0
     if jitter > _JITTER * period:
@@ -124,9 +128,12 @@ def _late_stamps(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
     if np.count_nonzero(short) < 0.5 * np.count_nonzero(gaps):
         return False
     period = float(time_s[-1] - time_s[0]) / len(steps)
-    lateness = time_s - period * np.arange(len(time_s))  # plus a constant; a missing row makes all later times late
+    lateness = time_s - period * np.arange(
+        len(time_s)
+    )  # plus a constant; a missing row makes all later times late
     return not any(
-        np.median(lateness[k + 1 : k + 1 + _NEIGHBORS]) - np.median(lateness[max(k + 1 - _NEIGHBORS, 0) : k + 1])
+        np.median(lateness[k + 1 : k + 1 + _NEIGHBORS])
+        - np.median(lateness[max(k + 1 - _NEIGHBORS, 0) : k + 1])
         > 0.5 * period
         for k in np.flatnonzero(gaps[:-1])
     )
@@ -145,7 +152,9 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
     seconds = sum(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
     low, high = min(periods, default=np.nan), max(periods, default=np.nan)
     rate = f"{1 / low:.4g} Hz" if high <= _SAME_RATE * low else f"{1 / high:.4g} to {1 / low:.4g} Hz"
-    return Finding("note", "", "time_s", f"{len(recordings)} runs, {seconds:.4g} s in total, sampled at {rate}")
+    return Finding(
+        "note", "", "time_s", f"{len(recordings)} runs, {seconds:.4g} s in total, sampled at {rate}"
+    )
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
@@ -164,7 +173,8 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
     if not overlapping:
         return []
     message = (
-        f"{len(overlapping)} runs overlap in time: the clock restarts, so a drift over the session cannot be identified"
+        f"{len(overlapping)} runs overlap in time: the clock restarts, so a drift over the session cannot be "
+        "identified"
     )
     return [Finding("note", "", "time_s", message)]
 
@@ -231,7 +241,11 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     feedthrough = _feedthrough(runs.runs, machine)
     explained = shifted.chi2 < _EXPLAINED or feedthrough.explained > _OWN_ROW
     if feedthrough.probability < _CHANCE and feedthrough.response > _WHOLE_ROW and explained:
-        return [Finding("fault", "", "", f"{channels} {verb} logged one row late: {evidence}. {remedy.capitalize()}")]
+        return [
+            Finding(
+                "fault", "", "", f"{channels} {verb} logged one row late: {evidence}. {remedy.capitalize()}"
+            )
+        ]
     message = (
         f"{channels} may be logged one row late, or the machine lacks a force or a mass: {evidence}. If the logger "
         f"writes the voltage that has acted until the time of its row, {remedy}"
@@ -276,7 +290,9 @@ def _feedthrough(runs: Sequence[PreparedRecording], machine: Machine) -> _Feedth
     directions = _directions(machine)[measured]
     channels = [np.hstack([r.inputs, r.outputs[:, measured]]) for r in runs]
     rows = np.concatenate([sliding_window_view(values, _PAST_ROWS + 1, axis=0) for values in channels])
-    rows = rows[np.isfinite(rows[..., :-1]).all(axis=(1, 2))]  # (rows, channels, previous rows and the row itself)
+    rows = rows[
+        np.isfinite(rows[..., :-1]).all(axis=(1, 2))
+    ]  # (rows, channels, previous rows and the row itself)
     found = _Feedthrough(1.0, 0.0, 0.0)
     for j, direction in enumerate(directions, start=drives):
         used = rows[np.isfinite(rows[:, j, -1])]

@@ -34,8 +34,12 @@ _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which 
 # A smaller factor is suspected if it is that of a unit in every run (within 1.5, because motors are specified within
 # some 20 % and friction slows small motions) and if inertia and friction say the same: a spring slows a motion too.
 _NEAR_UNIT = 1.5
-_CONTRADICTION = 4.0  # factor between measured motion and prediction by other channels that proves a contradiction
-_UNIT_TOLERANCE = 2.0  # factor between measured and expected, beyond that of a unit, that a machine file may cause
+_CONTRADICTION = (
+    4.0  # factor between measured motion and prediction by other channels that proves a contradiction
+)
+_UNIT_TOLERANCE = (
+    2.0  # factor between measured and expected, beyond that of a unit, that a machine file may cause
+)
 _CAUSE = "is its unit or gain wrong?"
 _LESS_VOLTAGE = "is it blocked, or does less than the recorded voltage act (amplifier limit, emergency stop)?"
 # Suspected unit by the unit of the channel: value per m or rad, and its name.
@@ -48,7 +52,9 @@ _SPEED_CORRELATION = 0.9  # of a column that is a speed with the simulated speed
 _POSITION_CORRELATION = 0.5  # largest correlation of its changes with the simulated speed
 # Factors of a time in another unit: milliseconds, hundredths, minutes, or a wrong rate.
 _CLOCK_FACTORS = (10.0, 60.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
-_CLOCK_TOLERANCE = 1.6  # factor between the fitted viscous friction and the clock's; twice as wide for the inertia
+_CLOCK_TOLERANCE = (
+    1.6  # factor between the fitted viscous friction and the clock's; twice as wide for the inertia
+)
 
 
 def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
@@ -175,7 +181,9 @@ def _first_rows(run: PreparedRecording) -> PreparedRecording:
     changed = np.any(run.inputs != run.inputs[0], axis=1)
     first = min(int(np.argmax(changed)), len(run.time_s) - _MAX_ROWS)
     rows = slice(first, first + _MAX_ROWS)
-    return dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows])
+    return dataclasses.replace(
+        run, time_s=run.time_s[rows], inputs=run.inputs[rows], outputs=run.outputs[rows]
+    )
 
 
 def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:
@@ -184,7 +192,9 @@ def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:
     A position in a wrong unit would be far outside.
     """
     step = resolved_step(machine, _STEP)
-    return np.asarray(rollout(machine, run.time_s, run.inputs, longest_step=step)[0] @ machine.sensor_matrix.T)
+    return np.asarray(
+        rollout(machine, run.time_s, run.inputs, longest_step=step)[0] @ machine.sensor_matrix.T
+    )
 
 
 def _units(factors: _SpeedFactors, data: Dataset, machine: Machine, balance: Balance | None) -> list[Finding]:
@@ -283,7 +293,10 @@ def _is_speed(factors: _SpeedFactors, sensor: int) -> bool:
     if np.count_nonzero(rows) < _MIN_ROWS or not all(column.any() for column in columns):
         return False
     value, change, speed = columns
-    return _correlation(value, speed) > _SPEED_CORRELATION and _correlation(change, speed) < _POSITION_CORRELATION
+    return (
+        _correlation(value, speed) > _SPEED_CORRELATION
+        and _correlation(change, speed) < _POSITION_CORRELATION
+    )
 
 
 def _ratios(factors: _SpeedFactors, data: Dataset, machine: Machine) -> list[Finding]:
@@ -303,7 +316,9 @@ def _ratios(factors: _SpeedFactors, data: Dataset, machine: Machine) -> list[Fin
             undetermined.append(column)
         elif abs(ratio - 1) > _RATIO_TOLERANCE:
             findings.append(
-                _ratio_finding(machine, machine.sensors[column], ratio, "the sensors with a fixed zero measure")
+                _ratio_finding(
+                    machine, machine.sensors[column], ratio, "the sensors with a fixed zero measure"
+                )
             )
     among = {column: _travel_ratio(data, machine, column, []) for column in undetermined}
     wrong = {column: r for column, r in among.items() if r is not None and abs(r - 1) > _RATIO_TOLERANCE}

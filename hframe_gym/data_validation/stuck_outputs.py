@@ -20,8 +20,13 @@ _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not st
 _LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
 _MOVES = 0.1  # fraction of a channel's span in the run; a channel that should have moved by less may have been at rest
 _STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
-NOISE_SPAN = 8.0  # peak-to-peak noise in standard deviations; about that of 20 000 normally distributed samples
-_MIN_PAIRS, _MAX_EQUAL = 30, 0.01  # successive measurements at rest, and fraction of equal ones, of a noisy sensor
+NOISE_SPAN = (
+    8.0  # peak-to-peak noise in standard deviations; about that of 20 000 normally distributed samples
+)
+_MIN_PAIRS, _MAX_EQUAL = (
+    30,
+    0.01,
+)  # successive measurements at rest, and fraction of equal ones, of a noisy sensor
 # Multiple of the declared friction and fraction of the rated force that certainly move a coordinate, and the fraction
 # of an interval in which they act in each direction.
 _PUSH, _RATED_PUSH, _MIN_PUSHED = 5.0, 0.2, 0.1
@@ -56,9 +61,13 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
     ends = np.array([np.fmin.reduce([low for low, _ in spans]), np.fmax.reduce([high for _, high in spans])])
     noisy = _noisy_at_rest(recordings, machine)
     for recording in recordings:
-        inside = bridge_blanks(_without_ends(recording.outputs, ends, machine), recording.time_s, _LONGEST_BLANK)
+        inside = bridge_blanks(
+            _without_ends(recording.outputs, ends, machine), recording.time_s, _LONGEST_BLANK
+        )
         for j, sensor in enumerate(machine.sensors):
-            seconds, value, reason = _longest_stuck_interval(recording, inside, j, ends[:, j], bool(noisy[j]), machine)
+            seconds, value, reason = _longest_stuck_interval(
+                recording, inside, j, ends[:, j], bool(noisy[j]), machine
+            )
             if not seconds:
                 continue
             stays = f"for {seconds:.3g} s, {reason}, it stays at {value:.4g}"
@@ -66,7 +75,9 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
             if not sensor.incremental and value in ends[:, j]:
                 message = f"{stays}, the end of its span: clipped? A fit leaves these rows out"
             elif reason == _DRIVEN:
-                message = f"{stays}: is the sensor stuck, or was the drive off? Leave these rows out of the run"
+                message = (
+                    f"{stays}: is the sensor stuck, or was the drive off? Leave these rows out of the run"
+                )
             else:
                 severity = "fault"
                 message = f"{stays}: stuck. Leave these cells empty, or delete the run"
@@ -115,7 +126,9 @@ def _longest_stuck_interval(
             predicted, weights = prediction
             at_rest = _span_at_rest(recording.inputs[rows], channel, weights, machine)
             allowed = max(_MOVES * float(peak_to_peak(predicted)), at_rest)
-            stuck = float(peak_to_peak(predicted[rows])) > allowed and _consistent(inside[rows], channel, machine)
+            stuck = float(peak_to_peak(predicted[rows])) > allowed and _consistent(
+                inside[rows], channel, machine
+            )
         else:
             # An encoder has no end of its range, and nothing else shows whether it should have moved.
             at_end = value in ends and ends[0] < ends[1] and not machine.sensors[channel].incremental

@@ -73,7 +73,9 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
     scaled = M[others] / size[:, None]
     # This sensor's row of M as a combination of the others' rows; without one, they do not determine it.
     other_weights = M[channel] @ np.linalg.pinv(scaled)
-    if not np.allclose(other_weights @ scaled, M[channel], atol=1e-9 * max(1.0, float(np.abs(M[channel]).max()))):
+    if not np.allclose(
+        other_weights @ scaled, M[channel], atol=1e-9 * max(1.0, float(np.abs(M[channel]).max()))
+    ):
         return None
     weights = np.zeros(len(M))
     weights[others] = other_weights / size
@@ -164,7 +166,9 @@ def _corrections(channels: Sequence[str], groups: Sequence[str]) -> dict[str, Ar
         if groups[first] == groups[second]:
             order = list(range(len(channels)))
             order[first], order[second] = second, first
-            corrections[f"{channels[first]} and {channels[second]} are swapped"] = np.eye(len(channels))[order]
+            corrections[f"{channels[first]} and {channels[second]} are swapped"] = np.eye(len(channels))[
+                order
+            ]
     return corrections
 
 

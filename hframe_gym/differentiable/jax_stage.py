@@ -47,7 +47,12 @@ class JaxStage(Stage):
         if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             raise InputError('JAX computes in float32; call jax.config.update("jax_enable_x64", True) before')
         super().__init__(
-            machine, period, longest_step=longest_step, end_stops=end_stops, friction=friction, parallel=parallel
+            machine,
+            period,
+            longest_step=longest_step,
+            end_stops=end_stops,
+            friction=friction,
+            parallel=parallel,
         )
         self._rollout = _rollout_function(self)
 
@@ -92,7 +97,9 @@ def _rollout_function(stage: Stage) -> Any:
         arrays = [np.asarray(values, dtype=np.float64) for values in (start, voltages, parameters)]
         return stage.simulate(arrays[0], arrays[1], arrays[2], None, 0.0).states
 
-    def gradients_of(start: Array, voltages: Array, parameters: Array, change: Array) -> tuple[Array, Array, Array]:
+    def gradients_of(
+        start: Array, voltages: Array, parameters: Array, change: Array
+    ) -> tuple[Array, Array, Array]:
         arrays = [np.asarray(values, dtype=np.float64) for values in (start, voltages, parameters)]
         motions = stage.simulate(arrays[0], arrays[1], arrays[2], None, 0.0)
         found = stage.motion.gradients(motions, np.asarray(change), parallel=stage.parallel)

@@ -103,7 +103,9 @@ class Stage:
         """
         if name not in self.parameter_names:
             tied = self.machine.ties.get(name)
-            reason = f"is {tied[1]:g} times {tied[0]}; change that one" if tied else "is none of its parameters"
+            reason = (
+                f"is {tied[1]:g} times {tied[0]}; change that one" if tied else "is none of its parameters"
+            )
             raise InputError(f"machine {self.machine.name!r}: {name!r} {reason}")
         return self.parameter_names.index(name)
 
@@ -119,7 +121,11 @@ class Stage:
         return self._stops.parameters(parameters) if self._stops else parameters
 
     def checked(
-        self, start: Sequence[int], voltages: Sequence[int], parameters: Sequence[int], earlier: Sequence[int] | None
+        self,
+        start: Sequence[int],
+        voltages: Sequence[int],
+        parameters: Sequence[int],
+        earlier: Sequence[int] | None,
     ) -> None:
         """Check that the shapes of the arguments of a simulation fit the machine and each other.
 
@@ -191,7 +197,12 @@ class Stage:
         """
         before = np.zeros((len(start), 0, len(self.rated))) if earlier is None else earlier
         motions = self.motion.simulate_after(
-            before, start, voltages, self.with_end_stops(parameters), start_time=start_time, parallel=self.parallel
+            before,
+            start,
+            voltages,
+            self.with_end_stops(parameters),
+            start_time=start_time,
+            parallel=self.parallel,
         )
         self.check_finite(motions.states)
         return motions

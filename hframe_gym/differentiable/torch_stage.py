@@ -96,10 +96,14 @@ class DifferentiableStage(Stage):
         tensors = [start, voltages, values, *(() if earlier is None else (earlier,))]
         for tensor in tensors:
             if tensor.device.type != "cpu":
-                raise InputError(f"a tensor is on the device {tensor.device}; machines are simulated on the processor")
+                raise InputError(
+                    f"a tensor is on the device {tensor.device}; machines are simulated on the processor"
+                )
         self.checked(start.shape, voltages.shape, values.shape, None if earlier is None else earlier.shape)
         before = voltages.new_zeros((len(start), 0, voltages.shape[2])) if earlier is None else earlier
-        result: Tensor = _rollout(start.double(), voltages.double(), values.double(), before.double(), self, start_time)
+        result: Tensor = _rollout(
+            start.double(), voltages.double(), values.double(), before.double(), self, start_time
+        )
         return result
 
     def step(
@@ -158,8 +162,12 @@ class DifferentiableStage(Stage):
             InputError: If the machine declares no tool axes.
         """
         if self._tool is None:
-            raise InputError(f"machine {self.machine.name!r} declares no tool_axes; use the states themselves")
-        axes = [states[..., i] + (states[..., a] * states[..., b] if a >= 0 else 0.0) for i, a, b in self._tool]
+            raise InputError(
+                f"machine {self.machine.name!r} declares no tool_axes; use the states themselves"
+            )
+        axes = [
+            states[..., i] + (states[..., a] * states[..., b] if a >= 0 else 0.0) for i, a, b in self._tool
+        ]
         return torch.stack(axes, dim=-1)
 
 
@@ -168,7 +176,13 @@ class _Rollout(torch.autograd.Function):
 
     @staticmethod
     def forward(  # type: ignore[override]
-        ctx: Any, start: Tensor, voltages: Tensor, parameters: Tensor, earlier: Tensor, stage: Stage, start_time: float
+        ctx: Any,
+        start: Tensor,
+        voltages: Tensor,
+        parameters: Tensor,
+        earlier: Tensor,
+        stage: Stage,
+        start_time: float,
     ) -> Tensor:
         arrays = [tensor.detach().numpy() for tensor in (start, voltages, parameters, earlier)]
         ctx.motions = stage.simulate(arrays[0], arrays[1], arrays[2], arrays[3], start_time)
@@ -193,14 +207,19 @@ class _Readings(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, states: Tensor, parameters: Tensor, stage: Stage) -> Tensor:  # type: ignore[override]
         ctx.stage, ctx.columns = stage, parameters.shape[1]
-        ctx.states, ctx.parameters = states.detach().numpy(), stage.with_end_stops(parameters.detach().numpy())
+        ctx.states, ctx.parameters = (
+            states.detach().numpy(),
+            stage.with_end_stops(parameters.detach().numpy()),
+        )
         return torch.from_numpy(stage.motion.readings(ctx.states, ctx.parameters, parallel=stage.parallel))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Any:  # type: ignore[override]
         stage: Stage = ctx.stage
-        found = stage.motion.readings_gradients(ctx.states, ctx.parameters, gradient.numpy(), parallel=stage.parallel)
+        found = stage.motion.readings_gradients(
+            ctx.states, ctx.parameters, gradient.numpy(), parallel=stage.parallel
+        )
         states, parameters = map(torch.from_numpy, found)
         return states, parameters[:, : ctx.columns], None
 

@@ -125,7 +125,9 @@ class DifferentiableMotion:
         if not (0.0 < period < np.inf and 0.0 < longest_step < np.inf):
             raise InputError(f"period ({period:g} s) and longest_step ({longest_step:g} s) must be positive")
         if friction not in get_args(Friction):
-            raise InputError(f"friction={friction!r} is unknown; choose one of {', '.join(get_args(Friction))}")
+            raise InputError(
+                f"friction={friction!r} is unknown; choose one of {', '.join(get_args(Friction))}"
+            )
         self.machine, self.period = machine, float(period)
         self._steps = max(1, int(np.ceil(period / longest_step - 1e-6)))
         self.step = self.period / self._steps
@@ -154,7 +156,13 @@ class DifferentiableMotion:
         return self._program.source.states - 1
 
     def simulate(
-        self, start: Array, inputs: Array, parameters: Array, *, start_time: float = 0.0, parallel: bool = True
+        self,
+        start: Array,
+        inputs: Array,
+        parameters: Array,
+        *,
+        start_time: float = 0.0,
+        parallel: bool = True,
     ) -> Motions:
         """Simulate B machines; shapes are not checked.
 
@@ -200,7 +208,9 @@ class DifferentiableMotion:
         self, start: Array, inputs: Array, parameters: Array, before: int, start_time: float, parallel: bool
     ) -> Motions:
         """Simulate; the first `before` voltages are those of earlier periods."""
-        inputs, parameters = (np.ascontiguousarray(values, dtype=np.float64) for values in (inputs, parameters))
+        inputs, parameters = (
+            np.ascontiguousarray(values, dtype=np.float64) for values in (inputs, parameters)
+        )
         batch, count = len(start), self._count
         states = np.empty((batch, inputs.shape[1] - before + 1, self.state_size + 1))
         units = self._units(parameters)
@@ -332,7 +342,10 @@ class DifferentiableMotion:
         units = self._units(parameters)[:, None, : self._count]
         travel = states[:, :, : self._count] * units
         of_travel, of_parameters = np.empty(travel.shape), np.empty(parameters.shape)
-        address, adjoint = self._program.derivatives["read_sensors_back"], np.ascontiguousarray(by_readings, float)
+        address, adjoint = (
+            self._program.derivatives["read_sensors_back"],
+            np.ascontiguousarray(by_readings, float),
+        )
         _in_blocks(
             lambda first, last: readings_back(
                 address, travel, parameters, adjoint, first, last, of_travel, of_parameters

@@ -132,7 +132,9 @@ def simulate_batch(
     start = _with_effect_states(machine, np.atleast_2d(rest_state(machine) if start is None else start))
     start[:, : 2 * count] *= np.tile(radii, 2)
     kernel = kernel_for(machine, forced=extra_force is not None)
-    start = np.pad(start, ((0, 0), (0, kernel.states - 1 - start.shape[1])))  # accelerations and currents, if measured
+    start = np.pad(
+        start, ((0, 0), (0, kernel.states - 1 - start.shape[1]))
+    )  # accelerations and currents, if measured
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
     parameters = _rows(parameters, batch)
@@ -185,7 +187,9 @@ def _run_kernel(
         run(0, blocks)
 
 
-def rollout(machine: Machine, time_s: Times, inputs: Array, *, velocities: bool = False, **options: Any) -> Array:
+def rollout(
+    machine: Machine, time_s: Times, inputs: Array, *, velocities: bool = False, **options: Any
+) -> Array:
     """Simulate machines as `simulate_batch`, and return positions, no sensor readings.
 
     Args:

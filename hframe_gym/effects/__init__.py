@@ -18,7 +18,9 @@ from . import smooth_table
 
 def _library() -> dict[str, Effect]:
     """Return the effect of every module in this folder by name; tables have no fixed name."""
-    modules = sorted(m.name for m in pkgutil.iter_modules(__path__) if not m.ispkg and m.name != "smooth_table")
+    modules = sorted(
+        m.name for m in pkgutil.iter_modules(__path__) if not m.ispkg and m.name != "smooth_table"
+    )
     return {e.name: e for e in (importlib.import_module(f"{__name__}.{m}").EFFECT for m in modules)}
 
 

@@ -29,5 +29,7 @@ EFFECT = Effect(
     tension=tension,
     energy_slope=energy_slope,
     impacts=True,
-    parameters=(EffectParameter("d", "m", 0.0, 1e-2, scale=0.05, role="amplitude", grid=(0.3, 1.0, 3.0, 10.0, 30.0)),),
+    parameters=(
+        EffectParameter("d", "m", 0.0, 1e-2, scale=0.05, role="amplitude", grid=(0.3, 1.0, 3.0, 10.0, 30.0)),
+    ),
 )

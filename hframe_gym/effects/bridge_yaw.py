@@ -51,7 +51,12 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
         dataclasses.replace(s, row={**s.row, f"{cart}*yaw": s.row[bridge]}) if s.row.get(bridge) else s
         for s in machine.sensors
     )
-    ties = {"yaw.mass": ("J", 1.0), "yaw.viscous": ("c", 1.0), "yaw.coulomb": ("c", 0.0), "yaw.radius": ("w", 1.0)}
+    ties = {
+        "yaw.mass": ("J", 1.0),
+        "yaw.viscous": ("c", 1.0),
+        "yaw.coulomb": ("c", 0.0),
+        "yaw.radius": ("w", 1.0),
+    }
     tied = {name: (f"{effect.label}.{key}", factor) for name, (key, factor) in ties.items()}
     return dataclasses.replace(
         machine,

@@ -18,5 +18,7 @@ EFFECT = Effect(
     source="protection of amplifiers and motors",
     current=current,
     signal_order=1,  # after the lag of the winding
-    parameters=(EffectParameter("I", "A", 1e-3, 1e4, scale=0.1, grid=(0.3, 0.45, 0.6, 0.7, 0.8, 0.88, 0.95)),),
+    parameters=(
+        EffectParameter("I", "A", 1e-3, 1e4, scale=0.1, grid=(0.3, 0.45, 0.6, 0.7, 0.8, 0.88, 0.95)),
+    ),
 )

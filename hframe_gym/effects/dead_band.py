@@ -27,7 +27,9 @@ EFFECT = Effect(
     voltage=voltage,
     signal_order=1,  # after the gain
     parameters=(
-        EffectParameter("Vd", "V", 0.0, 100.0, scale=0.2, grid=(0.01, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0), role="switch"),
+        EffectParameter(
+            "Vd", "V", 0.0, 100.0, scale=0.2, grid=(0.01, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0), role="switch"
+        ),
         EffectParameter("drop", "1", 0.0, 1.0, scale=0.3, grid=(0.0, 1.0)),
     ),
 )

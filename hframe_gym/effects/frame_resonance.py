@@ -43,7 +43,9 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     carriage = machine.coordinate(effect.site)
     frame = Coordinate("frame", carriage.mass, kind="rotary", radius=1.0)
     sensors = tuple(
-        dataclasses.replace(s, row={**s.row, "frame": s.row[carriage.name]}) if s.coordinate == carriage.name else s
+        dataclasses.replace(s, row={**s.row, "frame": s.row[carriage.name]})
+        if s.coordinate == carriage.name
+        else s
         for s in machine.sensors
     )
     mass, factor = machine.ties.get(f"{carriage.name}.mass", (f"{carriage.name}.mass", 1.0))
@@ -66,7 +68,9 @@ EFFECT = Effect(
     fits=fits,
     fits_site=fits_site,
     parameters=(
-        EffectParameter("f0", "Hz", 0.5, 500.0, scale=10.0, grid=(7.0, 9.0, 11.5, 15.0, 19.0, 24.0, 31.0, 40.0)),
+        EffectParameter(
+            "f0", "Hz", 0.5, 500.0, scale=10.0, grid=(7.0, 9.0, 11.5, 15.0, 19.0, 24.0, 31.0, 40.0)
+        ),
         EffectParameter("zeta", "1", 0.0, 1.0, scale=0.05, grid=(0.05,)),
         EffectParameter("r", "1", -1.0, 1.0, scale=0.03, grid=(0.03, -0.03), role="amplitude"),
         # The bounds allow for the uncertainty of 0 and 1.

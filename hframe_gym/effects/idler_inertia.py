@@ -50,7 +50,10 @@ def _roles(machine: Machine) -> dict[str, str]:
         roles = dict(zip(coordinates, names, strict=True))
         wanted = {belt: {roles[c]: factor for c, factor in row.items()} for belt, row in _ROWS.items()}
         if all(any(row == extension for extension, _ in rows) for row in wanted.values()):
-            belts = {belt: next(name for extension, name in rows if extension == row) for belt, row in wanted.items()}
+            belts = {
+                belt: next(name for extension, name in rows if extension == row)
+                for belt, row in wanted.items()
+            }
             return roles | belts
     return {}
 

@@ -77,7 +77,11 @@ def definition(name: str) -> Effect:
     kind, _, against = name.rstrip("]").partition("[")
     variable, _, coordinate = against.partition(" of ")
     is_complete = name == f"{kind}[{against}]" and bool(coordinate) == (variable != "time")
-    if not is_complete or kind not in HOOK_OF_KIND or variable not in ("position", "velocity", "path", "time"):
+    if (
+        not is_complete
+        or kind not in HOOK_OF_KIND
+        or variable not in ("position", "velocity", "path", "time")
+    ):
         raise KeyError(name)
     hook = HOOK_OF_KIND[kind]
     parameters = [EffectParameter(k, "", -1e9, 1e9, scale=1.0, role="fixed") for k in _KNOT_NAMES]

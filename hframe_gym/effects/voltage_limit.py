@@ -19,6 +19,8 @@ EFFECT = Effect(
     voltage=voltage,
     signal_order=3,  # last of the effects on a voltage: no output exceeds the supply
     parameters=(
-        EffectParameter("U", "voltage", 1e-3, 1e4, scale=0.1, grid=(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.88, 0.95)),
+        EffectParameter(
+            "U", "voltage", 1e-3, 1e4, scale=0.1, grid=(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.88, 0.95)
+        ),
     ),
 )

@@ -69,7 +69,8 @@ class Actuators:
             InputError: If the machine has an input delay already and `delay` is not 0.
         """
         drives = [
-            dataclasses.replace(d, converter_bits=self.bits or 0, voltage_range=self.range_V) for d in machine.drives
+            dataclasses.replace(d, converter_bits=self.bits or 0, voltage_range=self.range_V)
+            for d in machine.drives
         ]
         machine = machine.replace(drives=tuple(drives))
         if self.current_limit is not None:
@@ -116,7 +117,9 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
     if isinstance(drives, Actuators):
         return drives.apply(machine)
     if not isinstance(drives, str) or drives not in ACTUATOR_PRESETS:
-        raise InputError(f"drives is {drives!r}; choose one of {', '.join(ACTUATOR_PRESETS)}, or give Actuators(...)")
+        raise InputError(
+            f"drives is {drives!r}; choose one of {', '.join(ACTUATOR_PRESETS)}, or give Actuators(...)"
+        )
     preset = ACTUATOR_PRESETS[drives]
     return machine if preset is None else preset.apply(machine)
 
@@ -174,13 +177,23 @@ class ActuatorModel:
     """
 
     def __init__(
-        self, machine: Machine, count: int, column: Callable[[str], int], *, period: float, steps: int, delayed: bool
+        self,
+        machine: Machine,
+        count: int,
+        column: Callable[[str], int],
+        *,
+        period: float,
+        steps: int,
+        delayed: bool,
     ) -> None:
         self._period, self._steps = period, steps
         drives, blocks = len(machine.drives), -(-count // LANES)
         self._rated = np.array([d.rated_voltage for d in machine.drives])
         self._columns = np.array(
-            [[column(f"{d.name}.{key}") for key in ("converter_bits", "voltage_range")] for d in machine.drives]
+            [
+                [column(f"{d.name}.{key}") for key in ("converter_bits", "voltage_range")]
+                for d in machine.drives
+            ]
         )
         # Quantum (0: continuous), lowest and highest voltage of the converters, V.
         self._converters = np.zeros((blocks, 3 * drives, LANES))
@@ -230,7 +243,9 @@ def _longest_delay(machine: Machine) -> float:
     longest = [0.0]
     for drive in machine.drives:
         definitions = [
-            e.definition for e in machine.effects if e.definition.delay and drive.name in e.components(machine)
+            e.definition
+            for e in machine.effects
+            if e.definition.delay and drive.name in e.components(machine)
         ]
         longest.append(sum(float(d.delay(*(p.upper for p in d.parameters))) for d in definitions if d.delay))
     return max(longest)
@@ -259,7 +274,14 @@ def _set_converters(index: Any, values: Any, columns: Any, converters: Any) -> b
 
 @compiled
 def _convert(
-    actions: Any, rated: Any, converters: Any, quantized: bool, first: int, last: int, volts: Any, clipped: Any
+    actions: Any,
+    rated: Any,
+    converters: Any,
+    quantized: bool,
+    first: int,
+    last: int,
+    volts: Any,
+    clipped: Any,
 ) -> None:
     """Write volts (blocks, drives, LANES) of actions (B, drives), and count entries outside [-1, 1] in clipped (B,).
 

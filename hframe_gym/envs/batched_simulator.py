@@ -144,7 +144,9 @@ class BatchedSimulator:
         self.__dict__.update(state)
         self._kernel = kernel_for(self._stepped)
 
-    def reset(self, index: Index, position: Array, values: EnvironmentParameters, motion: Array | None = None) -> None:
+    def reset(
+        self, index: Index, position: Array, values: EnvironmentParameters, motion: Array | None = None
+    ) -> None:
         """Put k machines at rest with unstretched belts, or into a given motion, with new parameters.
 
         Their time, the internal states of their effects and their delayed voltages are set to zero.
@@ -205,7 +207,9 @@ class BatchedSimulator:
             self._advance_with_delay_line(self._delay_line, first, last)
             return
         inputs, kernel = self.actuators.inputs, self._kernel
-        kernel.advance_blocks(self.state, self.parameters, self._derived, inputs, self.h, self.steps, first, last)
+        kernel.advance_blocks(
+            self.state, self.parameters, self._derived, inputs, self.h, self.steps, first, last
+        )
         if self._sensors:
             kernel.read_blocks(self.state, self.parameters, first, last, self.readings)
 
@@ -216,7 +220,9 @@ class BatchedSimulator:
         for step in range(self.steps):
             row = step * drives if self._kernel.delayed else 0
             voltages = np.ascontiguousarray(inputs[:, row : row + drives])
-            self._kernel.advance_blocks(self.state, self.parameters, self._derived, voltages, self.h, 1, first, last)
+            self._kernel.advance_blocks(
+                self.state, self.parameters, self._derived, voltages, self.h, 1, first, last
+            )
             self._kernel.read_blocks(self.state, self.parameters, first, last, self._undelayed)
             delay_line.record(self._undelayed, begin + step + 1, first, last)
         delay_line.read(self._steps_done, first, last, self.readings)
@@ -244,7 +250,9 @@ class BatchedSimulator:
         """Compute the present belt tensions of machine b minus the pretension, N, by name of the belt."""
         block, lane = divmod(b, LANES)
         state, parameters = self.state[block, :, lane], self.parameters[block, :, lane]
-        equations = Equations(self.machine, dict(zip(self.machine.parameters, parameters.tolist(), strict=False)))
+        equations = Equations(
+            self.machine, dict(zip(self.machine.parameters, parameters.tolist(), strict=False))
+        )
         point = MotionPoint(state[: self._n].tolist(), state[self._n : 2 * self._n].tolist())
         belts = zip(self.machine.belts, equations.belt_states(point), strict=True)
         return {belt.name: float(belt_state.tension) for belt, belt_state in belts}

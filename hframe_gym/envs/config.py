@@ -126,13 +126,17 @@ class EnvConfig:
             raise InputError(f"penalty is {self.penalty!r}, it must be a number that is not negative")
         if not SHORTEST_PERIOD <= self.period <= LONGEST_PERIOD:
             limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
-            raise InputError(f"period is {self.period!r}, it must be a positive number of seconds from {limits}")
+            raise InputError(
+                f"period is {self.period!r}, it must be a positive number of seconds from {limits}"
+            )
         if not self.longest_step * MOST_STEPS >= self.period:
             limits = f"number of seconds, at least {1 / MOST_STEPS:g} of the period"
             raise InputError(f"longest_step is {self.longest_step!r}, it must be a positive {limits}")
 
 
-def check_keywords(constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)) -> None:
+def check_keywords(
+    constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)
+) -> None:
     """Check that every keyword given to an environment is an option of `EnvConfig` or one of `others`.
 
     Raises:
@@ -221,17 +225,23 @@ def check_reset_parameters(
     """
     label = "reset: options['parameters']"
     if not isinstance(given, Mapping):
-        raise InputError(f"{label} is {given!r}, it must be a dict of values by name, such as {{'{names[0]}': 1.0}}")
+        raise InputError(
+            f"{label} is {given!r}, it must be a dict of values by name, such as {{'{names[0]}': 1.0}}"
+        )
     parameters = {}
     for name, value in given.items():
         if name not in names:
             similar = get_close_matches(str(name), names, n=3, cutoff=0.4) or names[:3]
-            raise InputError(f"{label}: unknown parameter {name!r}; names are, for example, {', '.join(similar)}")
+            raise InputError(
+                f"{label}: unknown parameter {name!r}; names are, for example, {', '.join(similar)}"
+            )
         values = _numbers(f"{label}[{name!r}]", value, ((), (1,), (count,)), f"a number or {count} numbers")
         column = np.array(np.broadcast_to(values, (count,)))
         i = list(names).index(name)
         for outside in column[(column < lower[i]) | (column > upper[i])][:1]:
-            raise InputError(f"{label}[{name!r}] is {outside:g}, it must be from {lower[i]:g} to {upper[i]:g}")
+            raise InputError(
+                f"{label}[{name!r}] is {outside:g}, it must be from {lower[i]:g} to {upper[i]:g}"
+            )
         if name.endswith(".converter_bits") and (column != np.rint(column)).any():
             raise InputError(f"{label}[{name!r}] is {value!r}, it must be an integer")
         parameters[name] = column
@@ -270,7 +280,9 @@ def _numbers(label: str, given: Any, shapes: Sequence[tuple[int, ...]], needed: 
     if values.shape not in shapes:
         raise InputError(f"{label} has shape {values.shape}, it must be {needed}")
     if not np.isfinite(values).all():
-        raise InputError(f"{label} has the value {values[~np.isfinite(values)].ravel()[0]}, it must be finite")
+        raise InputError(
+            f"{label} has the value {values[~np.isfinite(values)].ravel()[0]}, it must be finite"
+        )
     return values
 
 
@@ -289,7 +301,9 @@ def check_task(task: Task, workspace: Workspace) -> None:
     nominal = {name: np.full(count, value) for name, value in task.parameters.items()}
     episodes = task.begin(workspace, uniforms, nominal)
     if not (isinstance(episodes, tuple) and len(episodes) == 2):
-        raise InputError(f"{label}: begin must return two arrays, the starts and the plans of {count} episodes")
+        raise InputError(
+            f"{label}: begin must return two arrays, the starts and the plans of {count} episodes"
+        )
     start, plan = map(np.asarray, episodes)
     _check_array(f"{label}: begin must return starts", start, (count, axes))
     check_point(f"{label}: starts that begin returns", start, workspace)
@@ -300,11 +314,15 @@ def check_task(task: Task, workspace: Workspace) -> None:
     _check_array(f"{label}: goal must return, for times of shape ({count},), goals", goals, (count, axes))
     check_point(f"{label}: goals", goals, workspace)
     later = np.asarray(task.goal(plan, elapsed_s))
-    _check_array(f"{label}: goal must return, for times of shape ({count}, 2), goals", later, (count, 2, axes))
+    _check_array(
+        f"{label}: goal must return, for times of shape ({count}, 2), goals", later, (count, 2, axes)
+    )
     if task.metrics == "track":
         contour = task.contour(plan, start, elapsed_s[:, 0])
         if contour is None:
-            raise InputError(f"{label} has metrics 'track', so it must implement contour; the default returns None")
+            raise InputError(
+                f"{label} has metrics 'track', so it must implement contour; the default returns None"
+            )
         _check_array(f"{label}: contour must return distances", np.asarray(contour), (count,))
 
 
@@ -312,7 +330,11 @@ def _check_array(label: str, values: NDArray[Any], shape: tuple[int, ...]) -> No
     """Raise InputError unless an array has a shape and finite numbers; the label is the beginning of the message."""
     is_number = values.dtype.kind in "fiu"
     if values.shape != shape or not is_number or not np.all(np.isfinite(values)):
-        problem = "not finite" if is_number and values.shape == shape else f"of shape {values.shape} and {values.dtype}"
+        problem = (
+            "not finite"
+            if is_number and values.shape == shape
+            else f"of shape {values.shape} and {values.dtype}"
+        )
         raise InputError(f"{label} of shape {shape}, finite numbers; these are {problem}")
 
 

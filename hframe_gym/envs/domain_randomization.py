@@ -143,7 +143,9 @@ class Normal(Distribution):
 def _check(distribution: Distribution, condition: str, holds: Callable[[], bool]) -> None:
     """Raise InputError unless the arguments of a distribution are finite numbers that meet a condition."""
     if not (all(map(is_number, vars(distribution).values())) and holds()):
-        raise InputError(f"randomize: the distribution {distribution} must have finite numbers with {condition}")
+        raise InputError(
+            f"randomize: the distribution {distribution} must have finite numbers with {condition}"
+        )
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,10 @@ class RandomizeParameter:
             raise InputError(
                 f"randomize: parameter is {self.parameter!r}, it must be the name or pattern of a parameter"
             )
-        given, label = self.distribution, f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}"
+        given, label = (
+            self.distribution,
+            f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}",
+        )
         if isinstance(given, Sequence) and not isinstance(given, str) and given:
             name, *arguments = given
             try:
@@ -253,7 +258,9 @@ RANDOMIZATION_PRESETS: dict[str, tuple[Rule, ...]] = {
     "wide": WIDE,
     "identified": (RandomizeIdentified(),),
 }
-RandomizationLike: TypeAlias = Literal["none", "default", "wide", "identified"] | Sequence[Rule | Mapping[str, Any]]
+RandomizationLike: TypeAlias = (
+    Literal["none", "default", "wide", "identified"] | Sequence[Rule | Mapping[str, Any]]
+)
 
 
 def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, ...]:
@@ -273,7 +280,9 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
     if isinstance(randomize, str) or not isinstance(randomize, Iterable):
         if randomize not in RANDOMIZATION_PRESETS:
             presets = ", ".join(RANDOMIZATION_PRESETS)
-            raise InputError(f"randomize is {randomize!r}; choose one of {presets}, or a list of RandomizeParameter")
+            raise InputError(
+                f"randomize is {randomize!r}; choose one of {presets}, or a list of RandomizeParameter"
+            )
         preset = RANDOMIZATION_PRESETS[randomize]
         return tuple(r for r in preset if isinstance(r, RandomizeIdentified) or matching(names, r))
     return tuple(map(_as_rule, randomize))

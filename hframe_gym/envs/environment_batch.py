@@ -119,13 +119,16 @@ class EnvironmentBatch:
     @cached_property
     def fingerprint(self) -> str:
         """Hash of machine, task, number of environments and options, which a saved state must share."""
-        from ..recordings.machine_file import machine_to_dict  # pydantic takes long to import, and few save states
+        from ..recordings.machine_file import (
+            machine_to_dict,
+        )  # pydantic takes long to import, and few save states
 
         config = self.config
         options = {
             field.name: value
             for field in dataclasses.fields(config)
-            if isinstance(value := getattr(config, field.name), bool | int | float | str) and field.name != "machine"
+            if isinstance(value := getattr(config, field.name), bool | int | float | str)
+            and field.name != "machine"
         }
         content = [self.count, options, self.task.name, machine_to_dict(self.machine)]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
@@ -318,7 +321,9 @@ class EnvironmentBatch:
 
     def contour(self, index: Index | slice) -> Array | None:
         """Compute the contour errors of k environments, m, shape (k,); None for a task without a path."""
-        return self.references.contour(index, self.simulator.tool_positions()[index]) if self._has_path else None
+        return (
+            self.references.contour(index, self.simulator.tool_positions()[index]) if self._has_path else None
+        )
 
     def distance(self, index: Index) -> Array:
         """Compute the distances of the true tool positions of k environments to their goals, m, shape (k,)."""

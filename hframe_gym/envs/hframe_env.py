@@ -71,7 +71,9 @@ class BatchProperties:
             AttributeError: With `flat=True`, because the observation then has no goals.
         """
         if self.batch.config.flat:
-            raise AttributeError("with flat=True there is no compute_reward, because the observation has no goals")
+            raise AttributeError(
+                "with flat=True there is no compute_reward, because the observation has no goals"
+            )
         return self.batch.rewards.compute
 
     def _shared_state(self, kind: str) -> dict[str, Any]:
@@ -406,4 +408,6 @@ def require_path(batch: EnvironmentBatch) -> None:
         InputError: If the task's attribute `metrics` is not "track"; "reach", for example, has a fixed goal.
     """
     if batch.task.metrics != "track":
-        raise InputError(f"HFrameTrack-v0 needs a task with a path, not {batch.task.name!r}; use HFrame-v0 for it")
+        raise InputError(
+            f"HFrameTrack-v0 needs a task with a path, not {batch.task.name!r}; use HFrame-v0 for it"
+        )

@@ -70,14 +70,24 @@ class ParameterSpace:
         values = {**machine.parameters, **machine.device_parameters, **task}
         bounds = effect_and_belt_limits(machine, SMALLEST_FRACTION)
         bounds |= {name: (0.0, MAXIMUM_CONVERTER_BITS) for name in values if name.endswith(".converter_bits")}
-        defaults = {name: SMALLEST_FRACTION * value if value >= 0.0 else -math.inf for name, value in values.items()}
-        defaults |= {name: 0.0 for name in values if name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))}
-        lower, upper = np.array([bounds.get(name, (low, math.inf)) for name, low in defaults.items()], np.float64).T
+        defaults = {
+            name: SMALLEST_FRACTION * value if value >= 0.0 else -math.inf for name, value in values.items()
+        }
+        defaults |= {
+            name: 0.0 for name in values if name.endswith((".viscous", ".coulomb", ".noise", ".resolution"))
+        }
+        lower, upper = np.array(
+            [bounds.get(name, (low, math.inf)) for name, low in defaults.items()], np.float64
+        ).T
         # Idler pulleys divide a belt into sections whose lengths are tied to one of them. The shortest section can need
         # a longer belt than a rule for all belts yields. This is no mistake of the user, so the samples are clipped.
         names = tuple(values)
-        clipped = {names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")}
-        return cls(machine.name, names, np.array(list(values.values()), np.float64), lower, upper, frozenset(clipped))
+        clipped = {
+            names.index(free) for tied, (free, _) in machine.ties.items() if tied.endswith(".rest_length")
+        }
+        return cls(
+            machine.name, names, np.array(list(values.values()), np.float64), lower, upper, frozenset(clipped)
+        )
 
 
 class _RuleStep(NamedTuple):
@@ -110,7 +120,12 @@ class RuleSampler:
     """
 
     def __init__(
-        self, space: ParameterSpace, rules: Sequence[Rule], machine: Machine, when: When, before: Range | None = None
+        self,
+        space: ParameterSpace,
+        rules: Sequence[Rule],
+        machine: Machine,
+        when: When,
+        before: Range | None = None,
     ) -> None:
         self._space = space
         self.low, self.high = (edge.copy() for edge in (before or (space.nominal, space.nominal)))
@@ -135,13 +150,17 @@ class RuleSampler:
         """Add a rule for single parameters; raise InputError for one that matches none or can leave the limits."""
         indices = matching(self._space.names, rule)
         if not indices:
-            similar = get_close_matches(rule.parameter, self._space.names, cutoff=0.4) or self._space.names[:3]
+            similar = (
+                get_close_matches(rule.parameter, self._space.names, cutoff=0.4) or self._space.names[:3]
+            )
             raise InputError(
                 f"randomize: machine {self._space.machine_name!r} and its task have no parameter {rule.parameter!r}; "
                 f"names are, for example, {', '.join(similar)}"
             )
         self._add_step(indices, rule)
-        self._changed |= {i for i in indices if rule.how != "scale" or self.low[i] or self.high[i]}  # 0 remains 0
+        self._changed |= {
+            i for i in indices if rule.how != "scale" or self.low[i] or self.high[i]
+        }  # 0 remains 0
         for i in indices:
             self._update_range(i, rule)
 
@@ -204,7 +223,9 @@ class RuleSampler:
         for parameters, columns, rule in self._steps:
             if isinstance(rule, CorrelatedSampler):
                 moved = values[:, parameters] + rule.deviations(uniforms[:, columns])
-                values[:, parameters] = np.clip(moved, self._space.lower[parameters], self._space.upper[parameters])
+                values[:, parameters] = np.clip(
+                    moved, self._space.lower[parameters], self._space.upper[parameters]
+                )
                 continue
             samples = {column: rule.quantile(uniforms[:, column]) for column in set(columns)}
             for i, column in zip(parameters, columns, strict=True):
@@ -243,15 +264,23 @@ class MachineSampler:
     """
 
     def __init__(
-        self, machine: Machine, randomize: RandomizationLike, count: int, task_parameters: ParameterValues | None = None
+        self,
+        machine: Machine,
+        randomize: RandomizationLike,
+        count: int,
+        task_parameters: ParameterValues | None = None,
     ) -> None:
         self.space = ParameterSpace.of(machine, task_parameters)
         rules = as_rules(randomize, self.space.names)
         self._startup = RuleSampler(self.space, rules, machine, "startup")
-        self._reset = RuleSampler(self.space, rules, machine, "reset", (self._startup.low, self._startup.high))
+        self._reset = RuleSampler(
+            self.space, rules, machine, "reset", (self._startup.low, self._startup.high)
+        )
         self.low, self.high = self._reset.low, self._reset.high
         self._check_order(machine, rules)
-        self.columns = [i for i, n in enumerate(self.space.names) if n in self._startup.names + self._reset.names]
+        self.columns = [
+            i for i, n in enumerate(self.space.names) if n in self._startup.names + self._reset.names
+        ]
         self.names = [self.space.names[i] for i in self.columns]
         self._integers = [i for i in self.columns if self.space.names[i].endswith(".converter_bits")]
         for edge in (self.low, self.high):
@@ -271,7 +300,9 @@ class MachineSampler:
         pairs = [(e.label, p) for e in machine.effects for p in e.definition.parameters if p.above]
         for label, p in pairs:
             below, above = names.index(f"{label}.{p.above}"), names.index(f"{label}.{p.name}")
-            if self.high[below] > self.low[above] and not any({below, above} <= indices for indices in shared):
+            if self.high[below] > self.low[above] and not any(
+                {below, above} <= indices for indices in shared
+            ):
                 raise InputError(
                     f"randomize: the rules can yield {names[above]} = {self.low[above]:g}, below {names[below]} = "
                     f"{self.high[below]:g}; choose ranges of the two that do not overlap"
@@ -328,7 +359,9 @@ class MachineSampler:
         keys = episode_keys(self._keys[index], self._episodes[index])
         self._episodes[index] += 1
         uniforms = reset_uniforms(keys, task_draws + self._reset.draws)
-        values = self._reset.sample(self._base[index] if self._startup.names else self._base, uniforms[:, task_draws:])
+        values = self._reset.sample(
+            self._base[index] if self._startup.names else self._base, uniforms[:, task_draws:]
+        )
         if self._integers:
             values[:, self._integers] = np.rint(values[:, self._integers])
         return keys, uniforms[:, :task_draws], values

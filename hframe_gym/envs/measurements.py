@@ -42,11 +42,15 @@ class SensorArray:
         high: Upper end, inf without a range, shape (blocks, n, LANES).
     """
 
-    def __init__(self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]) -> None:
+    def __init__(
+        self, machine: Machine, sensors: tuple[Sensor, ...], count: int, column: Callable[[str], int]
+    ) -> None:
         channels = list(machine.output_channels)
         self._rows = np.array([channels.index(s.channel) for s in sensors], np.intp)
         self._program = _measurement_program(self._rows.tolist())
-        self._device_columns = [[column(f"{s.channel}.{key}") for key in ("noise", "resolution")] for s in sensors]
+        self._device_columns = [
+            [column(f"{s.channel}.{key}") for key in ("noise", "resolution")] for s in sensors
+        ]
         names = [sensor_range_names(s) for s in sensors]
         limited = [low in machine.parameters for low, _ in names]
         self._range_columns = [
@@ -65,10 +69,16 @@ class SensorArray:
         self._keys[index] = keys
         block, lane = np.divmod(index, LANES)
         for j, (noise, resolution) in enumerate(self._device_columns):
-            self._noise[block, j, lane], self._resolution[block, j, lane] = values[:, noise], values[:, resolution]
+            self._noise[block, j, lane], self._resolution[block, j, lane] = (
+                values[:, noise],
+                values[:, resolution],
+            )
             limits = self._range_columns[j]
             if limits is not None:
-                self.low[block, j, lane], self.high[block, j, lane] = values[:, limits[0]], values[:, limits[1]]
+                self.low[block, j, lane], self.high[block, j, lane] = (
+                    values[:, limits[0]],
+                    values[:, limits[1]],
+                )
 
     def measure(self, readings: LaneReadings, elapsed: EnvironmentCounts, first: int, last: int) -> None:
         """Turn ideal readings, delays included, of the environments in blocks first to last - 1 into measurements.
@@ -79,7 +89,11 @@ class SensorArray:
         self._measure(readings, elapsed, first, last, *self.measurements)
 
     def measure_first(
-        self, readings: LaneReadings, elapsed: EnvironmentCounts, index: Index, block_ranges: Iterable[tuple[int, int]]
+        self,
+        readings: LaneReadings,
+        elapsed: EnvironmentCounts,
+        index: Index,
+        block_ranges: Iterable[tuple[int, int]],
     ) -> None:
         """Take the first measurements in new episodes of k environments, from which rates of change are zero.
 
@@ -98,7 +112,17 @@ class SensorArray:
     ) -> None:
         """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before."""
         devices = self._noise, self._resolution, self.low, self.high
-        _measure(self._program.addresses["measure"], readings, devices, self._keys, elapsed, first, last, out, before)
+        _measure(
+            self._program.addresses["measure"],
+            readings,
+            devices,
+            self._keys,
+            elapsed,
+            first,
+            last,
+            out,
+            before,
+        )
         if not self._custom:
             return
         # Sensor kinds with a formula of their class replace what the compiled default wrote.
@@ -136,7 +160,15 @@ def _measurement_program(rows: Sequence[int]) -> LaneProgram:
 
 @compiled
 def _measure(
-    program: int, readings: Any, devices: Any, keys: Any, elapsed: Any, first: int, last: int, out: Any, before: Any
+    program: int,
+    readings: Any,
+    devices: Any,
+    keys: Any,
+    elapsed: Any,
+    first: int,
+    last: int,
+    out: Any,
+    before: Any,
 ) -> None:
     """Write measurements of blocks first..last-1 to out (blocks, n, LANES), what was there to before, same shape.
 
@@ -156,7 +188,12 @@ def _normals(noise: Any, keys: Any, elapsed: Any, first: int, last: int) -> Any:
     begin, count = first * LANES, min(last * LANES, len(elapsed)) - first * LANES
     run = slice(begin, begin + count)
     out = np.zeros((last - first, noise.shape[1], LANES))
-    sizes, normals, spares, has_spare = np.empty(count), np.empty(count), np.empty(count), np.zeros(count, np.bool_)
+    sizes, normals, spares, has_spare = (
+        np.empty(count),
+        np.empty(count),
+        np.empty(count),
+        np.zeros(count, np.bool_),
+    )
     for j in range(noise.shape[1]):
         for i in range(count):
             sizes[i] = noise[first + i // LANES, j, i % LANES]
@@ -167,7 +204,9 @@ def _normals(noise: Any, keys: Any, elapsed: Any, first: int, last: int) -> Any:
 
 
 @compiled
-def _next_normals(noise: Any, keys: Any, elapsed: Any, channel: int, normals: Any, spares: Any, has_spare: Any) -> bool:
+def _next_normals(
+    noise: Any, keys: Any, elapsed: Any, channel: int, normals: Any, spares: Any, has_spare: Any
+) -> bool:
     """Write a normal number for each environment to normals (k,) if the sensor has noise (k,); return whether it has.
 
     Normal numbers come in pairs. The second of a pair, in spares (k,) where has_spare (k,), is for the next sensor with
@@ -250,7 +289,9 @@ def _longest_delay(machine: Machine) -> float:
     longest = [0.0]
     for sensor in machine.sensors:
         definitions = [e.definition for e in machine.effects if e.site == sensor.channel]
-        delays = (d.measurement_delay(*(p.upper for p in d.parameters)) for d in definitions if d.measurement_delay)
+        delays = (
+            d.measurement_delay(*(p.upper for p in d.parameters)) for d in definitions if d.measurement_delay
+        )
         longest.append(sum(map(float, delays)))
     return max(longest)
 
@@ -271,4 +312,6 @@ def _interpolate(history: Any, delays: Any, h: float, step: int, first: int, las
                 newer = history[block, (step - middle + 1) % depth, j, lane]
                 here = history[block, (step - middle) % depth, j, lane]
                 older = history[block, (step - middle - 1) % depth, j, lane]
-                out[block, j, lane] = here + 0.5 * u * (newer - older) + 0.5 * u * u * (newer - 2.0 * here + older)
+                out[block, j, lane] = (
+                    here + 0.5 * u * (newer - older) + 0.5 * u * u * (newer - 2.0 * here + older)
+                )

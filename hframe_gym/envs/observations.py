@@ -51,9 +51,13 @@ class StateView:
         lines = []
         for j, signal in enumerate(signals):
             i = names.index(signal.coordinate)
-            row = i + len(names) * signal.velocity  # all positions come first in the state, then all velocities
+            row = (
+                i + len(names) * signal.velocity
+            )  # all positions come first in the state, then all velocities
             value = f"load(state, {row}) * load(units, {i})"
-            first, second = (-1, -1) if signal.velocity else tool_product(simulator.machine, signal.coordinate)
+            first, second = (
+                (-1, -1) if signal.velocity else tool_product(simulator.machine, signal.coordinate)
+            )
             if first >= 0:  # the tool of a bridge that can yaw is at x + yaw * y
                 across = f"(load(state, {second}) * load(units, {second}))"
                 value += f" + load(state, {first}) * load(units, {first}) * {across}"
@@ -61,7 +65,9 @@ class StateView:
                 f"value_{j} = {value}",
                 f"store(values, {j}, minimum(maximum(value_{j}, load(bounds, {j})), load(bounds, {self.size + j})))",
             ]
-        residue = " + ".join(["load(state, 0) * 0.0", *(f"(value_{j} - value_{j})" for j in range(self.size))])
+        residue = " + ".join(
+            ["load(state, 0) * 0.0", *(f"(value_{j} - value_{j})" for j in range(self.size))]
+        )
         lines.append(f"store(values, {self.size}, {residue})")  # zero if all entries are finite
         text = "\n    ".join(["def observe(state, units, bounds, values):", *lines]) + "\n"
         self.program = LaneProgram(text, ("observe",))
@@ -124,7 +130,13 @@ class ObservationBuilder:
     def _inputs(self, view: StateView) -> tuple[int, int, Array, Array, Array]:
         """Return the first arguments of `_observe`: the view's function and what it reads."""
         simulator = self._simulator
-        return view.program.addresses["observe"], view.size, simulator.state, simulator.units_per_travel, view.bounds
+        return (
+            view.program.addresses["observe"],
+            view.size,
+            simulator.state,
+            simulator.units_per_travel,
+            view.bounds,
+        )
 
     def begin(
         self,
@@ -214,7 +226,9 @@ class ObservationBuilder:
             rows[block_rows, self._all_state.size :] = self._parameters[block_rows]
         return broken
 
-    def _write_measurements(self, sensors: SensorArray, first: int, last: int, observation: Observation) -> None:
+    def _write_measurements(
+        self, sensors: SensorArray, first: int, last: int, observation: Observation
+    ) -> None:
         """Write `observation` and `achieved_goal` of blocks first..last-1 from measurements."""
         _write_measurements(
             self._measurement_program.addresses["observe"],

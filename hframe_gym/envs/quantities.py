@@ -81,19 +81,25 @@ class StepRecord:
     def tool_velocities(self) -> Array:
         """True velocities of the linear coordinates of the tool axes, m/s, shape (count, axes)."""
         names = self.batch.machine.coordinate_names
-        return np.stack([self._point.speed[names.index(axis)] for axis in self.batch.machine.tool_axes], axis=1)
+        return np.stack(
+            [self._point.speed[names.index(axis)] for axis in self.batch.machine.tool_axes], axis=1
+        )
 
     @cached_property
     def belt_tensions(self) -> Array:
         """Tensions of the belts beyond the pretension, N, shape (count, belts)."""
-        tensions = [np.broadcast_to(b.tension, self.batch.count) for b in self._equations.belt_states(self._point)]
+        tensions = [
+            np.broadcast_to(b.tension, self.batch.count) for b in self._equations.belt_states(self._point)
+        ]
         return np.stack(tensions, axis=1) if tensions else np.zeros((self.batch.count, 0))
 
     @cached_property
     def currents(self) -> Array:
         """Currents of the drives by Ohm's law, A, shape (count, drives)."""
         drives = range(len(self.batch.machine.drives))
-        return np.stack([self._equations.ohmic_current(j, self._point, self.voltages[:, j]) for j in drives], axis=1)
+        return np.stack(
+            [self._equations.ohmic_current(j, self._point, self.voltages[:, j]) for j in drives], axis=1
+        )
 
 
 def quantity(name: str, unit: str, largest: float) -> Callable[[Callable[[StepRecord], Array]], Quantity]:

@@ -98,7 +98,9 @@ def cos_sin_of_turns(u: Any) -> Any:
     # Taylor series to r**14 and r**15; for |r| <= pi/4 the remainders are 1e-15 and 5e-17.
     cosine = 1.0 / 479001600 - s * (1.0 / 87178291200)
     sine = 1.0 / 6227020800 - s * (1.0 / 1307674368000)
-    cosine = 1.0 - s * (0.5 - s * (1.0 / 24 - s * (1.0 / 720 - s * (1.0 / 40320 - s * (1.0 / 3628800 - s * cosine)))))
+    cosine = 1.0 - s * (
+        0.5 - s * (1.0 / 24 - s * (1.0 / 720 - s * (1.0 / 40320 - s * (1.0 / 3628800 - s * cosine))))
+    )
     sine = 1.0 / 120 - s * (1.0 / 5040 - s * (1.0 / 362880 - s * (1.0 / 39916800 - s * sine)))
     sine = r * (1.0 - s * (1.0 / 6 - s * sine))
     # Turn the vector (cosine, sine) of the rest by 0 to 3 quarter turns: by one if odd, then by two if at least two.
@@ -190,7 +192,9 @@ def pivoted_cholesky(covariance: Array, scale: Array) -> Array:
     for column in range(len(scaled)):
         unexplained = np.where(remaining, variance - np.sum(factor**2, axis=1), -np.inf)
         pivot = int(np.argmax(unexplained))
-        if unexplained[pivot] > _ROUNDING * variance[pivot]:  # otherwise the parameter follows from the earlier pivots
+        if (
+            unexplained[pivot] > _ROUNDING * variance[pivot]
+        ):  # otherwise the parameter follows from the earlier pivots
             change = (scaled[:, pivot] - factor @ factor[pivot]) / np.sqrt(unexplained[pivot])
             factor[:, column] = np.where(remaining, change, 0.0)
         remaining[pivot] = False

@@ -68,7 +68,11 @@ class Scene:
         index = np.array([b])
         position = batch.simulator.positions(b)
         # A drive without a pulley is drawn at rest.
-        drives = [d.coordinate for d in batch.machine.drives if batch.machine.coordinate(d.coordinate).kind == "rotary"]
+        drives = [
+            d.coordinate
+            for d in batch.machine.drives
+            if batch.machine.coordinate(d.coordinate).kind == "rotary"
+        ]
         angles = [position[c] for c in drives[:2]] + [0.0, 0.0]
         period = batch.config.period
         return cls(
@@ -78,7 +82,10 @@ class Scene:
             angles=(angles[0], angles[1]),
             tensions=batch.simulator.tensions(b),
             trail=list(trail),
-            path=[_in_plane(point) for point in batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist()],
+            path=[
+                _in_plane(point)
+                for point in batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist()
+            ],
             time_s=float(batch.elapsed[b] * period),
             distance=float(batch.distance(index)[0]),
         )
@@ -236,7 +243,9 @@ class Renderer:
         """Return the picture in mode "rgb_array", or show it in the window."""
         pygame = self._pygame
         if self._mode == "rgb_array":
-            pixels: NDArray[np.uint8] = np.ascontiguousarray(pygame.surfarray.array3d(self._surface).swapaxes(0, 1))
+            pixels: NDArray[np.uint8] = np.ascontiguousarray(
+                pygame.surfarray.array3d(self._surface).swapaxes(0, 1)
+            )
             return pixels
         if self._window is None:
             try:

@@ -103,7 +103,9 @@ def evaluate_rows(
 def _check_same_shape(achieved: Positions, desired: Positions) -> None:
     """Raise InputError unless two arrays have the same shape (n, axes), which compiled code does not check."""
     if achieved.shape != desired.shape or achieved.ndim != 2:
-        raise InputError(f"reward: positions of shapes {achieved.shape} and {desired.shape}; both must be (n, axes)")
+        raise InputError(
+            f"reward: positions of shapes {achieved.shape} and {desired.shape}; both must be (n, axes)"
+        )
 
 
 def distances(achieved: Positions, desired: Positions) -> Array:
@@ -140,7 +142,9 @@ class BuiltinReward:
         """
         _check_same_shape(achieved, desired)
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
-        evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), self.kind, self.band, distance, reward)
+        evaluate_rows(
+            achieved, achieved, False, desired, 0, len(achieved), self.kind, self.band, distance, reward
+        )
         return reward
 
 

@@ -36,7 +36,9 @@ def restore_batch(batch: Any, state: dict[str, Any]) -> None:
     attributes = {path: (owner, name) for path, owner, name in _attributes(batch)}
     different = sorted(set(attributes) ^ set(state))
     if different:
-        raise InputError(f"set_state: the state is of an environment with other options ({', '.join(different[:3])})")
+        raise InputError(
+            f"set_state: the state is of an environment with other options ({', '.join(different[:3])})"
+        )
     for path, (owner, name) in attributes.items():
         present, value = vars(owner)[name], state[path]
         if isinstance(present, np.ndarray) and isinstance(value, np.ndarray) and _alike(present, value):
@@ -61,7 +63,9 @@ def check_state(state: Any, kind: str, batch: Any) -> None:
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise InputError("set_state: the argument is no state that get_state of this version returned")
     if state["kind"] != kind:
-        raise InputError(f"set_state: the state is of a {state['kind']} environment, and this is a {kind} one")
+        raise InputError(
+            f"set_state: the state is of a {state['kind']} environment, and this is a {kind} one"
+        )
     if state["fingerprint"] != batch.fingerprint:
         raise InputError("set_state: the state is of an environment with another machine, number or options")
 

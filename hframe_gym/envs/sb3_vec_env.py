@@ -30,7 +30,11 @@ Indices = None | int | Iterable[int]
 def _vector_entry_point(env_id: str) -> tuple[type[HFrameVectorEnv], dict[str, Any]]:
     """Return the vector environment of an id and the keywords of its registration; raises InputError for another id."""
     spec = gym.registry.get(env_id) if isinstance(env_id, str) else None
-    make = load_env_creator(spec.vector_entry_point) if spec and isinstance(spec.vector_entry_point, str) else None
+    make = (
+        load_env_creator(spec.vector_entry_point)
+        if spec and isinstance(spec.vector_entry_point, str)
+        else None
+    )
     if not (isinstance(make, type) and issubclass(make, HFrameVectorEnv)):
         names = [name for name in gym.registry if name.startswith("HFrame")]
         raise InputError(f"env_id is {env_id!r}; choose one of {', '.join(names)}")
@@ -70,9 +74,13 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         render_mode: str | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
-        check_keywords(type(self).__name__, dict(options), ("num_envs", "env_id", "max_episode_steps", "render_mode"))
+        check_keywords(
+            type(self).__name__, dict(options), ("num_envs", "env_id", "max_episode_steps", "render_mode")
+        )
         if isinstance(num_envs, str):
-            raise InputError(f"num_envs is {num_envs!r}, it must be a number; HFrameVecEnv(8, env_id='HFrameTrack-v0')")
+            raise InputError(
+                f"num_envs is {num_envs!r}, it must be a number; HFrameVecEnv(8, env_id='HFrameTrack-v0')"
+            )
         make, keywords = _vector_entry_point(env_id)
         self.envs = make(
             num_envs,
@@ -82,7 +90,9 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             **{**keywords, **options},
         )
         self._actions: NDArray[Any] | None = None
-        self._previous_goals: tuple[str, ...] = ()  # keys of the infos from which `compute_reward` takes goals
+        self._previous_goals: tuple[
+            str, ...
+        ] = ()  # keys of the infos from which `compute_reward` takes goals
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     @override
@@ -123,14 +133,18 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     def _stacked(self, options: Any) -> dict[str, Any]:
         """Return options of all environments, one row each; raises InputError unless all have the same options."""
         if not isinstance(options, Sequence) or not all(isinstance(entry, dict) for entry in options):
-            raise InputError(f"set_options: {options!r} must be a dict, or a list of one dict per environment")
+            raise InputError(
+                f"set_options: {options!r} must be a dict, or a list of one dict per environment"
+            )
         if len(options) != self.num_envs or any(set(entry) != set(options[0]) for entry in options):
             raise InputError(f"set_options: give each of the {self.num_envs} environments the same options")
         stacked: dict[str, Any] = {name: [entry[name] for entry in options] for name in options[0]}
         if isinstance(options[0].get("parameters"), Mapping):
             dicts = stacked["parameters"]
             if any(not isinstance(values, Mapping) or set(values) != set(dicts[0]) for values in dicts):
-                raise InputError(f"set_options: give each of the {self.num_envs} environments the same parameters")
+                raise InputError(
+                    f"set_options: give each of the {self.num_envs} environments the same parameters"
+                )
             stacked["parameters"] = {name: [values[name] for values in dicts] for name in dicts[0]}
         return stacked
 
@@ -185,7 +199,9 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     def _keep_reset_infos(self, info: dict[str, Any], index: Iterable[int]) -> None:
         """Keep the randomized parameters of environments whose episodes begin."""
-        columns = {name: column for name, column in info.get("parameters", {}).items() if not name.startswith("_")}
+        columns = {
+            name: column for name, column in info.get("parameters", {}).items() if not name.startswith("_")
+        }
         for b in index:
             parameters = {name: float(column[b]) for name, column in columns.items()}
             self.reset_infos[b] = {"parameters": parameters} if parameters else {}

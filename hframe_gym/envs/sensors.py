@@ -69,7 +69,9 @@ class Lasers:
         if not (is_number(self.span) or self.span == math.inf) or self.span <= 0.0:
             raise InputError(f"sensors: span is {self.span!r}, it must be a positive number of meters")
         if not (is_number(self.noise) and self.noise >= 0.0):
-            raise InputError(f"sensors: noise is {self.noise!r}, it must be a number of meters that is not negative")
+            raise InputError(
+                f"sensors: noise is {self.noise!r}, it must be a number of meters that is not negative"
+            )
         if np.shape(self.centre) != (2,) or not all(map(is_number, self.centre)):
             raise InputError(f"sensors: centre is {self.centre!r}, it must be (x, y) in m")
 
@@ -111,7 +113,9 @@ class Sensors(SensorSuite):
             if not isinstance(value := getattr(self, name), kind | None):
                 raise InputError(f"sensors: {name} is {value!r}, it must be {kind.__name__}(...) or None")
         if self.encoders is None and self.lasers is None:
-            raise InputError("sensors: neither encoders nor lasers; choose sensors='state' for the full state")
+            raise InputError(
+                "sensors: neither encoders nor lasers; choose sensors='state' for the full state"
+            )
 
     @override
     def apply(self, machine: Machine) -> Machine:
@@ -132,7 +136,9 @@ class Sensors(SensorSuite):
         if self.encoders is not None:
             for drive in machine.drives:
                 resolution = self.encoders.resolution(drive.gear_ratio)
-                machine = _with_sensor(machine, drive.coordinate, noise=0.0, resolution=resolution, kind="encoder")
+                machine = _with_sensor(
+                    machine, drive.coordinate, noise=0.0, resolution=resolution, kind="encoder"
+                )
         if self.lasers is not None:
             for axis, middle in zip(machine.tool_axes, self.lasers.centre, strict=False):
                 machine = _with_sensor(machine, axis, noise=self.lasers.noise, resolution=0.0, kind="laser")
@@ -145,7 +151,9 @@ class Sensors(SensorSuite):
         """Select the lasers on the tool's axes, then the encoders."""
         lasers = machine.tool_axes if self.lasers is not None else ()
         encoders = tuple(d.coordinate for d in machine.drives) if self.encoders is not None else ()
-        return tuple(machine.sensor(_sensor_of(machine, name)) for name in dict.fromkeys((*lasers, *encoders)))
+        return tuple(
+            machine.sensor(_sensor_of(machine, name)) for name in dict.fromkeys((*lasers, *encoders))
+        )
 
 
 @dataclass(frozen=True)
@@ -167,7 +175,11 @@ class DeclaredSensors(SensorSuite):
 SensorsLike: TypeAlias = Literal["state", "rig", "machine"] | SensorSuite
 # The rig of Sollmann et al. (2010), section II: encoders with 512 lines on the motor side of a gear of 5.9:1 and lasers
 # with a range of 100 mm. The paper gives neither their noise nor their position.
-SENSOR_PRESETS: dict[str, SensorSuite | None] = {"state": None, "rig": Sensors(), "machine": DeclaredSensors()}
+SENSOR_PRESETS: dict[str, SensorSuite | None] = {
+    "state": None,
+    "rig": Sensors(),
+    "machine": DeclaredSensors(),
+}
 
 
 def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
@@ -179,7 +191,9 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
     if isinstance(sensors, SensorSuite):
         return sensors
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
-        raise InputError(f"sensors is {sensors!r}; choose one of {', '.join(SENSOR_PRESETS)}, or give Sensors(...)")
+        raise InputError(
+            f"sensors is {sensors!r}; choose one of {', '.join(SENSOR_PRESETS)}, or give Sensors(...)"
+        )
     return SENSOR_PRESETS[sensors]
 
 
@@ -198,7 +212,9 @@ def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
     changed = suite.apply(machine)
     observed = suite.observed(changed)
     others = set(changed.output_channels) - {sensor.channel for sensor in observed}
-    return changed.replace(sensors=observed, effects=tuple(e for e in changed.effects if e.site not in others))
+    return changed.replace(
+        sensors=observed, effects=tuple(e for e in changed.effects if e.site not in others)
+    )
 
 
 def _sensor_of(machine: Machine, coordinate: str) -> str:
@@ -220,7 +236,10 @@ def _with_sensor(machine: Machine, coordinate: str, **fields: Any) -> Machine:
 def _with_range(machine: Machine, channel: str, low: float, high: float) -> Machine:
     """Return the machine with a range of a sensor, in place of one that it has."""
     definition = EFFECTS["sensor_range"]
-    limits = {"low": max(low, definition.parameter("low").lower), "high": min(high, definition.parameter("high").upper)}
+    limits = {
+        "low": max(low, definition.parameter("low").lower),
+        "high": min(high, definition.parameter("high").upper),
+    }
     effect = definition.at(channel, **limits)
     if f"{effect.label}.low" in machine.parameters:
         return machine.replace({f"{effect.label}.{name}": value for name, value in limits.items()})
@@ -265,12 +284,16 @@ class PositionFromSensors:
         belts = np.zeros((len(axes), len(sensors)))
         others = [j for j, sensor in enumerate(sensors) if usable[j] and sensor.coordinate not in axes]
         if others:
-            rows = np.array([machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others])
+            rows = np.array(
+                [machine.sensor_matrix[machine.output_channels.index(sensors[j].channel)] for j in others]
+            )
             # Measurements per meter of each axis, (others, axes).
             per_position = rows @ rest_positions_per_axis(machine)
             if np.linalg.matrix_rank(per_position) == len(axes):
                 # More sensors than axes determine the position by least squares.
-                belts[:, others] = (np.linalg.inv if len(others) == len(axes) else np.linalg.pinv)(per_position)
+                belts[:, others] = (np.linalg.inv if len(others) == len(axes) else np.linalg.pinv)(
+                    per_position
+                )
         for axis, name in enumerate(axes):
             if direct[axis] < 0 and not belts[axis].any():
                 channels = ", ".join(sensor.channel for sensor in sensors) or "none"

@@ -16,8 +16,12 @@ from ..errors import InputError
 from ..machine import Drive, Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .workspace import workspace_of
 
-MARGIN = 0.05  # m, distance by which the bounds of positions exceed the workspace, because the end stops yield
-SPEED_FACTOR = 3.0  # bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast
+MARGIN = (
+    0.05  # m, distance by which the bounds of positions exceed the workspace, because the end stops yield
+)
+SPEED_FACTOR = (
+    3.0  # bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast
+)
 
 
 @dataclass(frozen=True)
@@ -145,9 +149,12 @@ def _other_signal(machine: Machine, sensor: Sensor) -> SignalSpec:
         largest = state_signals(machine, [name])[1].scale
     elif sensor.quantity == "acceleration":
         force = sum(
-            abs(d.gain) * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit for d in machine.drives
+            abs(d.gain) * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit
+            for d in machine.drives
         )
-        largest = force * coordinate.travel_per_unit / coordinate.mass  # of all drives at the coordinate alone
+        largest = (
+            force * coordinate.travel_per_unit / coordinate.mass
+        )  # of all drives at the coordinate alone
     else:
         drive = machine.drive(sensor.coordinate)
         largest = drive.rated_voltage / drive.resistance
@@ -296,7 +303,9 @@ class ObservationFormat:
         """
         if not self.active:
             return observation
-        values = {k: self._normalized(k, observation[k]) if self.normalize else observation[k] for k in self._center}
+        values = {
+            k: self._normalized(k, observation[k]) if self.normalize else observation[k] for k in self._center
+        }
         return values if self.entries is None else np.concatenate(list(values.values()), axis=1)
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
@@ -313,7 +322,9 @@ class ObservationFormat:
         if self.entries is not None:
             joined = np.asarray(observation, np.float32)
             if joined.ndim != 2 or joined.shape[1] != sum(sizes.values()):
-                raise InputError(f"observation has shape {joined.shape}, it must be (n, {sum(sizes.values())})")
+                raise InputError(
+                    f"observation has shape {joined.shape}, it must be (n, {sum(sizes.values())})"
+                )
             parts = np.split(joined, np.cumsum(list(sizes.values()))[:-1], axis=1)
             observation = dict(zip(sizes, parts, strict=True))
         if not isinstance(observation, Mapping) or not set(sizes) <= set(observation):
@@ -345,7 +356,9 @@ class ObservationFormat:
             goal: Achieved or desired goals, m, or dimensionless if normalized, shape (axes,) or (n, axes).
         """
         values = np.asarray(goal, np.float32)
-        return values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values
+        return (
+            values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values
+        )
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
         """Convert goals to the form in which they are observed: normalized or unchanged, shape (n, axes).

@@ -97,7 +97,9 @@ def _evaluate_step(
     evaluate_rows(goals[0], goals[0], False, goals[1], 0, count, kind, band, seen, values)
     for i in range(count):
         if kind == PROGRESS:
-            reward[first + i] = values[i] - before[first + i] + PRECISION_BONUS / (1.0 + seen[i] / BONUS_SCALE)
+            reward[first + i] = (
+                values[i] - before[first + i] + PRECISION_BONUS / (1.0 + seen[i] / BONUS_SCALE)
+            )
             before[first + i] = values[i]
         else:
             reward[first + i] = values[i]
@@ -118,13 +120,19 @@ class StepRewards:
             `evaluation` gives the arguments of `evaluate_rows`.
     """
 
-    def __init__(self, reward: Reward, observation_format: ObservationFormat, *, count: int, moving: bool) -> None:
+    def __init__(
+        self, reward: Reward, observation_format: ObservationFormat, *, count: int, moving: bool
+    ) -> None:
         self.reward, self._format = reward, observation_format
         self._builtin = reward if isinstance(reward, BuiltinReward) else None
         self.compiled = self._builtin is not None
-        self._kind, self._band = (self._builtin.kind, self._builtin.band) if self._builtin is not None else (0, 0.0)
+        self._kind, self._band = (
+            (self._builtin.kind, self._builtin.band) if self._builtin is not None else (0, 0.0)
+        )
         self._rounding = observation_format.goal_rounding()
-        self.depends_on_distance = self.compiled and self._kind != PROGRESS and not observation_format.normalize
+        self.depends_on_distance = (
+            self.compiled and self._kind != PROGRESS and not observation_format.normalize
+        )
         self._potential = np.zeros(count)
         inside = reward.reward if isinstance(reward, PenalizedReward) else reward
         self._progress = inside if isinstance(inside, ProgressReward) else None
@@ -150,7 +158,8 @@ class StepRewards:
                 goals.setdefault(key, np.zeros_like(observation[key]))[index] = observation[key][index]
         if self._kind == PROGRESS:
             goals_seen = (
-                self._format.goal_as_observed(observation[f"{k}_goal"][index]) for k in ("achieved", "desired")
+                self._format.goal_as_observed(observation[f"{k}_goal"][index])
+                for k in ("achieved", "desired")
             )
             self._potential[index] = self._evaluate(self.reward, *goals_seen)
 
@@ -163,7 +172,12 @@ class StepRewards:
         return self._kind, self._band, distance, reward
 
     def write(
-        self, rows: slice, observation: Mapping[str, Positions], tool: Positions, distance: Array, reward: Array
+        self,
+        rows: slice,
+        observation: Mapping[str, Positions],
+        tool: Positions,
+        distance: Array,
+        reward: Array,
     ) -> None:
         """Compute distances and rewards of the last step for some environments, in compiled code.
 
@@ -206,7 +220,9 @@ class StepRewards:
         `compute` needs them to compute the reward "progress" again, for example for relabeled goals. Right
         after a reset they are the present goals. The dict is empty for rewards other than "progress".
         """
-        return {f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()}
+        return {
+            f"previous_{key}": np.array(self._format.goal_as_observed(g)) for key, g in self._before.items()
+        }
 
     def compute(self, achieved_goal: Any, desired_goal: Any, info: Any = None) -> Any:
         """Compute rewards from achieved and desired goals, for example after hindsight relabeling.

@@ -75,7 +75,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
     ) -> None:
         check_keywords(type(self).__name__, dict(options), _KEYWORDS)
         if max_episode_steps is not None and not (is_integer(max_episode_steps) and max_episode_steps >= 1):
-            raise InputError(f"max_episode_steps is {max_episode_steps!r}, it must be an integer, at least 1, or None")
+            raise InputError(
+                f"max_episode_steps is {max_episode_steps!r}, it must be an integer, at least 1, or None"
+            )
         modes = [mode.value for mode in AutoresetMode]
         if not (isinstance(autoreset_mode, AutoresetMode) or autoreset_mode in modes):
             raise InputError(f"autoreset_mode is {autoreset_mode!r}; choose one of {', '.join(modes)}")
@@ -114,7 +116,12 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         A rotary coordinate is given as belt travel, radius * angle.
         """
         count = len(self.machine.coordinates)
-        return self.batch.simulator.state[:, :count].transpose(0, 2, 1).reshape(-1, count)[: self.num_envs].copy()
+        return (
+            self.batch.simulator.state[:, :count]
+            .transpose(0, 2, 1)
+            .reshape(-1, count)[: self.num_envs]
+            .copy()
+        )
 
     @override
     def reset(  # type: ignore[override]
@@ -154,7 +161,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         self._describe(info, self._mask(index), distance, self.batch.contour(slice(None)))
         return self.batch.format.apply(self.batch.observe()), info
 
-    def _generators(self, seed: int | Sequence[int | None] | None, index: Index) -> dict[int, np.random.Generator]:
+    def _generators(
+        self, seed: int | Sequence[int | None] | None, index: Index
+    ) -> dict[int, np.random.Generator]:
         """Return the random generators of environments index (k,) that are seeded; raise an error for a bad seed."""
         if seed is None:
             return {}
@@ -170,7 +179,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
             raise TypeError(f"options['reset_mask'] must be a NumPy array of bool, not {type(mask).__name__}")
         if mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"options['reset_mask'] must have shape ({self.num_envs},) and hold at least one True")
+            raise ValueError(
+                f"options['reset_mask'] must have shape ({self.num_envs},) and hold at least one True"
+            )
         return np.flatnonzero(mask)
 
     @override
@@ -226,7 +237,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     # -- info: each key with its mask "_key" -----------------------------------------------------------------------
 
-    def _describe(self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None) -> None:
+    def _describe(
+        self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None
+    ) -> None:
         """Add what every info has; mask: the environments that it describes, None for all."""
         columns = {"distance_m": distance, "is_success": distance <= self.batch.task.band}
         columns |= {"clipped_actions": self.batch.clipped.copy(), **self.batch.rewards.info()}
@@ -258,7 +271,12 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             final_obs[b] = {k: v[i] for k, v in copies.items()} if isinstance(copies, dict) else copies[i]
         final_info: dict[str, Any] = {}
         self._describe(final_info, mask, result.distance, result.contour)
-        return {"final_obs": final_obs, "_final_obs": mask, "final_info": final_info, "_final_info": mask.copy()}
+        return {
+            "final_obs": final_obs,
+            "_final_obs": mask,
+            "final_info": final_info,
+            "_final_info": mask.copy(),
+        }
 
     def _mask(self, index: Index) -> Flags:
         """Return the mask (num_envs,) of environments index (k,)."""
@@ -347,7 +365,9 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             if len(values) != self.num_envs:
                 raise ValueError(f"set_attr: {len(values)} values for {self.num_envs} environments")
             if any(value is not values[0] and value != values[0] for value in values):
-                raise InputError(f"set_attr: {name} exists once for all environments, so that its values must be equal")
+                raise InputError(
+                    f"set_attr: {name} exists once for all environments, so that its values must be equal"
+                )
             values = values[0]
         setattr(self, name, values)
 

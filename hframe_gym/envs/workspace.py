@@ -22,7 +22,9 @@ from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine
 
 # Rubber buffers at the ends of x and y.
-BUFFER_STIFFNESS = 2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz
+BUFFER_STIFFNESS = (
+    2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz
+)
 BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
 # The integrator keeps a force constant over a step h, so that a buffer could throw a light carriage of mass m back
 # faster than it came. These limits of stiffness * h^2 / m and of the slope of the force by the speed * h / m,
@@ -43,7 +45,9 @@ def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[s
     length is at least `smallest_fraction` (dimensionless) times the machine's present `rest_length` everywhere in the
     workspace.
     """
-    bounds = {f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters}
+    bounds = {
+        f"{e.label}.{p.name}": (p.lower, p.upper) for e in machine.effects for p in e.definition.parameters
+    }
     for belt in machine.belts:
         # The unstretched length is rest_length plus the sum of factor * belt travel, smallest at the end of a range.
         coordinates = [(machine.coordinate(name), factor) for name, factor in belt.length.items()]
@@ -159,7 +163,9 @@ class EndStops:
         self._columns, self._factors = np.array(columns), np.array(factors)
         belts = np.array([belt.EA / belt.rest_length for belt in machine.belts])
         axes = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
-        self._belts = np.array(belts @ machine.belt_matrix[:, axes] ** 2) if machine.belts else np.zeros(len(axes))
+        self._belts = (
+            np.array(belts @ machine.belt_matrix[:, axes] ** 2) if machine.belts else np.zeros(len(axes))
+        )
         self._stops = np.array([(low, high, 0.0, BUFFER_DAMPING, 0.0) for low, high in ranges]).ravel()
         names = [parameter.name for parameter in END_STOP.parameters]
         nominal = self.parameters(np.array([list(machine.parameters.values())]))[0, self._count :]

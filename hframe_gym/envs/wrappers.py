@@ -25,7 +25,9 @@ from .environment_batch import EnvironmentBatch
 from .quantities import QUANTITIES, Quantity, StepRecord
 
 KEY = "quantities"  # of the observation entry that `ObserveQuantities` adds
-_STREAM = 7_919  # distinguishes the random numbers of disturbances from those of the environment with the same seed
+_STREAM = (
+    7_919  # distinguishes the random numbers of disturbances from those of the environment with the same seed
+)
 
 
 class _Recorder:
@@ -84,7 +86,9 @@ class PenaltyWrapper(gym.Wrapper):
         self.weights = _weights(weights, "weight")
         self._recorder = _Recorder(env, list(weights))
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, as the environment does."""
         self._recorder.begin()
         return self.env.reset(seed=seed, options=options)
@@ -122,7 +126,9 @@ class CostWrapper(gym.Wrapper):
         self.limits, self.six_values = _weights(limits, "limit"), six_values
         self._recorder = _Recorder(env, list(limits))
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, as the environment does."""
         self._recorder.begin()
         return self.env.reset(seed=seed, options=options)
@@ -167,7 +173,9 @@ class ObserveQuantities(gym.Wrapper):
             low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
             self.observation_space = spaces.Box(low, high, dtype=np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, as the environment does."""
         self._recorder.begin()
         observation, info = self.env.reset(seed=seed, options=options)
@@ -368,7 +376,9 @@ class _Forces:
 
     def begin(self, mask: Any = slice(None)) -> None:
         """Draw the first forces of environments in which an episode begins."""
-        self.forces[mask] = self._process.begin(self.forces.shape, self.batch.config.period, self._generator)[mask]
+        self.forces[mask] = self._process.begin(self.forces.shape, self.batch.config.period, self._generator)[
+            mask
+        ]
         self._apply()
 
     def follow(self) -> None:
@@ -404,7 +414,9 @@ class DisturbanceWrapper(gym.Wrapper):
         super().__init__(env)
         self._forces = _Forces(env, process, options)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, as the environment does, and draw its first force."""
         self._forces.seed(seed)
         result = self.env.reset(seed=seed, options=options)

@@ -208,7 +208,9 @@ def mean_with_interval(values: Array, seed: int) -> dict[str, Any]:
     if len(values) < 2 or np.all(values == values[0]):
         return {"mean": mean, "ci95": [mean, mean]}
     rng = np.random.default_rng(seed)
-    result = bootstrap((values,), np.mean, n_resamples=BOOTSTRAP_RESAMPLES, batch=100, method="percentile", rng=rng)
+    result = bootstrap(
+        (values,), np.mean, n_resamples=BOOTSTRAP_RESAMPLES, batch=100, method="percentile", rng=rng
+    )
     interval = result.confidence_interval
     return {"mean": mean, "ci95": [float(interval.low), float(interval.high)]}
 
@@ -233,12 +235,16 @@ def ratio_to_bound(times: Array, bound_s: Array, seed: int) -> dict[str, Any] | 
     bound = np.asarray(bound_s, np.float64)
     with_bound = ~np.isnan(bound)
     if bound.shape != times.shape or not np.all(np.isfinite(bound[with_bound]) & (bound[with_bound] > 0.0)):
-        raise ValueError(f"bound_s must hold {len(times)} positive times, one per episode, or NaN where none is known")
+        raise ValueError(
+            f"bound_s must hold {len(times)} positive times, one per episode, or NaN where none is known"
+        )
     if not with_bound.any():
         return None
     times, bound = times[with_bound], bound[with_bound]
     ratio = mean_with_interval(times / bound, seed)
-    return {BOUND_BAND: ratio | {"ratio_of_means": ratio_of_means(times, bound, seed), "episodes": len(times)}}
+    return {
+        BOUND_BAND: ratio | {"ratio_of_means": ratio_of_means(times, bound, seed), "episodes": len(times)}
+    }
 
 
 def ratio_of_means(times: Array, bound: Array, seed: int) -> dict[str, Any]:
@@ -304,7 +310,9 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
     conditions = episode_conditions(scenario)
     if conditions.machine.effects:
         name = conditions.machine.name
-        return StoredBounds(None, f"no bound on the settling time is stored for {name!r}, because it has effects")
+        return StoredBounds(
+            None, f"no bound on the settling time is stored for {name!r}, because it has effects"
+        )
     times = np.array([_bounds_by_digest().get(digest, np.nan) for digest in condition_digests(conditions)])
     missing = int(np.isnan(times).sum())
     if not missing:

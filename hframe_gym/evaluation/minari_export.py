@@ -148,7 +148,9 @@ def export_dataset(
     out = Path(out).resolve()  # Minari joins relative paths twice
     folder = out / dataset_id
     if folder.exists():
-        raise InputError(f"{folder}: a data set of this name exists already; delete it or choose another --out")
+        raise InputError(
+            f"{folder}: a data set of this name exists already; delete it or choose another --out"
+        )
     spec = _env_spec(scenario, folder, normalize=normalize, flat=flat)
     controller = dataset_controller(name, scenario)
     metadata = _metadata(dataset_id, name, controller, scenario, author)
@@ -174,7 +176,9 @@ def export_dataset(
         for path in sorted(p for p in temporary.rglob("*") if p.is_file()):
             with path.open("rb") as source, atomic_file(folder / path.relative_to(temporary)) as file:
                 shutil.copyfileobj(source, file)
-    return ExportedDataset(dataset_id, folder, scenario.episodes, scenario.episodes * scenario.periods, *means)
+    return ExportedDataset(
+        dataset_id, folder, scenario.episodes, scenario.episodes * scenario.periods, *means
+    )
 
 
 def _write_episodes(
@@ -220,7 +224,9 @@ def _env_spec(scenario: Scenario, folder: Path, *, normalize: bool, flat: bool) 
             f"task {scenario.task_name} at a period of {scenario.period:g} s: the controller needs a preview of goals "
             "at this period, which the data set's environment cannot state; export this task at a period of 0.01 s"
         )
-    options: dict[str, Any] = {key: getattr(scenario, key) for key in ("task", "randomize", "sensors", "drives")}
+    options: dict[str, Any] = {
+        key: getattr(scenario, key) for key in ("task", "randomize", "sensors", "drives")
+    }
     for option, value in options.items():
         if not isinstance(value, str):
             raise InputError(f"{option} is {value!r}: a data set can only state the name of a preset")
@@ -237,7 +243,9 @@ def _vector_env(spec: EnvSpec, scenario: Scenario, count: int) -> HFrameVectorEn
     """Make `count` environments of a specification, with the machine of the scenario."""
     options = {**spec.kwargs, "machine": scenario.declared_machine}
     try:
-        return HFrameVectorEnv(count, max_episode_steps=spec.max_episode_steps, autoreset_mode="Disabled", **options)
+        return HFrameVectorEnv(
+            count, max_episode_steps=spec.max_episode_steps, autoreset_mode="Disabled", **options
+        )
     except ValueError as error:
         raise InputError(str(error)) from None
 
@@ -255,12 +263,18 @@ def _record(controller: Controller, envs: HFrameVectorEnv, seed: int, buffer_cla
             observations.append(observation)
             infos.append(_without_masks(info))
             steps.append((actions, reward, terminated, truncated))
-            over = bool(truncated.all())  # nothing terminates with end stops, so all episodes have the same length
+            over = bool(
+                truncated.all()
+            )  # nothing terminates with end stops, so all episodes have the same length
     except NotFiniteError as error:
         name = envs.machine.name
-        raise InputError(f"machine {name!r}: the simulated motion diverges under this controller ({error})") from None
+        raise InputError(
+            f"machine {name!r}: the simulated motion diverges under this controller ({error})"
+        ) from None
     in_time = [_stack(values) for values in (observations, infos)]
-    actions, rewards, terminations, truncations = (np.stack(column, axis=1) for column in zip(*steps, strict=True))
+    actions, rewards, terminations, truncations = (
+        np.stack(column, axis=1) for column in zip(*steps, strict=True)
+    )
     return [
         buffer_class(
             seed=seed + b,

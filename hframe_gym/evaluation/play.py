@@ -29,7 +29,13 @@ HELP = (
     "arrow keys: push (with Shift: full voltage)    left button: pull to the pointer    right button: target    "
     "N: new    R: repeat    Space: pause    Q: quit"
 )
-BACKGROUND, INK, MUTED, BAR, GOOD = (250, 250, 248), (44, 50, 60), (110, 118, 128), (43, 108, 196), (22, 140, 92)
+BACKGROUND, INK, MUTED, BAR, GOOD = (
+    (250, 250, 248),
+    (44, 50, 60),
+    (110, 118, 128),
+    (43, 108, 196),
+    (22, 140, 92),
+)
 
 
 class _StageView(Renderer):
@@ -173,7 +179,9 @@ class Game:
                 f"along {' and '.join(machine.tool_axes) or 'no axis'} only; `hframe evaluate` plots its episodes"
             )
         self._model = MotionModel(scenario.declared_machine)
-        self.stages = [PlayedStage(scenario, controller)] + ([PlayedStage(scenario, beside)] if beside else [])
+        self.stages = [PlayedStage(scenario, controller)] + (
+            [PlayedStage(scenario, beside)] if beside else []
+        )
         import pygame  # the stages' views have found it
 
         self._pygame = pygame

@@ -15,7 +15,9 @@ from .metrics import BANDS
 from .scenario import Episodes
 
 SMALLEST_ERROR_MM = 1e-3  # mm, lower end of the logarithmic error axis of a plot
-BAND_TEXTS = {name: f"{1e3 * band:g} mm" for name, band in BANDS.items()}  # settling bands as written for readers
+BAND_TEXTS = {
+    name: f"{1e3 * band:g} mm" for name, band in BANDS.items()
+}  # settling bands as written for readers
 
 
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
@@ -87,14 +89,18 @@ def _plot_error(axes: Any, episodes: Episodes, episode: int) -> None:
         axes.semilogy(time_s, np.maximum(contour_mm, SMALLEST_ERROR_MM), lw=1.2, label="to the path")
         legend_above(axes)
     _mark_bands(axes, time_s[-1])
-    axes.set(xlabel="time (s)", ylabel="distance to the goal (mm)" if episodes.contour is None else "distance (mm)")
+    axes.set(
+        xlabel="time (s)", ylabel="distance to the goal (mm)" if episodes.contour is None else "distance (mm)"
+    )
 
 
 def _mark_bands(axes: Any, end_s: float) -> None:
     """Draw the settling bands as horizontal lines that are named at their right end, and label the axis in mm."""
     for name, band in BANDS.items():
         axes.axhline(1e3 * band, color=color("muted"), lw=0.7, ls="--")
-        axes.annotate(BAND_TEXTS[name], (end_s, 1e3 * band), ha="right", va="bottom", fontsize=7, color=color("muted"))
+        axes.annotate(
+            BAND_TEXTS[name], (end_s, 1e3 * band), ha="right", va="bottom", fontsize=7, color=color("muted")
+        )
     axes.yaxis.set_major_formatter(lambda value, _: number(value))
     axes.minorticks_off()
 
@@ -160,7 +166,9 @@ def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
         legend_above(axes)
 
     ends = ", ".join(f"{name} {number(1e3 * float(e.goal_error[0, -1]))} mm" for name, e in recorded.items())
-    return Panel("Distance to the goal in the first episode", f"Distance over time; at the end: {ends}.", draw, 2.6)
+    return Panel(
+        "Distance to the goal in the first episode", f"Distance over time; at the end: {ends}.", draw, 2.6
+    )
 
 
 def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any] | None]) -> Panel:
@@ -179,8 +187,12 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
             tone = color(SERIES[list(scores).index(name) % len(SERIES)])
             axes.plot(score["ci95"], [row, row], color=tone, lw=3, solid_capstyle="butt", alpha=0.6)
             axes.plot(score["mean"], row, "o", ms=6, color=tone)
-            axes.annotate(number(score["mean"]), (score["mean"], row), (0, 7), textcoords="offset points", ha="center")
-        axes.set(yticks=range(len(known)), yticklabels=list(known), xlabel=f"mean, {unit}" if unit else "mean")
+            axes.annotate(
+                number(score["mean"]), (score["mean"], row), (0, 7), textcoords="offset points", ha="center"
+            )
+        axes.set(
+            yticks=range(len(known)), yticklabels=list(known), xlabel=f"mean, {unit}" if unit else "mean"
+        )
         axes.set_ylim(len(known) - 0.5, -0.7)
         axes.margins(x=0.15)
         axes.grid(False, axis="y")
@@ -209,7 +221,10 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
             bars = axes.barh(rows, values, 0.9 * height, color=color(SERIES[k % len(SERIES)]), label=name)
             axes.bar_label(bars, fmt="%.0f", padding=2, fontsize=7)
         axes.set(
-            yticks=range(len(bands)), yticklabels=list(BAND_TEXTS.values()), xlim=(0, 112), xlabel="% of the episodes"
+            yticks=range(len(bands)),
+            yticklabels=list(BAND_TEXTS.values()),
+            xlim=(0, 112),
+            xlabel="% of the episodes",
         )
         axes.invert_yaxis()
         axes.grid(False, axis="y")

@@ -208,7 +208,12 @@ def write_result(folder: str | Path, content: Mapping[str, Any]) -> Path:
         + "\n  }"
         for part, values in content["draws"].items()
     ]
-    text = json.dumps(head, indent=1, allow_nan=False)[:-2] + ',\n "draws": {\n' + ",\n".join(lines) + "\n }\n}\n"
+    text = (
+        json.dumps(head, indent=1, allow_nan=False)[:-2]
+        + ',\n "draws": {\n'
+        + ",\n".join(lines)
+        + "\n }\n}\n"
+    )
     write_text(path, text)
     return path
 
@@ -227,7 +232,9 @@ def read_result(path: str | Path) -> ResultFile:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"
-        raise InputError(f"{path}: {where}: {first['msg']}; write it with hframe evaluate --protocol") from None
+        raise InputError(
+            f"{path}: {where}: {first['msg']}; write it with hframe evaluate --protocol"
+        ) from None
     try:
         protocol = get_protocol(result.protocol)
     except InputError as error:
@@ -249,7 +256,9 @@ def read_result(path: str | Path) -> ResultFile:
 def _check_draws(path: Path, result: ResultFile, protocol: Protocol) -> None:
     """Raise InputError unless all parts and draws are there and the scores follow from them."""
     if set(result.draws) != set(protocol.parts):
-        raise InputError(f"{path}: draws has the parts {', '.join(result.draws)}, not {', '.join(protocol.parts)}")
+        raise InputError(
+            f"{path}: draws has the parts {', '.join(result.draws)}, not {', '.join(protocol.parts)}"
+        )
     for part, values in result.draws.items():
         settling = [f"settling_s.{band}" for band in BANDS]
         path_metrics = ["contour_rms_mm", "contour_max_mm", "tracking_rms_mm"]
@@ -278,7 +287,10 @@ def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) ->
     if protocol.parts[part].metrics != "reach":
         rms, largest, tracking = (np.array(values[name], np.float64) for name in values)
         for draw in np.flatnonzero((rms > largest + ROUNDING) | (rms > tracking + ROUNDING))[:1]:
-            refuse(int(draw), f"a contour error of {rms[draw]:g} mm rms exceeds its maximum or the tracking error")
+            refuse(
+                int(draw),
+                f"a contour error of {rms[draw]:g} mm rms exceeds its maximum or the tracking error",
+            )
         return
     error = np.array(values["final_error_mm"], np.float64)
     before = np.zeros(len(error))
@@ -290,14 +302,19 @@ def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) ->
             refuse(int(draw), f"settling_s.{band} = {times[draw]:g} s is no sample of the episode")
         beyond = error - 1e3 * radius  # mm; an error that is rounded to the radius may be on either side
         for draw in np.flatnonzero(np.where(np.isnan(times), beyond < -ROUNDING, beyond > ROUNDING))[:1]:
-            refuse(int(draw), f"settling_s.{band} is {column[draw]} and the error at the end is {error[draw]:g} mm")
+            refuse(
+                int(draw),
+                f"settling_s.{band} is {column[draw]} and the error at the end is {error[draw]:g} mm",
+            )
         for draw in np.flatnonzero(times < before)[:1]:
             refuse(int(draw), f"it settles within {band} before it settles within the wider band")
         before = np.fmax(before, times)
         if radius <= BANDS[BOUND_BAND]:
             for times_s in protocol_bounds(protocol.name).values():
                 for draw in np.flatnonzero(times < times_s - sample_s)[:1]:
-                    reason = f"{times[draw]:g} s is less than the shortest possible time, {times_s[draw]:.4f} s"
+                    reason = (
+                        f"{times[draw]:g} s is less than the shortest possible time, {times_s[draw]:.4f} s"
+                    )
                     refuse(int(draw), f"settling_s.{band} = {reason}")
 
 
@@ -365,7 +382,9 @@ def _close(given: Any, computed: Any) -> bool:
         )
     if isinstance(computed, list):
         return isinstance(given, list) and len(given) == len(computed) and all(map(_close, given, computed))
-    return isinstance(given, int | float) and math.isclose(given, computed, rel_tol=TOLERANCE, abs_tol=10.0**-DIGITS)
+    return isinstance(given, int | float) and math.isclose(
+        given, computed, rel_tol=TOLERANCE, abs_tol=10.0**-DIGITS
+    )
 
 
 @cache

@@ -47,7 +47,10 @@ from .undeclared_effects import effect_rules, with_absent_effects
 
 Draws = dict[str, list[float | None]]
 DECIMALS = 6  # of the values in results, s and mm: hides differences between processors, far below any effect
-SEED_OF_RESULTS, SEED_OF_HARD = 1000, 71_000  # draws of these seeds decide nothing: no tuning, no selection of agents
+SEED_OF_RESULTS, SEED_OF_HARD = (
+    1000,
+    71_000,
+)  # draws of these seeds decide nothing: no tuning, no selection of agents
 GAP = "gap-v1"  # runs in a clone of the repository only
 FIXED_OPTIONS = ("machine", "task", "path", "randomize", "sensors", "period", "episodes", "seed")
 
@@ -352,13 +355,19 @@ def _controller_entry(name: str, controller: Controller) -> Entry:
         found[module.__name__] = Path(inspect.getfile(module))
         used = {str(getattr(value, "__module__", "")) for value in vars(module).values()} & set(sys.modules)
         others = (sys.modules[name] for name in sorted(used))
-        modules += [other for other in others if other.__package__ and other.__package__ == module.__package__]
+        modules += [
+            other for other in others if other.__package__ and other.__package__ == module.__package__
+        ]
     weights = _weights(controller)
     sources = tuple(found[module_name] for module_name in sorted(found))
     digest = _hash((*sources, *map(Path, controller.files)), weights)
     learned = bool(weights or controller.files)
     return Entry(
-        name, "agent" if learned else "controller", digest, "own" if learned else "", model=controller.knowledge
+        name,
+        "agent" if learned else "controller",
+        digest,
+        "own" if learned else "",
+        model=controller.knowledge,
     )
 
 
@@ -368,7 +377,9 @@ def _weights(controller: Controller) -> list[bytes]:
     if torch is None:  # nothing can hold a network of torch
         return []
     module = inspect.getmodule(type(controller))
-    shared = [value for key, value in sorted(vars(module).items()) if not key.startswith("__")] if module else []
+    shared = (
+        [value for key, value in sorted(vars(module).items()) if not key.startswith("__")] if module else []
+    )
     pending, seen, networks = [controller, *shared], set(), []
     while pending:
         value = pending.pop(0)
@@ -413,7 +424,9 @@ def draw_values(episodes: Episodes) -> Draws:
         for band, radius in BANDS.items():
             times, success = settling_times(episodes.goal_error, episodes.time_s, radius)
             pairs = zip(times.tolist(), success.tolist(), strict=True)
-            values[f"settling_s.{band}"] = [round(time, DECIMALS) if settled else None for time, settled in pairs]
+            values[f"settling_s.{band}"] = [
+                round(time, DECIMALS) if settled else None for time, settled in pairs
+            ]
         return values | {"final_error_mm": _rounded(1e3 * episodes.goal_error[:, -1])}
     return {
         "contour_rms_mm": _rounded(1e3 * np.sqrt(np.mean(episodes.contour**2, axis=1))),

@@ -27,7 +27,9 @@ from .scenario import Episodes, Scenario, environments_of, make_controller, peri
 
 SAMPLES_PER_PERIOD = 10
 MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes
-MANY_PERIODS = 10_000  # control periods of an episode from which a warning says that the evaluation takes long
+MANY_PERIODS = (
+    10_000  # control periods of an episode from which a warning says that the evaluation takes long
+)
 
 
 class Evaluation(NamedTuple):
@@ -96,7 +98,9 @@ def evaluate(
     bounds = stored_bounds(scenario)
     scores = {}
     for name, controller_episodes in recorded.items():
-        metrics = score_episodes(controller_episodes, bounds.times_s, seed=scenario.seed, metrics=scenario.metrics)
+        metrics = score_episodes(
+            controller_episodes, bounds.times_s, seed=scenario.seed, metrics=scenario.metrics
+        )
         scores[name] = metrics | ({"over_bound_reason": bounds.reason} if "over_bound" in metrics else {})
     return Evaluation(_describe(scenario) | {"controllers": scores}, recorded)
 
@@ -211,7 +215,9 @@ class _Loads:
         mean = _points(travel[1:], np.diff(travel, axis=0) / sample_s)
         energy = np.zeros(len(volts))
         for j in range(volts.shape[1]):
-            energy += (self._equations.ohmic_current(j, mean, volts[:, j]) * volts[:, j]).sum(axis=0) * sample_s
+            energy += (self._equations.ohmic_current(j, mean, volts[:, j]) * volts[:, j]).sum(
+                axis=0
+            ) * sample_s
         return energy
 
 
@@ -244,7 +250,9 @@ def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count:
         OSError: If the file cannot be written.
     """
     axes = machine.tool_axes
-    names = [f"{axis}_m" for axis in axes] + [f"{axis}_goal_m" for axis in axes] + list(machine.input_channels)
+    names = (
+        [f"{axis}_m" for axis in axes] + [f"{axis}_goal_m" for axis in axes] + list(machine.input_channels)
+    )
     periods = np.minimum(np.arange(len(episodes.time_s)) // SAMPLES_PER_PERIOD, episodes.volts.shape[1] - 1)
     lines = [",".join(["episode", "time_s", *names])]
     for episode in range(min(count, len(episodes.position))):

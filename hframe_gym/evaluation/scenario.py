@@ -175,7 +175,9 @@ def environments_of(scenario: Scenario, **options: Unpack[EnvOptions]) -> HFrame
     The further options are those of the environments. By default they observe the state, with a period of 10 ms.
     """
     common = EnvOptions(machine=scenario.machine, task=scenario.controller_task, randomize=scenario.randomize)
-    return HFrameVectorEnv(scenario.episodes, max_episode_steps=None, **common | {"drives": scenario.drives} | options)
+    return HFrameVectorEnv(
+        scenario.episodes, max_episode_steps=None, **common | {"drives": scenario.drives} | options
+    )
 
 
 def episode_conditions(scenario: Scenario) -> EpisodeConditions:
@@ -189,7 +191,9 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
     envs = environments_of(scenario)
     observation, _ = envs.reset(seed=scenario.seed)
     goal = np.asarray(observation["desired_goal"], np.float64)
-    return EpisodeConditions(envs.machine, envs.parameters, envs.batch.simulator.tool_positions().copy(), goal)
+    return EpisodeConditions(
+        envs.machine, envs.parameters, envs.batch.simulator.tool_positions().copy(), goal
+    )
 
 
 class ControllerFiles(NamedTuple):
@@ -295,7 +299,9 @@ def make_controller(
                 f"environment with task={of_environment.controller_task!r}"
             )
         return EnvironmentController(make_controller(name, of_environment), batch.format)
-    scenario = machine if isinstance(machine, Scenario) else Scenario(machine, task, sensors=sensors, period=period)
+    scenario = (
+        machine if isinstance(machine, Scenario) else Scenario(machine, task, sensors=sensors, period=period)
+    )
     load_plugins()
     if name in CONTROLLERS or (names_module(name) and not Path(name).exists()):
         return _make_registered(name, scenario)
@@ -322,7 +328,11 @@ def _batch_of(environment: Any) -> EnvironmentBatch | None:
         observed = getattr(wrapper, "single_observation_space", wrapper.observation_space)
         commanded = getattr(wrapper, "single_action_space", wrapper.action_space)
         # VecNormalize of stable-baselines3 scales observations and leaves their space as it is.
-        if observed != batch.format.space or commanded != action_space(batch.machine) or hasattr(wrapper, "norm_obs"):
+        if (
+            observed != batch.format.space
+            or commanded != action_space(batch.machine)
+            or hasattr(wrapper, "norm_obs")
+        ):
             raise InputError(
                 f"make_controller: the wrapper {type(wrapper).__name__} changes observations or actions, so that no "
                 "controller can read them; give the environment inside it"

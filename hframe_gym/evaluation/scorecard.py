@@ -82,12 +82,17 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) 
     controllers = scores["controllers"]
     ranked = sorted(
         controllers,
-        key=lambda n: (-controllers[n]["success"][BOUND_BAND], controllers[n]["settling_s"][BOUND_BAND]["mean"]),
+        key=lambda n: (
+            -controllers[n]["success"][BOUND_BAND],
+            controllers[n]["settling_s"][BOUND_BAND]["mean"],
+        ),
     )
     best = controllers[ranked[0]]
     success, settling = best["success"][BOUND_BAND], _settling(best)
     if settling is None:
-        sentence = f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
+        sentence = (
+            f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
+        )
         return "No controller succeeds", "warning", [sentence]
     sentences = [
         f"{ranked[0]} comes to rest within {BAND_TEXTS[BOUND_BAND]} of the goal in {100 * success:.1f} % of the "
@@ -97,7 +102,9 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) 
     if ratio:
         sentences.append(f"This is {ratio['mean']:.2f} times the shortest possible time.")
     if len(ranked) > 1 and set(ranked[:2]) <= set(recorded):
-        sentences.append(_difference_sentence(ranked[1], recorded[ranked[0]], recorded[ranked[1]], scores["seed"]))
+        sentences.append(
+            _difference_sentence(ranked[1], recorded[ranked[0]], recorded[ranked[1]], scores["seed"])
+        )
     return f"Best: {ranked[0]}", "good" if success > 0.99 else "neutral", sentences
 
 
@@ -151,7 +158,10 @@ def _cell(value: Mapping[str, Any] | None, form: str = ".3g", factor: float = 1.
     if value is None:
         return {"mean": "–", "interval": ""}
     low, high = value["ci95"]
-    return {"mean": f"{factor * value['mean']:{form}}", "interval": f"{factor * low:{form}} to {factor * high:{form}}"}
+    return {
+        "mean": f"{factor * value['mean']:{form}}",
+        "interval": f"{factor * low:{form}} to {factor * high:{form}}",
+    }
 
 
 def _row(name: str, score: Mapping[str, Any], reaches: bool) -> dict[str, Any]:
@@ -161,9 +171,15 @@ def _row(name: str, score: Mapping[str, Any], reaches: bool) -> dict[str, Any]:
         cells = [_cell(value, ".3f") for value in (*times, _bound_ratio(score))]
     else:
         cells = [
-            _cell(score[key][kind]) if key in score else _cell(None) for key in _PATH_ERRORS for kind in ("rms", "max")
+            _cell(score[key][kind]) if key in score else _cell(None)
+            for key in _PATH_ERRORS
+            for kind in ("rms", "max")
         ]
-    return {"name": name, "success": [f"{100 * score['success'][band]:.1f}" for band in BANDS], "cells": cells}
+    return {
+        "name": name,
+        "success": [f"{100 * score['success'][band]:.1f}" for band in BANDS],
+        "cells": cells,
+    }
 
 
 def _further_metrics(controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -184,7 +200,9 @@ def _panels(
     if not reaches:
         panels = [success_panel("Episodes whose contour error never exceeds a limit", success)]
         for key, title in _PATH_ERRORS.items():
-            values = {name: score[key]["rms"] if key in score else None for name, score in controllers.items()}
+            values = {
+                name: score[key]["rms"] if key in score else None for name, score in controllers.items()
+            }
             panels.append(interval_panel(f"{title.capitalize()}, rms", "mm", values))
     else:
         panels = [success_panel("Episodes that end within a band around the goal", success)]

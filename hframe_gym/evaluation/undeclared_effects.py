@@ -61,7 +61,9 @@ class Sometimes(Distribution):
         LogUniform(self.low, self.high)  # checks the ends
         outside = not self.low < self.otherwise < self.high
         if not (0.0 < self.probability <= 1.0 and outside and (self.otherwise == 0.0 or not self.signed)):
-            raise InputError(f"randomize: the distribution {self} has an invalid probability, constant or sign")
+            raise InputError(
+                f"randomize: the distribution {self} has an invalid probability, constant or sign"
+            )
 
     @override
     def quantile(self, u: Array) -> Array:
@@ -147,7 +149,9 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
     EffectFamily("constant_force", "size", _up_to(x=0.8, y=0.8), signed=True),
     EffectFamily("quadratic_drag", "c", _up_to(x=40.0, y=40.0)),
     EffectFamily("cable_spring", "k", _up_to(x=20.0, y=20.0), others={"q0": Uniform(-0.1, 0.1)}),
-    EffectFamily("cogging", "A", _up_to(motor1=0.03, motor2=0.03), others={"n": LogUniform(4.0, 40.0), "p": _PHASE}),
+    EffectFamily(
+        "cogging", "A", _up_to(motor1=0.03, motor2=0.03), others={"n": LogUniform(4.0, 40.0), "p": _PHASE}
+    ),
     EffectFamily("eccentric_pulley", "e", _up_to(motor1=0.2e-3, motor2=0.2e-3), others={"p": _PHASE}),
     EffectFamily("voltage_offset", "V0", _up_to(motor1=0.35, motor2=0.35), signed=True),
     EffectFamily("gain_mismatch", "g", _up_to(motor1=0.1, motor2=0.1), signed=True),
@@ -159,7 +163,9 @@ EFFECT_FAMILIES: tuple[EffectFamily, ...] = (
     EffectFamily("input_delay", "d", _up_to(drives=2e-3)),
     EffectFamily("belt_play", "d", _up_to(belts=0.2e-3)),
     EffectFamily("belt_damping", "c", _up_to(belts=1e-3)),
-    EffectFamily("belt_slack", "T0", {"belts": (12.0, 36.0)}, absent=NO_SLACK_N),  # N; a motor pulls with 79 N at 8 V
+    EffectFamily(
+        "belt_slack", "T0", {"belts": (12.0, 36.0)}, absent=NO_SLACK_N
+    ),  # N; a motor pulls with 79 N at 8 V
     EffectFamily("belt_hardening", "h", _up_to(belts=5e4)),
     EffectFamily("sensor_delay", "d", _up_to(x_m=2e-3, y_m=2e-3)),
 )
@@ -179,7 +185,9 @@ def with_absent_effects(machine: Machine) -> Machine:
                 name: round(float(distribution.quantile(np.array([0.5]))[0]), 6)
                 for name, distribution in family.distributions(site).items()
             }
-            effects.append(EFFECTS[family.name].at(site, **{family.size: family.absent}, **middle, **family.fixed))
+            effects.append(
+                EFFECTS[family.name].at(site, **{family.size: family.absent}, **middle, **family.fixed)
+            )
     return machine.with_effects(*effects)
 
 
@@ -216,5 +224,7 @@ def acting_effects(machine: Machine, parameters: Array) -> Machine:
     absent = {f"{f.name}@{site}": f"{f.name}@{site}.{f.size}" for f in EFFECT_FAMILIES for site in f.ranges}
     # The current limit of the drives acts in every episode.
     limits = {family.name: family.absent for family in EFFECT_FAMILIES if family.name != "current_limit"}
-    kept = tuple(e for e in sampled.effects if e.name not in limits or values[absent[e.label]] != limits[e.name])
+    kept = tuple(
+        e for e in sampled.effects if e.name not in limits or values[absent[e.label]] != limits[e.name]
+    )
     return sampled.replace(effects=kept)

@@ -25,7 +25,9 @@ Files = Mapping[str, str | bytes]
 HELP, ARGUMENT, CLI_TYPE, RANGE = "help", "argument", "cli_type", "range"  # keys of the metadata of a field
 
 
-def option(default: Any, text: str, *, cli_type: Any = None, least: int | None = None, most: int | None = None) -> Any:
+def option(
+    default: Any, text: str, *, cli_type: Any = None, least: int | None = None, most: int | None = None
+) -> Any:
     """Declare a field of an exporter that `hframe export` offers as an option of the same name.
 
     Args:
@@ -36,7 +38,9 @@ def option(default: Any, text: str, *, cli_type: Any = None, least: int | None =
         most: Largest value that the command line accepts.
     """
     limits = None if least is None else (least, most)
-    return dataclasses.field(default=default, metadata={HELP: text, ARGUMENT: False, CLI_TYPE: cli_type, RANGE: limits})
+    return dataclasses.field(
+        default=default, metadata={HELP: text, ARGUMENT: False, CLI_TYPE: cli_type, RANGE: limits}
+    )
 
 
 def argument(text: str) -> Any:
@@ -147,7 +151,8 @@ class MachineExporter(Exporter):
             f"Machine: {machine.name}" + (f" ({machine.description})" if machine.description else ""),
             f"Machine file (content) SHA-256: {about['machine_sha256']}",
             f"Effects of the machine: {', '.join(about['effects']) or 'none'}",
-            f"Written by {about['software']}: hframe export {self.kind}" + (f" with {options}" if options else ""),
+            f"Written by {about['software']}: hframe export {self.kind}"
+            + (f" with {options}" if options else ""),
             *more,
         ]
         return [plain(line) for line in lines]
@@ -212,7 +217,9 @@ def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.fl
     for item in at or ():
         name, _, value = item.partition("=")
         if name not in linear:
-            raise InputError(f"--at {item}: write AXIS=METERS with one of the axes {', '.join(linear) or '(none)'}")
+            raise InputError(
+                f"--at {item}: write AXIS=METERS with one of the axes {', '.join(linear) or '(none)'}"
+            )
         try:
             linear[name] = float(value)
         except ValueError:

@@ -47,7 +47,9 @@ class CExporter(MachineExporter):
         """Return header, source and test bench."""
         prefix = check_prefix(self.prefix)
         motion = motion_formulas(machine, self.period)
-        comment = "/*\n" + "".join(f" * {line}\n" for line in self.header(machine, *motion.statements())) + " */\n"
+        comment = (
+            "/*\n" + "".join(f" * {line}\n" for line in self.header(machine, *motion.statements())) + " */\n"
+        )
         return {
             f"{prefix}.h": comment + _header(motion, prefix),
             f"{prefix}.c": comment + _source(motion, prefix),
@@ -153,7 +155,10 @@ def _test_bench(motion: MotionFormulas, prefix: str) -> str:
     calls = []
     for formula in motion.formulas:
         vectors = motion.vectors(formula, VECTORS, SEED)
-        blocks += [_array(f"{formula.name}_in", vectors.inputs), _array(f"{formula.name}_out", vectors.outputs)]
+        blocks += [
+            _array(f"{formula.name}_in", vectors.inputs),
+            _array(f"{formula.name}_out", vectors.outputs),
+        ]
         calls += _comparison(formula, vectors, prefix)
     lines = ["double worst = 0.0;", "int i, k;", *calls]
     lines += [f"return worst <= {TOLERANCE!r} ? 0 : 1;"]
@@ -198,4 +203,8 @@ def _comparison(formula: Formula, vectors: Vectors, prefix: str) -> list[str]:
 def _array(name: str, values: np.ndarray) -> str:
     """Return a constant two-dimensional array."""
     rows = [f"    {{{', '.join(map(repr, row))}}}," for row in values.tolist()]
-    return f"static const double {name}[{values.shape[0]}][{values.shape[1]}] = {{\n" + "\n".join(rows) + "\n};\n"
+    return (
+        f"static const double {name}[{values.shape[0]}][{values.shape[1]}] = {{\n"
+        + "\n".join(rows)
+        + "\n};\n"
+    )

@@ -29,7 +29,9 @@ class DatasetExporter(Exporter):
     )
     task: str = option("reach", "Task: {tasks}, or module:name, also of my_module.py in this folder.")
     randomize: str = option("none", "Randomization of each episode's machine: {randomizations}.")
-    sensors: str = option("state", "What controllers observe: {sensors}; state is exact, the others are measurements.")
+    sensors: str = option(
+        "state", "What controllers observe: {sensors}; state is exact, the others are measurements."
+    )
     period: float = option(0.01, "Control period in seconds, 1e-5 to 10.")
     episodes: int = option(100, "Number of episodes of each controller.", least=1, most=10**6)
     seed: int = option(0, "Seed of the first episode; episode i has the seed + i.", least=0, most=2**31 - 1)
@@ -47,7 +49,9 @@ class DatasetExporter(Exporter):
         out = Path(out)
         if out.exists() and not out.is_dir():
             raise InputError(f"--out {out}: is a file, but must be a folder")
-        options: dict[str, Any] = {key: getattr(self, key) for key in ("randomize", "sensors", "episodes", "seed")}
+        options: dict[str, Any] = {
+            key: getattr(self, key) for key in ("randomize", "sensors", "episodes", "seed")
+        }
         names = list(dict.fromkeys(self.controllers))
         try:
             scenario = Scenario(self.machine, self.task, period=self.period, **options)
@@ -65,4 +69,6 @@ class DatasetExporter(Exporter):
                 )
         except ValueError as error:
             raise InputError(str(error)) from error
-        log(f"load them in Python with MINARI_DATASETS_PATH={out} and minari.load_dataset({written.dataset_id!r})")
+        log(
+            f"load them in Python with MINARI_DATASETS_PATH={out} and minari.load_dataset({written.dataset_id!r})"
+        )

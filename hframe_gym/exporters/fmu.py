@@ -46,7 +46,9 @@ class FmuExporter(MachineExporter):
                 "pulleys); remove it from a copy of the machine and add a delay in the tool that imports the FMU"
             )
         if not machine.tool_axes or not machine.sensors:
-            raise InputError(f"machine {machine.name!r}: an FMU needs tool axes, whose start it sets, and sensors")
+            raise InputError(
+                f"machine {machine.name!r}: an FMU needs tool axes, whose start it sets, and sensors"
+            )
         others = [sensor.channel for sensor in machine.sensors if not sensor.of_position]
         if others:
             raise InputError(
@@ -191,7 +193,12 @@ def _formulas(machine: Machine) -> list[Formula]:
     trace_arguments = Signal("arguments", 1, "inputs of the states of effects")
     inputs = (time, travel, shift, speed, state, elapsed, voltage)
     second = trace_formula(
-        "corrected", "Forces at the corrected point.", inputs, (force, level, trace_arguments), corrected, parameters
+        "corrected",
+        "Forces at the corrected point.",
+        inputs,
+        (force, level, trace_arguments),
+        corrected,
+        parameters,
     )
     arguments = Signal("arguments", max(len(keys), 1), "inputs of the states of effects")
     second.outputs = (force, level, arguments)
@@ -255,8 +262,14 @@ def _sizes(machine: Machine, formulas: list[Formula], token: str) -> str:
     viscous = [[float(equations.viscous(i, side)) for side in (1.0, -1.0)] for i in range(count)]
     mass = [float(equations.mass(i)) for i in range(count)]
     lines = [f"#define {name} {value}" for name, value in numbers.items()]
-    lines += [f"#define LONGEST_STEP {resolved_step(machine, LONGEST_STEP)!r}", f'#define TOKEN "{token}"', ""]
-    lines += [f"static const double MASS[{count}] = {{{', '.join(map(repr, mass))}}}; /* of the belt travel, kg */"]
+    lines += [
+        f"#define LONGEST_STEP {resolved_step(machine, LONGEST_STEP)!r}",
+        f'#define TOKEN "{token}"',
+        "",
+    ]
+    lines += [
+        f"static const double MASS[{count}] = {{{', '.join(map(repr, mass))}}}; /* of the belt travel, kg */"
+    ]
     for name, rows, about in (
         ("VISCOUS", viscous, "Ns/m, forward and backward"),
         ("RIGID", np.asarray(rigid).tolist(), "belt travel per travel of each axis"),

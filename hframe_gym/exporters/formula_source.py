@@ -244,7 +244,9 @@ class StructuredText(Language):
         if name in self._FUNCTIONS:
             return f"{self._FUNCTIONS[name]}({', '.join(inside)})"
         if name == "rint":
-            raise InputError("Structured Text has no rounding to even, which a formula of this machine's effects uses")
+            raise InputError(
+                "Structured Text has no rounding to even, which a formula of this machine's effects uses"
+            )
         self.helpers.add(name)
         return f"{self.prefix}_{name}({', '.join(inside)})"
 
@@ -290,9 +292,12 @@ class _Writer:
             self._count(result, visited)
         targets = [text for signal in formula.outputs for text in signal.elements()]
         # All values before the first assignment to an output: a state is an input as well.
-        values = [self._atom(result) if formula.states else self._unbracketed(result) for result in formula.results]
+        values = [
+            self._atom(result) if formula.states else self._unbracketed(result) for result in formula.results
+        ]
         self._lines += [
-            language.assignment(target, value, kind="output") for target, value in zip(targets, values, strict=True)
+            language.assignment(target, value, kind="output")
+            for target, value in zip(targets, values, strict=True)
         ]
         numbers, conditions = (tuple(self._names[kind]) for kind in ("number", "condition"))
         self.body = Body(tuple(self._lines), numbers, conditions, frozenset(self._used))

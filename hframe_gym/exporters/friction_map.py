@@ -34,7 +34,9 @@ class FrictionMapExporter(MachineExporter):
     Example:  hframe export friction-map --machine axis --out friction.csv
     """
 
-    time: float = option(3600.0, "Time since the machine was switched on, s, for effects that change as it warms up.")
+    time: float = option(
+        3600.0, "Time since the machine was switched on, s, for effects that change as it warms up."
+    )
 
     def files(self, machine: Machine) -> Files:
         """Return the table."""
@@ -67,7 +69,9 @@ class FrictionMapExporter(MachineExporter):
         q, v = (grid.ravel() for grid in np.meshgrid(positions, speeds, indexing="ij"))
         dry, viscous, effects = friction_parts(machine, i, v, leader, q, self.time)
         total = dry + viscous + effects
-        std = standard_deviations(machine, lambda m: np.sum(friction_parts(m, i, v, leader, q, self.time), axis=0))
+        std = standard_deviations(
+            machine, lambda m: np.sum(friction_parts(m, i, v, leader, q, self.time), axis=0)
+        )
         name, where = plain(c.name), "" if leader is None else plain(machine.coordinate_names[leader])
         columns = [q, v, dry, viscous, effects, total, np.full(len(v), np.nan) if std is None else std]
         return [
@@ -98,7 +102,11 @@ def friction_parts(
     )
     all_dry, all_viscous, all_forces = _against(machine, i, speed, leader, position, time_s)
     effects = all_dry + all_viscous + all_forces - (dry + viscous + forces)
-    return dry + forces, viscous, effects  # forces of frictional effects: dry friction that replaces Coulomb's law
+    return (
+        dry + forces,
+        viscous,
+        effects,
+    )  # forces of frictional effects: dry friction that replaces Coulomb's law
 
 
 def _against(
@@ -119,7 +127,9 @@ def _against(
         for d, j in zip(equations.drives, equations.drive_coordinates, strict=True)
     ]
     balance = equations.force_balance(point, open_circuit, [0.0] * count)
-    back_emf = sum(d.back_emf for d, j in zip(machine.drives, equations.drive_coordinates, strict=True) if j == i)
+    back_emf = sum(
+        d.back_emf for d, j in zip(machine.drives, equations.drive_coordinates, strict=True) if j == i
+    )
     direction = np.sign(speed)
     viscous = (equations.viscous(i, direction) * radius**2 - back_emf) * speed
     parts = balance.coulomb[i] * radius * direction, viscous, -balance.forces[i] * radius
@@ -156,7 +166,9 @@ def _positions(machine: Machine, leader: int) -> Array:
     for instance in Equations(machine).instances:
         for p in instance.effect.definition.parameters if instance.coordinate == leader else ():
             value = abs(instance.effect.parameters[p.name])
-            periods = {"rate": value / (2.0 * np.pi), "period": 1.0 / value if value else 0.0}.get(p.role, 0.0)
+            periods = {"rate": value / (2.0 * np.pi), "period": 1.0 / value if value else 0.0}.get(
+                p.role, 0.0
+            )
             points = max(points, int(_POINTS_PER_PERIOD * periods * (high - low)) + 1)
     return np.linspace(low, high, min(points, _MOST_POINTS))
 

@@ -76,7 +76,9 @@ class GainsExporter(MachineExporter):
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         table.writerow([*Gain._fields, "period_s"])
-        table.writerows([*(plain(str(v)) for v in row[:4]), repr(row.value), row.unit, self.period] for row in rows)
+        table.writerows(
+            [*(plain(str(v)) for v in row[:4]), repr(row.value), row.unit, self.period] for row in rows
+        )
         content: dict[str, Any] = {
             "provenance": self.provenance(machine),
             "period_s": self.period,
@@ -100,7 +102,9 @@ class GainsExporter(MachineExporter):
             names += [(c.name, c.unit("speed"), "velocity") for c in machine.coordinates]
             for (name, unit, quantity), value in zip(names, of_drive, strict=True):
                 unit = f"V/{unit}" if "/" not in unit else f"V/({unit})"
-                rows.append(Gain("pid", f"voltage of {drive.name}", f"{quantity} of {name}", "K", value, unit))
+                rows.append(
+                    Gain("pid", f"voltage of {drive.name}", f"{quantity} of {name}", "K", value, unit)
+                )
         return rows
 
 
@@ -112,8 +116,15 @@ def _textbook_rows(controller: TextbookPID) -> list[Gain]:
     for i, axis in enumerate(model.axes):
         P, I, D = (float(g[i]) for g in (controller.proportional, controller.integral, controller.derivative))  # noqa: E741
         forms = [("P", P, "N/m"), ("I", I, "N/(m s)"), ("D", D, "Ns/m")]
-        forms += [("Ti = P/I", P / I, "s"), ("Td = D/P", D / P, "s"), ("I times period", I * controller.period, "N/m")]
-        rows += [Gain(name, f"force along {axis}", f"error of {axis}", key, value, unit) for key, value, unit in forms]
+        forms += [
+            ("Ti = P/I", P / I, "s"),
+            ("Td = D/P", D / P, "s"),
+            ("I times period", I * controller.period, "N/m"),
+        ]
+        rows += [
+            Gain(name, f"force along {axis}", f"error of {axis}", key, value, unit)
+            for key, value, unit in forms
+        ]
         for drive, per_force in zip(controller.machine.drives, volts[:, i].tolist(), strict=True):
             output = f"voltage of {drive.name}"
             rows.append(Gain(name, output, f"force along {axis}", "V/N", per_force, "V/N"))

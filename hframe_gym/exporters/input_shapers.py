@@ -118,7 +118,9 @@ class InputShaperExporter(MachineExporter):
 
         def quantities(variant: Machine) -> Array:
             found = axis_modes(variant, operating_point(variant, self.at))
-            return np.array([(found[a].frequency, found[a].damping) if a in found else (np.nan, np.nan) for a in axes])
+            return np.array(
+                [(found[a].frequency, found[a].damping) if a in found else (np.nan, np.nan) for a in axes]
+            )
 
         values = quantities(machine)
         if not axes or np.isnan(values).any():

@@ -55,13 +55,17 @@ class InverseDynamics:
                 f"machine {machine.name!r}: inverse dynamics need a tool with one drive per axis; it has "
                 f"{len(self.axes)} axes and {len(machine.drives)} drives"
             )
-        self.machine = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if _described(e)))
+        self.machine = dataclasses.replace(
+            machine, effects=tuple(e for e in machine.effects if _described(e))
+        )
         self.left_out = tuple(e.label for e in machine.effects if not _described(e))
         self.rigid = _tidy(rest_positions_per_axis(machine) * machine.travel_per_unit[:, None])
         self._driven = [machine.coordinate_names.index(d.coordinate) for d in machine.drives]
         on_axes = self.rigid[self._driven].T  # (axes, drives)
         if np.linalg.matrix_rank(on_axes) < len(self.axes):
-            raise InputError(f"machine {machine.name!r}: its drives cannot push along {' and '.join(self.axes)}")
+            raise InputError(
+                f"machine {machine.name!r}: its drives cannot push along {' and '.join(self.axes)}"
+            )
         self._drive_forces = _tidy(np.linalg.inv(on_axes))  # force of each drive per force along each axis
         ranges = [d.device_parameters["voltage_range"] for d in machine.drives]
         self.limits = np.array(ranges)
@@ -75,7 +79,12 @@ class InverseDynamics:
         self.elastic = bool(machine.belts) and not others and not set(self._tool) & set(self._driven)
 
     def coordinate_forces(
-        self, values: Values, time: Any, position: Sequence[Any], velocity: Sequence[Any], acceleration: Sequence[Any]
+        self,
+        values: Values,
+        time: Any,
+        position: Sequence[Any],
+        velocity: Sequence[Any],
+        acceleration: Sequence[Any],
     ) -> tuple[list[Any], list[Any]]:
         """Compute the force that each coordinate needs along its belt travel.
 

@@ -19,7 +19,9 @@ class KlipperExporter(InputShaperExporter):
     Example:  hframe export klipper --machine corexy --out out/klipper
     """
 
-    shaper: Shaper = option("mzv", "Shaper: zv (shortest), mzv, or ei (tolerates the largest error of the frequency).")
+    shaper: Shaper = option(
+        "mzv", "Shaper: zv (shortest), mzv, or ei (tolerates the largest error of the frequency)."
+    )
 
     def files(self, machine: Machine) -> Files:
         """Return the section for printer.cfg and the table of impulses."""

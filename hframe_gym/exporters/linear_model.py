@@ -93,10 +93,13 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     equations = Equations(_without_dry_friction(machine, kept))
     # A structural effect ties parameters of the coordinates that it adds to its parameters, so ties go with effects.
     base = Equations(dataclasses.replace(_without_dry_friction(machine, ()), ties={}))
-    steps = np.concatenate([np.repeat(_STEPS[:2], n) / np.tile(machine.travel_per_unit, 2), np.full(drives, _STEPS[2])])
+    steps = np.concatenate(
+        [np.repeat(_STEPS[:2], n) / np.tile(machine.travel_per_unit, 2), np.full(drives, _STEPS[2])]
+    )
     points = np.concatenate([np.diag(steps), -np.diag(steps), np.zeros((1, len(steps)))])
     added, readings = (
-        _evaluated(equations, position, points, n)[k] - _evaluated(base, position, points, n)[k] for k in (0, 1)
+        _evaluated(equations, position, points, n)[k] - _evaluated(base, position, points, n)[k]
+        for k in (0, 1)
     )
     m = len(steps)
     by_step = (added[:m] - added[m : 2 * m]).T / (2.0 * steps)  # (coordinates, 2 n + drives)

@@ -32,6 +32,8 @@ class MarlinExporter(InputShaperExporter):
                 f"#define SHAPING_ZETA_{mode.letter} {mode.damping:.4f}f",
             ]
         return {
-            "input_shaping.gcode": commented(header, ";") + "\n".join([*gcode, "M500 ; store the settings"]) + "\n",
+            "input_shaping.gcode": commented(header, ";")
+            + "\n".join([*gcode, "M500 ; store the settings"])
+            + "\n",
             "input_shaping.h": commented(header, "//") + "\n".join(configuration) + "\n",
         }

@@ -24,7 +24,9 @@ class MjcfExporter(MachineExporter):
     Example:  hframe export mjcf --machine hframe --out stage.xml
     """
 
-    at: list[str] | None = option(None, "Operating point of the belt stiffness as AXIS=METERS; repeat for more axes.")
+    at: list[str] | None = option(
+        None, "Operating point of the belt stiffness as AXIS=METERS; repeat for more axes."
+    )
     step: float = option(0.0005, "Integration step in seconds.")
     integrator: Literal["Euler", "implicitfast", "implicit", "RK4"] = option("Euler", "Integrator of MuJoCo.")
     friction: Literal["stiff", "default"] = option(
@@ -34,7 +36,9 @@ class MjcfExporter(MachineExporter):
     def files(self, machine: Machine) -> Files:
         """Return the model."""
         if not _STEP_LIMITS[0] <= self.step <= _STEP_LIMITS[1]:
-            raise InputError(f"--step {self.step:g}: must be from {_STEP_LIMITS[0]:g} s to {_STEP_LIMITS[1]:g} s")
+            raise InputError(
+                f"--step {self.step:g}: must be from {_STEP_LIMITS[0]:g} s to {_STEP_LIMITS[1]:g} s"
+            )
         settings = MujocoSettings(self.integrator, "PGS", self.friction)
         text = model_xml(machine, self.step, settings, operating_point(machine, self.at), drawn=True)
         pretty = indented(text)

@@ -99,10 +99,14 @@ class MotionFormulas:
         ranges = np.array([axis_range(machine.coordinate(a)) for a in axes])
         speeds = [limits[a].speed if a in limits else np.inf for a in axes]
         highest = np.array([s if 1e-6 < s < np.inf else _DEFAULT_SPEED for s in speeds])
-        hardest = np.array([max(limits[a].force / limits[a].inertia, 1.0) if a in limits else 1.0 for a in axes])
+        hardest = np.array(
+            [max(limits[a].force / limits[a].inertia, 1.0) if a in limits else 1.0 for a in axes]
+        )
         shape = (count, len(axes))
         position = rng.uniform(ranges[:, 0], ranges[:, 1], shape)
-        velocity = 0.8 * highest * rng.uniform(-1.0, 1.0, shape) ** 3  # many slow ones, where friction changes
+        velocity = (
+            0.8 * highest * rng.uniform(-1.0, 1.0, shape) ** 3
+        )  # many slow ones, where friction changes
         velocity[rng.random(shape) < 0.25] = 0.0
         return rng.uniform(0.0, 100.0, count), position, velocity, hardest * rng.uniform(-1.0, 1.0, shape)
 
@@ -110,7 +114,9 @@ class MotionFormulas:
         """Return successive steps of the textbook PID, some of them saturated."""
         assert self.pid is not None
         pid, n = self.pid, len(self.pid.model.mass)
-        reach = float(np.min(pid.model.rated / np.abs(pid.model.voltage(np.diag(pid.proportional)).T).max(axis=1)))
+        reach = float(
+            np.min(pid.model.rated / np.abs(pid.model.voltage(np.diag(pid.proportional)).T).max(axis=1))
+        )
         inputs, outputs = [], []
         pid.reset()
         for p, v in zip(position, velocity, strict=True):
@@ -138,7 +144,10 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
     axes, drives = len(dynamics.axes), len(machine.drives)
     parameters = parameters_of(dynamics.machine)
     time = Signal("time", 0, "time since the machine was switched on, s")
-    position, velocity = Signal("position", axes, "tool position, m"), Signal("velocity", axes, "tool velocity, m/s")
+    position, velocity = (
+        Signal("position", axes, "tool position, m"),
+        Signal("velocity", axes, "tool velocity, m/s"),
+    )
     acceleration = Signal("acceleration", axes, "tool acceleration, m/s^2")
     voltage = Signal("voltage", drives, "commanded voltage of each drive, V, not limited")
 
@@ -196,7 +205,9 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
     gains = _pid_parameters(pid) if pid else {}
     if pid:
         formulas.append(_pid_formula(pid, gains))
-    return MotionFormulas(dynamics, tuple(formulas), amplifiers, (*parameters.values(), *gains.values()), pid, reason)
+    return MotionFormulas(
+        dynamics, tuple(formulas), amplifiers, (*parameters.values(), *gains.values()), pid, reason
+    )
 
 
 def _pid_parameters(pid: TextbookPID) -> dict[str, Parameter]:
@@ -213,7 +224,9 @@ def _pid_parameters(pid: TextbookPID) -> dict[str, Parameter]:
                 f"pid_{key}_{k}", float(values[k]), plain(f"{key.upper()} of {axis}, {unit}")
             )
     for j, drive in enumerate(pid.machine.drives):
-        found[f"rated{j}"] = Parameter(f"pid_limit_{j}", float(pid.model.rated[j]), plain(f"limit of {drive.name}, V"))
+        found[f"rated{j}"] = Parameter(
+            f"pid_limit_{j}", float(pid.model.rated[j]), plain(f"limit of {drive.name}, V")
+        )
         for k, axis in enumerate(pid.model.axes):
             comment = plain(f"voltage of {drive.name} per force along {axis}, V/N")
             found[f"volts{j}{k}"] = Parameter(f"pid_volts_{j}_{k}", float(volts[j, k]), comment)
@@ -223,7 +236,9 @@ def _pid_parameters(pid: TextbookPID) -> dict[str, Parameter]:
 def _pid_formula(pid: TextbookPID, gains: dict[str, Parameter]) -> Formula:
     """Trace one step of `TextbookPID.act_on_state` for one machine."""
     axes, drives = len(pid.model.axes), len(pid.machine.drives)
-    integral = Signal("integral", axes, "force of the integrators, N; 0 at the start, keep it between the steps")
+    integral = Signal(
+        "integral", axes, "force of the integrators, N; 0 at the start, keep it between the steps"
+    )
     inputs = (
         Signal("position", axes, "measured tool position, m"),
         Signal("velocity", axes, "measured tool velocity, m/s"),
@@ -233,7 +248,9 @@ def _pid_formula(pid: TextbookPID, gains: dict[str, Parameter]) -> Formula:
     )
     outputs = (integral, Signal("voltage", drives, "commanded voltage of each drive, V, limited"))
 
-    def step(values: Any, position: Any, velocity: Any, goal: Any, goal_velocity: Any, stored: Any) -> list[Any]:
+    def step(
+        values: Any, position: Any, velocity: Any, goal: Any, goal_velocity: Any, stored: Any
+    ) -> list[Any]:
         forces, integrals = [], []
         for k in range(axes):
             error = goal[k] - position[k]
@@ -241,7 +258,10 @@ def _pid_formula(pid: TextbookPID, gains: dict[str, Parameter]) -> Formula:
             damping = values[f"d{k}"] * (velocity[k] - goal_velocity[k])
             forces.append(values[f"p{k}"] * error - damping + integrals[k])
         volts = [
-            sum((values[f"volts{j}{k}"] * forces[k] for k in range(1, axes)), start=values[f"volts{j}0"] * forces[0])
+            sum(
+                (values[f"volts{j}{k}"] * forces[k] for k in range(1, axes)),
+                start=values[f"volts{j}0"] * forces[0],
+            )
             for j in range(drives)
         ]
         saturated = [absolute(volts[j]) > values[f"rated{j}"] for j in range(drives)]
@@ -249,11 +269,14 @@ def _pid_formula(pid: TextbookPID, gains: dict[str, Parameter]) -> Formula:
         for more in saturated[1:]:
             any_saturated = any_saturated | more
         kept = [where(any_saturated, stored[k], integrals[k]) for k in range(axes)]
-        limited = [minimum(maximum(volts[j], -values[f"rated{j}"]), values[f"rated{j}"]) for j in range(drives)]
+        limited = [
+            minimum(maximum(volts[j], -values[f"rated{j}"]), values[f"rated{j}"]) for j in range(drives)
+        ]
         return [*kept, *limited]
 
     text = (
-        f"One step of the textbook PID at a period of {pid.period!r} s; the integrators hold while a drive saturates."
+        f"One step of the textbook PID at a period of {pid.period!r} s; the integrators hold while a drive "
+        "saturates."
     )
     return trace_formula("pid", text, inputs, outputs, step, gains)
 
@@ -265,7 +288,12 @@ def _inputs_of(formula: Formula, time: float, position: Array, velocity: Array, 
 
 
 def _outputs_of(
-    dynamics: InverseDynamics, formula: Formula, time: float, position: Array, velocity: Array, acceleration: Array
+    dynamics: InverseDynamics,
+    formula: Formula,
+    time: float,
+    position: Array,
+    velocity: Array,
+    acceleration: Array,
 ) -> list[float]:
     """Return the outputs of a formula of a motion, computed with the equations on numbers."""
     p, v, a = (vector.tolist() for vector in (position, velocity, acceleration))
@@ -291,5 +319,7 @@ def check_prefix(prefix: str) -> str:
         InputError: If it is no identifier of C and of Structured Text.
     """
     if not _NAME.fullmatch(prefix) or "__" in prefix:
-        raise InputError(f"--prefix {prefix}: must be a letter followed by at most 30 letters, digits or underscores")
+        raise InputError(
+            f"--prefix {prefix}: must be a letter followed by at most 30 letters, digits or underscores"
+        )
     return prefix

@@ -27,7 +27,9 @@ FRICTION = {
     "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"',
 }
 _PULLEY_MASS = 0.1  # kg; only the inertia of a pulley acts, because it does not travel
-_LARGEST_FRACTION = 0.5  # of the heavier axis: what a carriage on it may weigh; the rest of its mass is armature
+_LARGEST_FRACTION = (
+    0.5  # of the heavier axis: what a carriage on it may weigh; the rest of its mass is armature
+)
 
 
 class MujocoSettings(NamedTuple):
@@ -42,7 +44,12 @@ class MujocoSettings(NamedTuple):
 
 
 def model_xml(
-    machine: Machine, step: float, settings: MujocoSettings, position: Array | None = None, *, drawn: bool = False
+    machine: Machine,
+    step: float,
+    settings: MujocoSettings,
+    position: Array | None = None,
+    *,
+    drawn: bool = False,
 ) -> str:
     """Write a stage as a model of MuJoCo.
 
@@ -85,7 +92,9 @@ def model_xml(
     if riders:  # the carriage moves with the bridge, so that mass(bridge) is that of both
         rider = riders[0]
         slide = joint(rider, "slide", directions[rider.name], rider.mass - carried)
-        inner = f"<body{_named(rider, drawn)}>{inertia(carried, 1.0)}{slide}{shapes.get(rider.name, '')}</body>"
+        inner = (
+            f"<body{_named(rider, drawn)}>{inertia(carried, 1.0)}{slide}{shapes.get(rider.name, '')}</body>"
+        )
     slides = (
         f"<body{_named(carrier, drawn)}>{inertia(carrier.mass - carried, 1.0)}"
         f"{joint(carrier, 'slide', directions[carrier.name])}{shapes.get(carrier.name, '')}{inner}</body>"
@@ -108,7 +117,11 @@ def model_xml(
         tendons += f'<fixed name={quoteattr(b.name)} stiffness="{k!r}" springlength="0">{ends}</fixed>'
     drives = ""
     for d in machine.drives:
-        limits = f' name={quoteattr(d.channel)} ctrlrange="{-d.rated_voltage!r} {d.rated_voltage!r}"' if drawn else ""
+        limits = (
+            f' name={quoteattr(d.channel)} ctrlrange="{-d.rated_voltage!r} {d.rated_voltage!r}"'
+            if drawn
+            else ""
+        )
         drives += f'<motor{limits} joint={names[d.coordinate]} gear="{d.gain!r}"/>'
     sensors = "".join(
         f"<jointpos name={quoteattr(s.channel)} joint={names[s.coordinate]}/>"
@@ -116,7 +129,9 @@ def model_xml(
         if drawn and dict(s.row) == {s.coordinate: 1.0}
     )
     off = 'contact="disable" gravity="disable" limit="disable"' + ("" if drawn else ' sensor="disable"')
-    option = f'timestep="{step!r}" integrator="{settings.integrator}" solver="{settings.solver}" gravity="0 0 0"'
+    option = (
+        f'timestep="{step!r}" integrator="{settings.integrator}" solver="{settings.solver}" gravity="0 0 0"'
+    )
     return f"""<mujoco{f" model={quoteattr(machine.name)}" if drawn else ""}>
   <option {option}/>
   <option><flag {off}/></option>

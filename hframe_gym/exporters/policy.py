@@ -63,7 +63,9 @@ class PolicyExporter(Exporter):
         """
         from ..agents import Agent, shipped_agent_folder
 
-        folder = Path(self.agent) if Path(self.agent).is_dir() else shipped_agent_folder(self.agent, self.task)
+        folder = (
+            Path(self.agent) if Path(self.agent).is_dir() else shipped_agent_folder(self.agent, self.task)
+        )
         agent = Agent.load(folder)
         network, keys, example = _network(agent)
         files = {"policy.pt": _torch_script(network, example)}
@@ -125,7 +127,8 @@ def _network(agent: Any) -> tuple[Any, list[str], tuple[Any, ...]]:
     spaces = policy.observation_space.spaces
     rng = np.random.default_rng(0)
     example = tuple(
-        torch.as_tensor(0.1 * rng.uniform(-1.0, 1.0, (2, *spaces[key].shape)).astype(np.float32)) for key in keys
+        torch.as_tensor(0.1 * rng.uniform(-1.0, 1.0, (2, *spaces[key].shape)).astype(np.float32))
+        for key in keys
     )
     return Network().eval(), keys, example
 
@@ -201,7 +204,9 @@ def _contract(agent: Any, keys: list[str], example: tuple[Any, ...], name: str) 
                 "shape": ["batch", len(machine.drives)],
                 "type": "float32",
                 "meaning": "voltage of each drive divided by its rated voltage, in [-1, 1], for one period",
-                "entries": [{"channel": d.channel, "rated_voltage_V": d.rated_voltage} for d in machine.drives],
+                "entries": [
+                    {"channel": d.channel, "rated_voltage_V": d.rated_voltage} for d in machine.drives
+                ],
             }
         ],
     }

@@ -25,14 +25,18 @@ class StateSpaceExporter(MachineExporter):
     Example:  hframe export state-space --machine hframe --at x=0.1 --out out/state_space
     """
 
-    at: list[str] | None = option(None, "Operating point as AXIS=METERS, for example x=0.1; repeat for more axes.")
+    at: list[str] | None = option(
+        None, "Operating point as AXIS=METERS, for example x=0.1; repeat for more axes."
+    )
 
     def files(self, machine: Machine) -> Files:
         """Return the files with the matrices and with the modes."""
         position = operating_point(machine, self.at)
         model = linear_model(machine, position)
         found = modes(model.A, machine.travel_per_unit, rest_positions_per_axis(machine))
-        point = ", ".join(f"{n} = {q!r}" for n, q in zip(machine.coordinate_names, position.tolist(), strict=True))
+        point = ", ".join(
+            f"{n} = {q!r}" for n, q in zip(machine.coordinate_names, position.tolist(), strict=True)
+        )
         units = (
             "Units: SI; positions m or rad, velocities m/s or rad/s, inputs V; deviations from "
             "rest at the operating "
@@ -63,7 +67,8 @@ class StateSpaceExporter(MachineExporter):
                     "frequency_Hz": m.frequency,
                     "damping_ratio": m.damping,
                     "shape_m": {
-                        name: [s.real, s.imag] for name, s in zip(machine.coordinate_names, m.shape, strict=True)
+                        name: [s.real, s.imag]
+                        for name, s in zip(machine.coordinate_names, m.shape, strict=True)
                     },
                 }
                 for m in found

@@ -38,7 +38,9 @@ class StructuredTextExporter(MachineExporter):
         """Return the source file."""
         prefix = check_prefix(self.prefix)
         motion = motion_formulas(machine, self.period)
-        comment = "(*\n" + "".join(f"  {line}\n" for line in self.header(machine, *motion.statements())) + "*)\n"
+        comment = (
+            "(*\n" + "".join(f"  {line}\n" for line in self.header(machine, *motion.statements())) + "*)\n"
+        )
         return {f"{prefix}.st": comment + "\n" + _source(motion, prefix)}
 
 
@@ -49,7 +51,9 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
     for j, amplifier in motion.amplifiers.items():
         body = write_body(amplifier, language)
         name = f"{prefix}_amplifier_{j}"
-        lines = [line if not line.startswith("result := ") else f"{name} := {line[10:]}" for line in body.lines]
+        lines = [
+            line if not line.startswith("result := ") else f"{name} := {line[10:]}" for line in body.lines
+        ]
         declarations = [
             *_declared("VAR_INPUT", [("command", "LREAL", "V")]),
             *_declared("VAR", _temporaries(body.numbers, body.conditions)),
@@ -88,7 +92,9 @@ def _function_block(formula: Formula, motion: MotionFormulas, language: Structur
 
 def _function(name: str, comment: str, declarations: Sequence[str], lines: Sequence[str]) -> str:
     """Return a function with a number as its result."""
-    return "\n".join([f"(* {comment} *)", f"FUNCTION {name} : LREAL", *declarations, *lines, "END_FUNCTION", ""])
+    return "\n".join(
+        [f"(* {comment} *)", f"FUNCTION {name} : LREAL", *declarations, *lines, "END_FUNCTION", ""]
+    )
 
 
 def _inverse(prefix: str, j: int, limit: float, language: StructuredText) -> str:
@@ -144,5 +150,7 @@ def _declared(kind: str, variables: Sequence[tuple[str, str, str]]) -> list[str]
     """Return a block of declarations, empty without variables."""
     if not variables:
         return []
-    lines = [f"    {name} : {of};" + (f" (* {comment} *)" if comment else "") for name, of, comment in variables]
+    lines = [
+        f"    {name} : {of};" + (f" (* {comment} *)" if comment else "") for name, of, comment in variables
+    ]
     return [kind, *lines, "END_VAR"]

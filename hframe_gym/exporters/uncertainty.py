@@ -33,7 +33,9 @@ def standard_deviations(machine: Machine, quantity: Callable[[Machine], Array]) 
         if name not in values or not std:
             continue
         step = _STEP_IN_STD * std
-        ahead, behind = (quantity(machine.replace({name: values[name] + side * step})) for side in (1.0, -1.0))
+        ahead, behind = (
+            quantity(machine.replace({name: values[name] + side * step})) for side in (1.0, -1.0)
+        )
         rows.append((ahead - behind) / (2.0 * step))
         kept.append(i)
     if not kept:

@@ -67,7 +67,9 @@ def _joint(machine: Machine, c: Coordinate, parent: str, direction: str) -> str:
     """Return the prismatic joint of an axis."""
     limits = motion_limits(machine).get(c.name)
     low, high = c.range or (0.0, 0.0)
-    motion = dict(zip(machine.coordinate_names, rigid_motions(machine)[c.name], strict=True)) if limits else {}
+    motion = (
+        dict(zip(machine.coordinate_names, rigid_motions(machine)[c.name], strict=True)) if limits else {}
+    )
     force = float(sum(d.gain * d.rated_voltage * abs(motion.get(d.coordinate, 0.0)) for d in machine.drives))
     speed = limits.speed if limits and np.isfinite(limits.speed) else _UNLIMITED_SPEED
     return (

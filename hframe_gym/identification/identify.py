@@ -28,7 +28,12 @@ from .report.assembly import build_result, unexcited_effects
 from .report.evaluation import evaluate, judged, with_verdict
 from .report.plain_comparison import at_least_plain
 from .report.result import IdentificationResult, Unfinished
-from .search.checked_search import comparable_runs, hint_of_differing_runs, search_and_check, without_unconfirmed
+from .search.checked_search import (
+    comparable_runs,
+    hint_of_differing_runs,
+    search_and_check,
+    without_unconfirmed,
+)
 from .search.input_timing import with_input_timing
 
 
@@ -68,10 +73,14 @@ def identify(
     """
     began = time.perf_counter()
     if isinstance(recordings, str | Path):
-        raise InputError(f"identify needs recordings, not a path; call load_recordings({str(recordings)!r}, machine)")
+        raise InputError(
+            f"identify needs recordings, not a path; call load_recordings({str(recordings)!r}, machine)"
+        )
     load_plugins()  # the search tries their effects as well
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
-    recordings = sorted(recordings, key=lambda recording: recording.name)  # the result depends on no other order
+    recordings = sorted(
+        recordings, key=lambda recording: recording.name
+    )  # the result depends on no other order
     require_rows(recordings)
     held_names = hold_out(recordings, held_out)
     require_motion([recording for recording in recordings if recording.name not in held_names])
@@ -107,17 +116,23 @@ def identify(
     remarks = (*checked.remarks, *hint, *((delivered,) if delivered and delivered != reason else ()))
     if remarks or outcome.verdict == "unexplained":
         remarks += describe_run_differences(outcome.after, comparable_runs(checked, all_runs), criteria)
-    unfinished = Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
+    unfinished = (
+        Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
+    )
     result = build_result(evaluated._replace(outcome=outcome), criteria, reason, unfinished, plain)
     remarks += unexcited_effects(result, outcome.after.bandwidth)
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
-    result = dataclasses.replace(result, contradicting=checked.differing, excluded=(*remarks, *checked.messages))
+    result = dataclasses.replace(
+        result, contradicting=checked.differing, excluded=(*remarks, *checked.messages)
+    )
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
 
-def _budget(budget: float | Budget | None, recordings: Sequence[Recording], machine: Machine, log: Log) -> Budget:
+def _budget(
+    budget: float | Budget | None, recordings: Sequence[Recording], machine: Machine, log: Log
+) -> Budget:
     """Return the processor time that the identification may take, and log it."""
     if not isinstance(budget, Budget):
         budget = Budget(default_budget(recordings, machine) if budget is None else budget)

@@ -349,7 +349,9 @@ class SensorKind:
         """
         value = np.asarray(reading + np.asarray(noise) * normal)
         quantum = np.broadcast_to(np.asarray(resolution, float), value.shape)
-        return np.where(quantum > 0.0, np.rint(value / np.where(quantum > 0.0, quantum, 1.0)) * quantum, value)
+        return np.where(
+            quantum > 0.0, np.rint(value / np.where(quantum > 0.0, quantum, 1.0)) * quantum, value
+        )
 
 
 @cache
@@ -358,7 +360,9 @@ def _quantity_of(signal: Callable[[Any], Any]) -> SensorQuantity:
     names = list(inspect.signature(signal).parameters)
     quantities = get_args(SensorQuantity)
     if len(names) != 1 or names[0] not in quantities:
-        raise ValueError(f"{signal.__qualname__}: has the arguments {names}; it must have one of {quantities}")
+        raise ValueError(
+            f"{signal.__qualname__}: has the arguments {names}; it must have one of {quantities}"
+        )
     return cast(SensorQuantity, names[0])
 
 

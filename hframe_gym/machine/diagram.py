@@ -86,7 +86,9 @@ def _draw_stage(view: Any, machine: Machine, geometry: StageGeometry) -> None:
     box = (geometry.left, geometry.low, geometry.right, geometry.high)
     _fill_box(view, box, "none", edge="gray", style=":")
     view.text(geometry.left, geometry.high, " workspace", fontsize=7, color="gray", va="top")
-    _draw_axes(view, machine.tool_axes, (geometry.left, geometry.low), 0.25 * (geometry.right - geometry.left))
+    _draw_axes(
+        view, machine.tool_axes, (geometry.left, geometry.low), 0.25 * (geometry.right - geometry.left)
+    )
     view.set_aspect("equal")
     view.margins(0.12)
     view.set(xlabel=f"{machine.tool_axes[0]}, m", ylabel=f"{machine.tool_axes[1]}, m")
@@ -145,7 +147,9 @@ def _draw_axes(view: Any, names: Sequence[str], origin: Point, length: float) ->
         view.text(end[0] + 0.01 * dx, end[1] + 0.01 * dy, f" {name}", fontsize=9, color=_INK, va="center")
 
 
-def _fill_box(view: Any, box: Box, color: str, edge: str = "none", style: str = "-", layer: float = 1.0) -> None:
+def _fill_box(
+    view: Any, box: Box, color: str, edge: str = "none", style: str = "-", layer: float = 1.0
+) -> None:
     """Draw a filled box between two corners; a higher layer is in front."""
     from matplotlib.patches import Rectangle
 

@@ -297,7 +297,9 @@ class AppliedEffect:
         if kind == "machine":
             return ("machine",) if self.definition.structure else machine.coordinate_names
         drives = tuple(d.name for d in machine.drives)
-        names = {"drive": drives, "drives": drives, "belts": tuple(b.name for b in machine.belts)}.get(kind, ())
+        names = {"drive": drives, "drives": drives, "belts": tuple(b.name for b in machine.belts)}.get(
+            kind, ()
+        )
         # A component that is called "drives" or "belts" comes before all of them.
         return (self.site,) if self.site in names or not names else names
 

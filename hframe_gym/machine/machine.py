@@ -192,7 +192,9 @@ class Machine:
         components: tuple[Coordinate | Belt | Drive, ...] = (*self.coordinates, *self.belts, *self.drives)
         for component in components:
             full_names = {key: f"{component.name}.{key}" for key in component.parameter_names}
-            values |= {name: getattr(component, key) for key, name in full_names.items() if name not in self.ties}
+            values |= {
+                name: getattr(component, key) for key, name in full_names.items() if name not in self.ties
+            }
         for effect in self.effects:
             values |= {f"{effect.label}.{key}": value for key, value in effect.parameters.items()}
         return values
@@ -262,16 +264,25 @@ class Machine:
         unknown = sorted(set(values) - set(self.parameters) - set(self.device_parameters))
         if unknown:
             raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}")
-        values |= {tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values}
+        values |= {
+            tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values
+        }
         new: dict[str, object] = {
-            "coordinates": tuple(_with_values(c, c.name, c.parameter_names, values) for c in self.coordinates),
+            "coordinates": tuple(
+                _with_values(c, c.name, c.parameter_names, values) for c in self.coordinates
+            ),
             "belts": tuple(_with_values(b, b.name, b.parameter_names, values) for b in self.belts),
             "drives": tuple(
-                _with_values(d, d.name, (*d.parameter_names, *d.device_parameters), values) for d in self.drives
+                _with_values(d, d.name, (*d.parameter_names, *d.device_parameters), values)
+                for d in self.drives
             ),
-            "sensors": tuple(_with_values(s, s.channel, tuple(s.device_parameters), values) for s in self.sensors),
+            "sensors": tuple(
+                _with_values(s, s.channel, tuple(s.device_parameters), values) for s in self.sensors
+            ),
             "effects": tuple(
-                effect.with_parameters({k: values.get(f"{effect.label}.{k}", v) for k, v in effect.parameters.items()})
+                effect.with_parameters(
+                    {k: values.get(f"{effect.label}.{k}", v) for k, v in effect.parameters.items()}
+                )
                 for effect in self.effects
             ),
         }

@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from .machine import Machine
 
-_RIGID_EXTENSION = 1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
+_RIGID_EXTENSION = (
+    1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
+)
 
 
 def observed_coordinates(machine: Machine) -> tuple[str, ...]:
@@ -23,7 +25,9 @@ def observed_coordinates(machine: Machine) -> tuple[str, ...]:
 
 def pulley_names(machine: Machine) -> tuple[str, ...]:
     """List the pulleys of a machine: its rotary coordinates, except those that a spring holds, such as bridge yaw."""
-    return tuple(c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded)
+    return tuple(
+        c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded
+    )
 
 
 def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:

@@ -15,7 +15,17 @@ from .machine import Machine
 
 RADIUS = 0.0194  # m, pitch radius of the pulleys, Table 1
 EA = 5.5626e-6 * 2.50e9  # N, Young's modulus times cross section of the belt, Table 4
-SECTIONS = (0.781, 0.781, 0.3334, 0.3334, 0.3334, 0.3334, 0.281, 0.281, 0.6159)  # m, belt sections l1..l9, Table 4
+SECTIONS = (
+    0.781,
+    0.781,
+    0.3334,
+    0.3334,
+    0.3334,
+    0.3334,
+    0.281,
+    0.281,
+    0.6159,
+)  # m, belt sections l1..l9, Table 4
 STIFFNESS = {"left": 1.3167e4, "right": 1.0791e4, "bottom": 8.0492e3}  # N/m, belt sections, Table 1
 GEAR_RATIO = 5.9  # section II; missing from eq. 17
 # Section II: encoders with 512 lines, read in quadrature, on the motor side of the gear.
@@ -89,7 +99,9 @@ def with_constant_stiffness(machine: Machine, stiffness: dict[str, float]) -> Ma
     Raises:
         KeyError: If a belt has no entry in `stiffness`.
     """
-    belts = tuple(dataclasses.replace(b, rest_length=b.EA / stiffness[b.name], length={}) for b in machine.belts)
+    belts = tuple(
+        dataclasses.replace(b, rest_length=b.EA / stiffness[b.name], length={}) for b in machine.belts
+    )
     return machine.replace(belts=belts)
 
 
@@ -104,7 +116,8 @@ def hframe_linear() -> Machine:
     base = hframe()
     friction = {"x": (46.4449, 0.0), "y": (45.5517, 0.0), "phi1": (0.0042, 0.0), "phi2": (0.0042, 0.0)}
     coordinates = tuple(
-        dataclasses.replace(c, viscous=friction[c.name][0], coulomb=friction[c.name][1]) for c in base.coordinates
+        dataclasses.replace(c, viscous=friction[c.name][0], coulomb=friction[c.name][1])
+        for c in base.coordinates
     )
     linear = base.replace(
         name="hframe-linear",
@@ -145,7 +158,9 @@ def hframe_order20() -> Machine:
     inertia, viscous = linear.coordinate("phi1").mass / 2, linear.coordinate("phi1").viscous / 2
     lump = 4 / RADIUS**2  # 1/m^2, part of the cart's mass per inertia of an idler
     bridge, cart = linear.coordinate("x"), linear.coordinate("y")
-    pulleys = tuple(Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=RADIUS) for i in range(1, 9))
+    pulleys = tuple(
+        Coordinate(f"phi{i}", inertia, viscous, kind="rotary", radius=RADIUS) for i in range(1, 9)
+    )
     cart = dataclasses.replace(cart, mass=cart.mass - lump * inertia, viscous=cart.viscous - lump * viscous)
     # Extension of each section per belt travel of each coordinate.
     rows: tuple[dict[str, float], ...] = (
@@ -186,7 +201,9 @@ def axis() -> Machine:
         description="One carriage on one motor-driven axis; copy it and edit it to describe a machine.",
         coordinates=(Coordinate("x", mass=1.0, viscous=5.0, coulomb=1.0, range=(-0.25, 0.25)),),
         belts=(),
-        drives=(Drive("motor", "v_V", "x", Kt=0.05, Ke=0.05, resistance=1.0, gear_ratio=50.0, rated_voltage=12.0),),
+        drives=(
+            Drive("motor", "v_V", "x", Kt=0.05, Ke=0.05, resistance=1.0, gear_ratio=50.0, rated_voltage=12.0),
+        ),
         sensors=(Sensor("x_m", {"x": 1.0}, noise=20e-6),),
     )
 
@@ -221,12 +238,27 @@ def corexy() -> Machine:
         for section, length, direction in sections:
             change = {axis: direction * factor for axis, factor in row.items()}
             belts.append(
-                Belt(f"{name}_{section}", COREXY_EA, length, {**change, f"phi{number}": -direction}, length=change)
+                Belt(
+                    f"{name}_{section}",
+                    COREXY_EA,
+                    length,
+                    {**change, f"phi{number}": -direction},
+                    length=change,
+                )
             )
     # Stall torque 24 V * 0.04 Nm/A / 2 ohm = 0.48 Nm, the holding torque of a common 42 mm stepper; the inertia is that
     # of such a rotor with its pulley.
     drives = tuple(
-        Drive(f"motor{i}", f"v{i}_V", f"phi{i}", Kt=0.04, Ke=0.04, resistance=2.0, gear_ratio=1.0, rated_voltage=24.0)
+        Drive(
+            f"motor{i}",
+            f"v{i}_V",
+            f"phi{i}",
+            Kt=0.04,
+            Ke=0.04,
+            resistance=2.0,
+            gear_ratio=1.0,
+            rated_voltage=24.0,
+        )
         for i in (1, 2)
     )
     pulleys = (

@@ -50,14 +50,23 @@ class StageGeometry:
 
     radius = PULLEY_RADIUS
     clearance = CLEARANCE  # m, from the workspace to the frame, on the sides to which the bridge reaches
-    plate = (0.04, 0.02, 0.02)  # m, of the bridge's end plates: half width, and length beyond and inside the rails
+    plate = (
+        0.04,
+        0.02,
+        0.02,
+    )  # m, of the bridge's end plates: half width, and length beyond and inside the rails
     half_beam = 0.012  # m, half width of the bridge between them
-    _swapped_axis = 1  # bridge axis for which `_swap` exchanges x and y: a bridge along y is drawn as one along x
+    _swapped_axis = (
+        1  # bridge axis for which `_swap` exchanges x and y: a bridge along y is drawn as one along x
+    )
 
     def __init__(self, workspace: NDArray[np.float64], bridge_axis: int | None = 0) -> None:
         (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()
         self.bridge_axis = bridge_axis
-        out = [self.clearance, self.clearance]  # m, from the workspace to the rails and pulleys, along x and y
+        out = [
+            self.clearance,
+            self.clearance,
+        ]  # m, from the workspace to the rails and pulleys, along x and y
         if bridge_axis is not None:
             out[bridge_axis] = CLEARANCE + HALF_BRIDGE
         self.x0, self.x1 = self.left - out[0], self.right + out[0]
@@ -137,10 +146,15 @@ class BeltGeometry(StageGeometry):
     plate = (0.092, 0.012, 0.062)  # m; each carries two pulleys
     half_beam = 0.025
 
-    def __init__(self, workspace: NDArray[np.float64], machine: Machine | None = None, bridge_axis: int = 0) -> None:
+    def __init__(
+        self, workspace: NDArray[np.float64], machine: Machine | None = None, bridge_axis: int = 0
+    ) -> None:
         super().__init__(workspace, bridge_axis)
         # Below, u is along the motion of the bridge and v along the bridge.
-        (self._u0, self._v0), (self._u1, self._v1) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
+        (self._u0, self._v0), (self._u1, self._v1) = (
+            self._swap((self.x0, self.y0)),
+            self._swap((self.x1, self.y1)),
+        )
         # From above, with the belt as drawn, a positive angle turns both motors counterclockwise where u is x.
         turn = 1.0 if bridge_axis == 0 else -1.0
         self.motors = ((1, turn), (3, turn))
@@ -158,7 +172,10 @@ class BeltGeometry(StageGeometry):
         """Return the pulleys for a position of the bridge, along its motion and along the bridge, m."""
         d, rise = HALF_BRIDGE + PULLEY_RADIUS, 2 * PULLEY_RADIUS
         corners = [(u, v) for v in (self._v0, self._v1) for u in (self._u0, self._u1)]
-        return [*corners, *((bridge + s * d, v) for v in (self._v0 + rise, self._v1 - rise) for s in (-1.0, 1.0))]
+        return [
+            *corners,
+            *((bridge + s * d, v) for v in (self._v0 + rise, self._v1 - rise) for s in (-1.0, 1.0)),
+        ]
 
     @override
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
@@ -234,7 +251,10 @@ class CoreXYGeometry(StageGeometry):
         carriage, bridge = self._swap((x, y))  # positions along the bridge, and along its motion
         motor1, motor2, left1, right1, left2, right2, front_l, front_r, rear_l, rear_r = self._pulleys(bridge)
         r, pi = self.radius, math.pi
-        front, rear = (carriage, bridge - r), (carriage, bridge + r)  # where the belts are fixed to the carriage
+        front, rear = (
+            (carriage, bridge - r),
+            (carriage, bridge + r),
+        )  # where the belts are fixed to the carriage
         lines = {
             "front1": [*_arc(motor1, 1.5 * pi, 2 * pi, r), *_arc(front_l, pi, HALF_PI, r), front],
             "rear1": [
@@ -260,7 +280,14 @@ class CoreXYGeometry(StageGeometry):
         (left, front), (right, rear) = self._swap((self.x0, self.y0)), self._swap((self.x1, self.y1))
         gap = 2 * self.radius
         inner = rear - 1.75 * gap  # the second belt runs inside the first one at the rear, where they cross
-        fixed = [(left, front), (right, front), (left, rear), (right - gap, rear), (left + gap, inner), (right, inner)]
+        fixed = [
+            (left, front),
+            (right, front),
+            (left, rear),
+            (right - gap, rear),
+            (left + gap, inner),
+            (right, inner),
+        ]
         return fixed + [(end, bridge + side) for side in (-gap, gap) for end in (left + gap, right - gap)]
 
 
@@ -304,7 +331,9 @@ def _belt_travel(machine: Machine) -> NDArray[np.float64] | None:
     if len(drives) != 2 or not set(axes) <= set(motions) or any(d.kind == "linear" for d in drives):
         return None
     columns = [machine.coordinate_names.index(d.name) for d in drives]
-    travel = np.array([[motions[axis][c] * d.radius for axis in axes] for c, d in zip(columns, drives, strict=True)])
+    travel = np.array(
+        [[motions[axis][c] * d.radius for axis in axes] for c, d in zip(columns, drives, strict=True)]
+    )
     return travel if np.allclose(np.abs(travel), 1.0, atol=0.05) else None
 
 

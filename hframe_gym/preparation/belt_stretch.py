@@ -135,7 +135,8 @@ def stretch_angles(machine: Machine, *, moving: bool) -> dict[str, float]:
     for drive in machine.drives if moving else ():
         torques[drive.coordinate] += _MOVING_TORQUE * abs(drive.gain) * drive.rated_voltage
     return {
-        name: max(torques[name] / stiffness, _SMALLEST_ANGLE) for name, stiffness in _pulley_stiffness(machine).items()
+        name: max(torques[name] / stiffness, _SMALLEST_ANGLE)
+        for name, stiffness in _pulley_stiffness(machine).items()
     }
 
 
@@ -175,7 +176,9 @@ def _pulley_stiffness(machine: Machine) -> dict[str, float]:
         if i in idlers:
             continue
         turning = matrix[np.ix_([i, *idlers], [i, *idlers])]
-        if np.linalg.matrix_rank(turning) < len(turning):  # The pulley could turn the idlers without any stretch.
+        if np.linalg.matrix_rank(turning) < len(
+            turning
+        ):  # The pulley could turn the idlers without any stretch.
             turning = matrix[i : i + 1, i : i + 1]
         stiffness[machine.coordinates[i].name] = 1.0 / float(np.linalg.inv(turning)[0, 0])
     return stiffness

@@ -40,7 +40,9 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     zeros = zeros.without(np.ones(len(machine.sensors), np.bool_))
     # Runs whose position is measured at rest give the better zeros; the others count only if these are too few.
     positioned = [state.zeros for state in initial if state.position_measured]
-    by_run = np.array(positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.zeros for state in initial])
+    by_run = np.array(
+        positioned if len(positioned) >= _MIN_RUNS_FOR_ZERO else [state.zeros for state in initial]
+    )
     median = np.median(by_run, axis=0)  # (sensors,)
     deviation = np.abs(by_run - median)  # (runs, sensors)
     # Standard deviation from the median absolute deviation, which single deviating runs do not change.

@@ -186,7 +186,9 @@ class Dataset:
             noise = run.noise * np.sqrt(observer.inflation)
             return dataclasses.replace(run, observer_bandwidth=observer.bandwidth, noise=noise)
 
-        runs = (with_observer(run, observers[run.name]) if run.name in observers else run for run in self.runs)
+        runs = (
+            with_observer(run, observers[run.name]) if run.name in observers else run for run in self.runs
+        )
         return dataclasses.replace(self, runs=tuple(runs))
 
     def describe_jitter(self) -> str:
@@ -258,7 +260,9 @@ def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
             measured = values[np.isfinite(values)]
             if len(measured):
                 spans[i, j] = np.ptp(np.percentile(measured, [1, 99]))
-                moves[i, j] = max(spans[i, j] ** 2 - (_NORMAL_SPAN * difference_noise([measured])) ** 2, 0.0) ** 0.5
+                moves[i, j] = (
+                    max(spans[i, j] ** 2 - (_NORMAL_SPAN * difference_noise([measured])) ** 2, 0.0) ** 0.5
+                )
     moving = (moves > _MOVES * spans.max(axis=0)) & (moves > _NO_NOISE * spans)
     return tuple(r.name for r, moves in zip(recordings, moving.any(axis=1), strict=True) if moves)
 
@@ -273,7 +277,9 @@ def require_motion(fitted: Sequence[Recording]) -> None:
         InputError: If every sensor measures only noise in every fitted run.
     """
     if not moving_runs(fitted):
-        raise InputError(f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified")
+        raise InputError(
+            f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified"
+        )
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
@@ -290,11 +296,15 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     """
     filled = [without_unknown_voltage(fill_gaps(recording), machine) for recording in recordings]
     channels = [[recording.outputs[:, j] for recording in filled] for j in range(len(machine.sensors))]
-    quanta = np.array([sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
+    quanta = np.array(
+        [sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)]
+    )
     # Each run is estimated alone, which shows the encoders with the same zero in all runs, then again with these zeros.
     separate = [estimate_initial_state(recording, machine) for recording in filled]
     zeros = common_encoder_zeros(separate, machine, quanta)
-    initial = [measured_initial_state(r, machine, zeros, quanta, s) for r, s in zip(filled, separate, strict=True)]
+    initial = [
+        measured_initial_state(r, machine, zeros, quanta, s) for r, s in zip(filled, separate, strict=True)
+    ]
     rows = [state.resting_rows for state in initial]
     noise = np.array(
         [
@@ -312,7 +322,9 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
             initial=state,
             noise=noise_by_row(run.time_s, run.outputs, noise, jitter),
             weights=independent_values(run.time_s, run.outputs, quanta),
-            dropped=np.isin(run.time_s, recorded.time_s, invert=True),  # `fill_gaps` keeps recorded times exactly
+            dropped=np.isin(
+                run.time_s, recorded.time_s, invert=True
+            ),  # `fill_gaps` keeps recorded times exactly
         )
         for recorded, run, state in zip(recordings, filled, initial, strict=True)
     )
@@ -364,7 +376,9 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     if not located or len(located) == len(data.runs):
         return data, ()
     lost = ", ".join(run.name for run in data.runs if run.name not in located)
-    return data.with_runs(located), (f"Not used, because no sensor with a known zero measures the start: {lost}.",)
+    return data.with_runs(located), (
+        f"Not used, because no sensor with a known zero measures the start: {lost}.",
+    )
 
 
 def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:

@@ -28,13 +28,17 @@ _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however 
 # Tolerances: how far the median of a block may depart from the blocks at rest before it counts as motion. They are wide
 # because a false motion costs the rest of a run, whereas true motion soon exceeds them.
 _NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
-_RANGE_TOLERANCE = 3.0  # times the range of the medians at rest; slow noise varies by about as much everywhere
+_RANGE_TOLERANCE = (
+    3.0  # times the range of the medians at rest; slow noise varies by about as much everywhere
+)
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
 _SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
 # Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
 # noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
-_COMPARED_S = 0.05  # s from the first row, in which the simulations from rest and with each velocity are compared
+_COMPARED_S = (
+    0.05  # s from the first row, in which the simulations from rest and with each velocity are compared
+)
 _SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
 # Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
 # sum contains model errors, which do not average out, so no test for independent errors applies.
@@ -129,7 +133,9 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     first, resting_rows = size * (len(medians) - settled_blocks + 1), size * (resting_blocks - 1)
     if size * settled_blocks >= _MIN_ROWS and (driven or not resting_blocks):
         return rest._replace(first=first, moving=moving)
-    if resting_blocks and (resting_rows >= _MIN_ROWS or not np.any(peak_to_peak(outputs[:resting_rows]) > tolerance)):
+    if resting_blocks and (
+        resting_rows >= _MIN_ROWS or not np.any(peak_to_peak(outputs[:resting_rows]) > tolerance)
+    ):
         lead = _lead(recording.time_s[:rows], outputs, resting_rows, tolerance) if driven else 0.0
         return rest._replace(rows=resting_rows, moving=moving, lead_s=lead)
     return rest._replace(rows=1, moving=moving)
@@ -152,7 +158,9 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
     return 1 if rest.first else rest.rows
 
 
-def without_moving_start(recording: Recording, machine: Machine, rest: InitialRest | None = None) -> Recording:
+def without_moving_start(
+    recording: Recording, machine: Machine, rest: InitialRest | None = None
+) -> Recording:
     """Copy a recording that begins in motion, without the measurements before the machine comes to rest.
 
     The rest that follows gives the initial state. A simulation that begins with this state and without input remains at
@@ -211,14 +219,18 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
 
 def _block_medians(outputs: Array, size: int) -> Array:
     """Return the medians of blocks of rows, shape (blocks, sensors), NaN where nothing was measured."""
-    blocks = np.sort(outputs[: len(outputs) // size * size].reshape(-1, size, outputs.shape[1]), axis=1)  # NaN last
+    blocks = np.sort(
+        outputs[: len(outputs) // size * size].reshape(-1, size, outputs.shape[1]), axis=1
+    )  # NaN last
     count = np.count_nonzero(~np.isnan(blocks), axis=1, keepdims=True)
     lower = np.take_along_axis(blocks, np.maximum(count - 1, 0) // 2, axis=1)
     upper = np.take_along_axis(blocks, np.minimum(count // 2, size - 1), axis=1)
     return np.asarray((lower + upper)[:, 0] / 2)
 
 
-def _departure(medians: Array, count: int, tolerance: Array, limit: Array | float) -> tuple[int, NDArray[np.bool_]]:
+def _departure(
+    medians: Array, count: int, tolerance: Array, limit: Array | float
+) -> tuple[int, NDArray[np.bool_]]:
     """Return after how many blocks a channel that is still in the first ones departs, and which channels do.
 
     Args:
@@ -235,7 +247,9 @@ def _departure(medians: Array, count: int, tolerance: Array, limit: Array | floa
     variation = peak_to_peak(reference)
     quiet = variation <= tolerance
     center = np.fmin.reduce(reference) / 2 + np.fmax.reduce(reference) / 2
-    departed = np.abs(medians - center) > np.maximum(tolerance, _RANGE_TOLERANCE * variation)  # NaN: not departed
+    departed = np.abs(medians - center) > np.maximum(
+        tolerance, _RANGE_TOLERANCE * variation
+    )  # NaN: not departed
     departing = departed.any(axis=0) & quiet
     departed |= np.fmax.accumulate(medians) - np.fmin.accumulate(medians) > limit
     first = int(np.argmax(departed[:, departing].any(axis=1))) if departing.any() and quiet.all() else 0
@@ -249,7 +263,9 @@ def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) ->
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])
 
 
-def initial_velocity(recording: Recording, machine: Machine, rigid: Array, position: Array) -> InitialVelocity:
+def initial_velocity(
+    recording: Recording, machine: Machine, rigid: Array, position: Array
+) -> InitialVelocity:
     """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
     Parabolas are fitted to each sensor's measurements in the first 5, 10, 20 and 40 ms (at least eight rows, half of
@@ -274,7 +290,9 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array, posit
     at_rest = InitialVelocity.at_rest(machine)
     if len(recording.time_s) <= _MIN_FITTED_ROWS:
         return at_rest
-    noise = np.array([measurement_noise(y, y, s) for y, s in zip(recording.outputs.T, machine.sensors, strict=True)])
+    noise = np.array(
+        [measurement_noise(y, y, s) for y, s in zip(recording.outputs.T, machine.sensors, strict=True)]
+    )
     speeds = vibration_speeds(machine)
     vibration = np.array([speeds.get(s.coordinate, 0.0) for s in machine.sensors])
     of_speed = np.array([s.kind == "speed" for s in machine.sensors])
@@ -296,7 +314,9 @@ def initial_velocity(recording: Recording, machine: Machine, rigid: Array, posit
     possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
     if best == 0 and not possible[1:].any():
         return at_rest
-    travel = np.linalg.norm(machine.travel_per_unit[:, None] * rigid, axis=0)  # m per unit of each rigid motion
+    travel = np.linalg.norm(
+        machine.travel_per_unit[:, None] * rigid, axis=0
+    )  # m per unit of each rigid motion
     distance = np.linalg.norm((velocities[possible] - velocities[best]) * travel, axis=1).max()
     error = max(_MIN_ERROR * float(np.linalg.norm(velocities[best] * travel)), float(distance))  # m/s
     covariance = significant[max(best - 1, 0)][1] + np.diag((error / travel) ** 2)

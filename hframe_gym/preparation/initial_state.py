@@ -29,7 +29,11 @@ _STRETCH_STEPS = 2  # The force at rest changes little with the stretch of the b
 
 
 def measured_initial_state(
-    recording: Recording, machine: Machine, zeros: EncoderZeros, quanta: Array, alone: InitialState | None = None
+    recording: Recording,
+    machine: Machine,
+    zeros: EncoderZeros,
+    quanta: Array,
+    alone: InitialState | None = None,
 ) -> InitialState:
     """Estimate the initial state of a run from its measurements at rest and the encoder zeros of all runs.
 
@@ -71,7 +75,9 @@ def measured_initial_state(
     return dataclasses.replace(initial, warnings=(*initial.warnings, warning))
 
 
-def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros, quanta: Array) -> NDArray[np.bool_]:
+def _switched_on_anew(
+    machine: Machine, alone: InitialState, zeros: EncoderZeros, quanta: Array
+) -> NDArray[np.bool_]:
     """Mark the encoders (sensors,) whose measurements at rest contradict their zero in the session.
 
     Args:
@@ -91,9 +97,13 @@ def _switched_on_anew(machine: Machine, alone: InitialState, zeros: EncoderZeros
         seen = (machine.sensor_matrix @ rigid)[checked]
         weight = np.where(fixed[checked], 1.0, _ENCODER_WEIGHT)
         position = np.linalg.lstsq(weight[:, None] * seen, weight * zeroed, rcond=None)[0]
-        contradicted = np.any(np.abs(zeroed - seen @ position)[~fixed[checked]] > tolerance[checked][~fixed[checked]])
+        contradicted = np.any(
+            np.abs(zeroed - seen @ position)[~fixed[checked]] > tolerance[checked][~fixed[checked]]
+        )
         return zeros.known & contradicted
-    equilibrium = static_equilibrium(machine, _without_measurement_effects(machine, alone, alone.position.copy()))
+    equilibrium = static_equilibrium(
+        machine, _without_measurement_effects(machine, alone, alone.position.copy())
+    )
     for j in np.flatnonzero(zeros.known & np.isfinite(alone.zeroed_measurement)):
         i = machine.coordinate_names.index(machine.sensors[j].coordinate)
         row = machine.sensors[j].row[machine.sensors[j].coordinate]
@@ -125,7 +135,9 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
     """
     if not initial:
         return []
-    added = len(machine.coordinates) - len(initial[0].position)  # coordinates of structural effects, at rest at 0
+    added = len(machine.coordinates) - len(
+        initial[0].position
+    )  # coordinates of structural effects, at rest at 0
     if machine.belts:
         measured = np.array([_position_from_measurements(machine, state) for state in initial])
         positions = static_equilibrium(machine, measured)
@@ -155,7 +167,9 @@ def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array
     if not initial.zeros_refined and not np.array_equal(measured, initial.position):
         return
     eccentric = [
-        machine.coordinate_of_site(e.site, e.definition.site) for e in machine.effects if e.definition.rest_angle_offset
+        machine.coordinate_of_site(e.site, e.definition.site)
+        for e in machine.effects
+        if e.definition.rest_angle_offset
     ]
     for i, angle in _encoder_angles(machine, initial).items():
         if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
@@ -185,7 +199,9 @@ def _concentric_angle(machine: Machine, index: int, angle: float) -> float:
     for e in machine.effects:
         moved = machine.coordinate_of_site(e.site, e.definition.site)
         if e.definition.rest_angle_offset and moved == machine.coordinate_names[index]:
-            converted += float(e("rest_angle_offset", q=angle, per_radius=1.0 / machine.travel_per_unit[index]))
+            converted += float(
+                e("rest_angle_offset", q=angle, per_radius=1.0 / machine.travel_per_unit[index])
+            )
     return converted
 
 
@@ -263,7 +279,10 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
         return errors
     located = [state for state in initial if state.lasers_measured] or initial
     runs = [
-        (_encoder_angles(machine, state), static_equilibrium(machine, _position_from_measurements(machine, state)))
+        (
+            _encoder_angles(machine, state),
+            static_equilibrium(machine, _position_from_measurements(machine, state)),
+        )
         for state in located
     ]
     for j, sensor in enumerate(machine.sensors):

@@ -25,7 +25,10 @@ MUCH_NOISE = 0.05
 SMOOTHING_TIME = 1.0 / 60.0
 # The median of |u[k+1] - 2 u[k] + u[k-1]| of white noise is this multiple of its standard deviation.
 _MEDIAN_SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
-_FORCE_UNITS = ("A", "Nm")  # ends of the names of inputs that may be measured; voltages are commands as a rule
+_FORCE_UNITS = (
+    "A",
+    "Nm",
+)  # ends of the names of inputs that may be measured; voltages are commands as a rule
 
 
 def noise_of_input(values: Array) -> float:
@@ -40,7 +43,9 @@ def noise_of_input(values: Array) -> float:
     Returns:
         Standard deviation, in the unit of the input; 0 for fewer than three rows.
     """
-    return float(np.median(np.abs(np.diff(values, 2)))) / _MEDIAN_SECOND_DIFFERENCE if len(values) > 2 else 0.0
+    return (
+        float(np.median(np.abs(np.diff(values, 2)))) / _MEDIAN_SECOND_DIFFERENCE if len(values) > 2 else 0.0
+    )
 
 
 def is_noisy(channel: str, values: Array) -> bool:

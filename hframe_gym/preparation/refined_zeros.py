@@ -55,4 +55,6 @@ def _with_corrected_zeros(initial: InitialState, machine: Machine, errors: Array
         i = machine.coordinate_names.index(sensor.coordinate)
         state[i] = initial.state[i] - errors[j] / sensor.row[sensor.coordinate]
     zeros = initial.zeros + errors
-    return dataclasses.replace(initial, state=state, zeroed_measurement=zeroed, zeros=zeros, zeros_refined=True)
+    return dataclasses.replace(
+        initial, state=state, zeroed_measurement=zeroed, zeros=zeros, zeros_refined=True
+    )

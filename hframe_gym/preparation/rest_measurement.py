@@ -86,7 +86,9 @@ class InitialState:
         Returns:
             Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect states,).
         """
-        states = [self.effect_states.get((i.effect.label, i.component), 0.0) for i in instances_with_state(machine)]
+        states = [
+            self.effect_states.get((i.effect.label, i.component), 0.0) for i in instances_with_state(machine)
+        ]
         return np.concatenate([self.state, states])
 
     def with_start(self, machine: Machine, start: Array) -> InitialState:
@@ -103,7 +105,9 @@ class InitialState:
         """
         names = [(i.effect.label, i.component) for i in instances_with_state(machine)]
         state, states = np.split(start, [len(start) - len(names)])
-        return dataclasses.replace(self, state=state, effect_states=dict(zip(names, states.tolist(), strict=True)))
+        return dataclasses.replace(
+            self, state=state, effect_states=dict(zip(names, states.tolist(), strict=True))
+        )
 
     @property
     def resolves_stretch(self) -> NDArray[np.bool_]:
@@ -133,7 +137,9 @@ def settled_rows(resting_rows: int) -> slice:
     return slice(resting_rows // 2, resting_rows)
 
 
-def estimate_initial_state(recording: Recording, machine: Machine, zeros: EncoderZeros | None = None) -> InitialState:
+def estimate_initial_state(
+    recording: Recording, machine: Machine, zeros: EncoderZeros | None = None
+) -> InitialState:
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
@@ -153,7 +159,9 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
     at_rest = recording.outputs[settled_rows(rows)]
     measured = np.asarray(np.isfinite(at_rest).any(axis=0))
-    measurement = np.array([np.nanmean(c) if finite else np.nan for c, finite in zip(at_rest.T, measured, strict=True)])
+    measurement = np.array(
+        [np.nanmean(c) if finite else np.nan for c, finite in zip(at_rest.T, measured, strict=True)]
+    )
     site = [machine.coordinate_names.index(machine.coordinate_of_sensor(s)) for s in machine.sensors]
     fixed, known = np.array([s.fixed for s in machine.sensors]), zeros.known  # lasers; encoders with a zero
     rigid = rigid_basis(machine)  # (coordinates, motions that stretch no belt)
@@ -177,7 +185,9 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     position = position_matrix @ np.nan_to_num(zeroed)
     for j in np.flatnonzero(known & measured & zeros.resolves_stretch):
         position[site[j]] = zeroed[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
-    estimated = np.where(measured & machine.position_sensors, measurement - machine.sensor_matrix @ position, 0.0)
+    estimated = np.where(
+        measured & machine.position_sensors, measurement - machine.sensor_matrix @ position, 0.0
+    )
     return InitialState(
         np.concatenate([position, velocity.mean]),
         np.where(known, zeros.values, estimated),
@@ -194,7 +204,9 @@ def estimate_initial_state(recording: Recording, machine: Machine, zeros: Encode
     )
 
 
-def _position_matrix(machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool) -> Array:
+def _position_matrix(
+    machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool
+) -> Array:
     """Return the matrix (coordinates, sensors) that gives positions from measurements minus zeros by least squares.
 
     Args:
@@ -208,9 +220,13 @@ def _position_matrix(machine: Machine, zeros: EncoderZeros, usable: NDArray[np.b
     weight = np.where([s.fixed for s in machine.sensors], 1.0, encoders)
     # An angle is as accurate as a length once it is multiplied by the radius.
     coordinates = [machine.coordinate(machine.coordinate_of_sensor(s)) for s in machine.sensors]
-    weight = np.where(usable & machine.position_sensors, weight * [c.travel_per_unit for c in coordinates], 0.0)
+    weight = np.where(
+        usable & machine.position_sensors, weight * [c.travel_per_unit for c in coordinates], 0.0
+    )
     rigid = rigid_basis(machine)
-    return np.asarray(rigid @ np.linalg.pinv(weight[:, None] * (machine.sensor_matrix @ rigid), rcond=1e-12) * weight)
+    return np.asarray(
+        rigid @ np.linalg.pinv(weight[:, None] * (machine.sensor_matrix @ rigid), rcond=1e-12) * weight
+    )
 
 
 def _rank(rows: Array) -> int:
@@ -243,7 +259,9 @@ def _later_measurements(recording: Recording, at_rest: Array, machine: Machine, 
         if rows.any():
             middle = np.median(start[rows, j])
             target = np.concatenate([start[rows, j] - middle, np.zeros(len(prior))])
-            unknown[j] = middle + np.linalg.lstsq(np.vstack([regressors[rows], prior]), target, rcond=None)[0][0]
+            unknown[j] = (
+                middle + np.linalg.lstsq(np.vstack([regressors[rows], prior]), target, rcond=None)[0][0]
+            )
     return unknown
 
 
@@ -261,7 +279,9 @@ def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDA
     )
 
 
-def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array) -> Array:
+def sensor_zero_error(
+    error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array
+) -> Array:
     """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
 
     The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean error over
@@ -282,7 +302,9 @@ def sensor_zero_error(error: Array, weights: Array, resting_rows: int, max_mean:
     """
 
     def mean(rows: slice) -> Array:  # (batch, sensors)
-        sums = np.einsum("bns,ns->bs", error[:, rows], weights[rows])  # a quarter of the time of a product and a sum
+        sums = np.einsum(
+            "bns,ns->bs", error[:, rows], weights[rows]
+        )  # a quarter of the time of a product and a sum
         return np.asarray(sums / np.maximum(weights[rows].sum(axis=0), 1e-12))
 
     at_rest, of_run = mean(settled_rows(resting_rows)), mean(slice(None))
@@ -331,7 +353,9 @@ def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Arr
     stretched = zero_tolerance(machine, EncoderZeros.of_machine(machine), quanta)
     if initial.velocity.any():
         angles = stretch_angles(machine, moving=True)
-        stretched = stretched + _MOVING_STRETCH * np.array([angles.get(s.coordinate, 0.0) for s in machine.sensors])
+        stretched = stretched + _MOVING_STRETCH * np.array(
+            [angles.get(s.coordinate, 0.0) for s in machine.sensors]
+        )
     return np.where(behind, stretched, limits)
 
 

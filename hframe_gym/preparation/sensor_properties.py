@@ -18,7 +18,9 @@ from .criteria import SaturationCriteria
 Array = NDArray[np.float64]
 Range = tuple[float, float]
 
-UNLIMITED = 10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
+UNLIMITED = (
+    10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
+)
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
 _ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.
 _MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
@@ -56,13 +58,17 @@ def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> floa
         if len(at_rest) >= 10:
             # A parabola is subtracted: a machine that still creeps to rest is not noise. Equal values have none.
             grid = np.linspace(-1.0, 1.0, len(at_rest))
-            parabola = np.polynomial.polynomial.polyfit(grid, at_rest, 2) if np.ptp(at_rest) > 0.0 else at_rest[:1]
+            parabola = (
+                np.polynomial.polynomial.polyfit(grid, at_rest, 2) if np.ptp(at_rest) > 0.0 else at_rest[:1]
+            )
             squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
             rows += len(at_rest) - 3
     return float(np.sqrt(squares / rows)) if rows >= _MIN_RESTING_ROWS else None
 
 
-def sensor_noise(channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float) -> float:
+def sensor_noise(
+    channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float
+) -> float:
     """Estimate the standard deviation of a sensor's noise.
 
     The first of these sources that is available is used: about 30 measurements at rest, the declared value, third
@@ -127,7 +133,9 @@ _SPEED_ROWS, _MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from;
 # much larger errors would exchange the order of the samples. What looks like more has another cause, such as a sensor
 # that is slower than the log, and must not be taken for noise.
 _LARGEST_JITTER = 0.5
-_FIFTH_DIFFERENCE_VARIANCE = 252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
+_FIFTH_DIFFERENCE_VARIANCE = (
+    252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
+)
 
 
 def difference_noise(channel: Sequence[Array]) -> float:
@@ -181,7 +189,9 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         speed = _smooth_speed(time_s[measured], values[measured])
         regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
         at_regular_times = values[measured] + speed * (regular - time_s[measured])
-        squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)  # at the middle of six samples
+        squares.append(
+            np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE
+        )  # at the middle of six samples
         speeds.append(np.abs(speed[2:-3]))
         travels.append(speeds[-1] * np.median(np.diff(time_s[measured])))  # per row
     if not squares:
@@ -214,7 +224,9 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
     for j, values in enumerate(outputs.T):
         measured = np.isfinite(values)
         if jitter > 0.0 and np.count_nonzero(measured) >= _SPEED_ROWS:
-            by_row[measured, j] = np.hypot(noise[j], jitter * _smooth_speed(time_s[measured], values[measured]))
+            by_row[measured, j] = np.hypot(
+                noise[j], jitter * _smooth_speed(time_s[measured], values[measured])
+            )
     return by_row
 
 
@@ -258,7 +270,9 @@ def saturation_ranges(
             factor = criteria.second_end_factor
             ends = [_end(channel, motion, float(noise[j]), sign, factor, criteria) for sign in (-1.0, 1.0)]
             far = UNLIMITED * max(float(np.nanmax(np.abs(values), initial=0.0)) for values in channel)
-            low, high = (sign * far if end is None else end for sign, end in zip((-1.0, 1.0), ends, strict=True))
+            low, high = (
+                sign * far if end is None else end for sign, end in zip((-1.0, 1.0), ends, strict=True)
+            )
             ranges[sensor.channel] = (low, high)
     return ranges
 
@@ -303,7 +317,11 @@ def _end(
 
 
 def blank_saturated(
-    recording: Recording, ranges: Mapping[str, Range], machine: Machine, noise: Array, criteria: SaturationCriteria
+    recording: Recording,
+    ranges: Mapping[str, Range],
+    machine: Machine,
+    noise: Array,
+    criteria: SaturationCriteria,
 ) -> Recording:
     """Copy a recording, with NaN in place of saturated measurements.
 
@@ -325,14 +343,18 @@ def blank_saturated(
     for channel, (low, high) in ranges.items():
         j = machine.output_channels.index(channel)
         band = criteria.saturation_band * noise[j]
-        inside = np.minimum(high - outputs[:, j], outputs[:, j] - low)  # distance from the nearer end, m; NaN: missing
+        inside = np.minimum(
+            high - outputs[:, j], outputs[:, j] - low
+        )  # distance from the nearer end, m; NaN: missing
         saturated = inside < band / 2
         beside = np.append(saturated[1:], False) | np.insert(saturated[:-1], 0, False)
         outputs[saturated | (beside & (inside < band)), j] = np.nan
     return dataclasses.replace(recording, outputs=outputs)
 
 
-def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()) -> tuple[AppliedEffect, ...]:
+def range_effects(
+    ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()
+) -> tuple[AppliedEffect, ...]:
     """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the measurements of a machine.
 
     Args:
@@ -348,5 +370,7 @@ def range_effects(ranges: Mapping[str, Range], selected: Sequence[AppliedEffect]
         for e in selected:
             if e.label == f"sensor_range@{channel}":
                 low, high = max(low, e.parameters["low"]), min(high, e.parameters["high"])
-        effects.append(EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high)))  # ranges may be disjoint
+        effects.append(
+            EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high))
+        )  # ranges may be disjoint
     return tuple(effects)

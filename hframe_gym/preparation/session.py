@@ -29,7 +29,10 @@ class Session(NamedTuple):
 
 
 def prepare_session(
-    recordings: Sequence[Recording], machine: Machine, criteria: SaturationCriteria, log: Callable[[str], object]
+    recordings: Sequence[Recording],
+    machine: Machine,
+    criteria: SaturationCriteria,
+    log: Callable[[str], object],
 ) -> Session:
     """Prepare all runs of a session for a fit, and log what is not used.
 

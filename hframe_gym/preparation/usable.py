@@ -14,7 +14,14 @@ import numpy as np
 
 from ..arrays import Array
 from ..machine import Machine
-from ..recordings import Recording, repetitions, without_outliers, without_repetitions, without_wraps, wraps_of
+from ..recordings import (
+    Recording,
+    repetitions,
+    without_outliers,
+    without_repetitions,
+    without_wraps,
+    wraps_of,
+)
 from .criteria import SaturationCriteria
 from .initial_rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
 from .input_noise import without_input_noise
@@ -35,7 +42,9 @@ class UsableRun(NamedTuple):
     usable: Recording
 
 
-def usable_run(recording: Recording, machine: Machine, log: Callable[[str], object] | None = None) -> UsableRun:
+def usable_run(
+    recording: Recording, machine: Machine, log: Callable[[str], object] | None = None
+) -> UsableRun:
     """Remove measurements that are not usable from a run, except those at the end of a sensor's range.
 
     Args:
@@ -54,7 +63,9 @@ def usable_run(recording: Recording, machine: Machine, log: Callable[[str], obje
         for before, after, what in ((distinct, measured, "outliers"), (measured, usable, "moving start")):
             if after is not before:
                 count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
-                found = ", ".join(f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n)
+                found = ", ".join(
+                    f"{n} of {c}" for n, c in zip(count, machine.output_channels, strict=True) if n
+                )
                 log(f"{recording.name}: {what} not used: {found}")
     return UsableRun(measured, rest, usable)
 
@@ -66,7 +77,9 @@ def _log_wraps(recording: Recording, machine: Machine, log: Callable[[str], obje
         log(f"{recording.name}: {channel} {wrap.describe(unit)}")
 
 
-def _log_repetitions(before: Recording, after: Recording, machine: Machine, log: Callable[[str], object]) -> None:
+def _log_repetitions(
+    before: Recording, after: Recording, machine: Machine, log: Callable[[str], object]
+) -> None:
     """Log the sensors that are slower than the log."""
     for channel, values, kept in zip(machine.output_channels, before.outputs.T, after.outputs.T, strict=True):
         if repeated := int(np.isfinite(values).sum() - np.isfinite(kept).sum()):
@@ -86,9 +99,14 @@ def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, 
     """
     rows = count_resting_rows(recording, machine)
     channels = recording.outputs.T
-    quanta = np.array([sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)])
+    quanta = np.array(
+        [sensor_quantum([c], s.resolution) for c, s in zip(channels, machine.sensors, strict=True)]
+    )
     noise = np.array(
-        [sensor_noise([c], [rows], q, s.noise) for c, q, s in zip(channels, quanta, machine.sensors, strict=True)]
+        [
+            sensor_noise([c], [rows], q, s.noise)
+            for c, q, s in zip(channels, quanta, machine.sensors, strict=True)
+        ]
     )
     return rows, quanta, noise
 
@@ -112,7 +130,9 @@ def without_saturated(
     """
     found = saturation_ranges(recordings, machine, noise, criteria)
     declared = {
-        e.site: (e.parameters["low"], e.parameters["high"]) for e in machine.effects if e.name == "sensor_range"
+        e.site: (e.parameters["low"], e.parameters["high"])
+        for e in machine.effects
+        if e.name == "sensor_range"
     }
     ends = found | declared
     return [blank_saturated(r, ends, machine, noise, criteria) for r in recordings], found

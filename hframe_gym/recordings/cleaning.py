@@ -39,11 +39,15 @@ _RESOLUTION_FACTOR = 4.0  # times the resolution
 _MIN_CHANGES = 20  # changes of a channel that show whether it is measured in every row
 _LARGE_CHANGE = 3.0  # quantization steps; slow motion says nothing
 _SMALL_CHANGE = 1.5  # quantization steps; a change of one step
-_LEAST_REPEATED = 0.05  # fraction of the rows in motion; single repetitions have other causes, such as a late message
+_LEAST_REPEATED = (
+    0.05  # fraction of the rows in motion; single repetitions have other causes, such as a late message
+)
 _NOISY = 0.5  # changes of one step per repetition; noise makes two, a sensor that is held none
 # Ratio of the 90th to the 10th percentile: intervals of a held sensor are alike at any speed, and its changes are not.
 _LARGEST_RATIO = 2.0
-_EDGE_FACTOR = 5.0  # times the largest regular step; the first and the last sample have neighbors on one side only
+_EDGE_FACTOR = (
+    5.0  # times the largest regular step; the first and the last sample have neighbors on one side only
+)
 
 
 def fill_gaps(recording: Recording) -> Recording:
@@ -62,7 +66,9 @@ def fill_gaps(recording: Recording) -> Recording:
     time_s = recording.time_s
     steps = np.diff(time_s)
     period = float(np.median(steps)) if len(steps) else 1.0
-    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(int)  # (n - 1,) rows per step
+    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(
+        int
+    )  # (n - 1,) rows per step
     if not lost.any():
         return recording
     gaps = np.flatnonzero(lost)
@@ -119,7 +125,9 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
             # Index of the measurement that follows each row, among the measured ones.
             following = np.clip(np.searchsorted(measured, rows), 1, len(measured) - 1)
             gap = time_s[measured[following]] - time_s[measured[following - 1]]  # s, around each row
-            bridgeable = np.isnan(values) & (rows > measured[0]) & (rows < measured[-1]) & (gap <= longest_gap)
+            bridgeable = (
+                np.isnan(values) & (rows > measured[0]) & (rows < measured[-1]) & (gap <= longest_gap)
+            )
             values[bridgeable] = np.interp(time_s[bridgeable], time_s[measured], values[measured])
     return bridged
 
@@ -304,7 +312,9 @@ def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) 
     duration = time_s[length + 3 :] - time_s[: -length - 3]
     stretch = np.maximum(duration / np.median(duration), 1.0) ** 2
     candidates = np.flatnonzero(departures > threshold * stretch).tolist()
-    isolated = [i for i in candidates if departures[i] > _SPEED_FACTOR * _speed_change(time_s, values, i + 2, length)]
+    isolated = [
+        i for i in candidates if departures[i] > _SPEED_FACTOR * _speed_change(time_s, values, i + 2, length)
+    ]
     return np.array(isolated, int) + 2  # two samples precede the first segment
 
 
@@ -321,7 +331,9 @@ def _speed_change(time_s: Array, values: Array, first: int, length: int) -> floa
     """
     before = slice(max(first - _NEIGHBORS, 0), first)
     after = slice(first + length, first + length + _NEIGHBORS)
-    speeds = np.sort(np.concatenate([np.diff(values[rows]) / np.diff(time_s[rows]) for rows in (before, after)]))
+    speeds = np.sort(
+        np.concatenate([np.diff(values[rows]) / np.diff(time_s[rows]) for rows in (before, after)])
+    )
     # Near an end of the run one side has few speeds, which would all be ignored.
     ignored = _IGNORED_SPEEDS if len(speeds) == 2 * (_NEIGHBORS - 1) else 0
     change = float(speeds[-1 - ignored] - speeds[ignored])
@@ -340,7 +352,9 @@ def _departures(time_s: Array, values: Array, length: int) -> Array:
         Smallest distance of the segment's samples from three straight lines: through the two samples before it, through
         the two samples after it, and from the last sample before it to the first one after it.
     """
-    t = sliding_window_view(time_s, length + 4).T  # (length + 4, segments): two before, the segment, two after
+    t = sliding_window_view(
+        time_s, length + 4
+    ).T  # (length + 4, segments): two before, the segment, two after
     y = sliding_window_view(values, length + 4).T
     slope_before = (y[1] - y[0]) / (t[1] - t[0])
     slope_after = (y[-1] - y[-2]) / (t[-1] - t[-2])

@@ -24,7 +24,9 @@ def examples_folder() -> Path:
     for folder in (_PACKAGE / "examples", _PACKAGE.parent / "examples"):
         if (folder / "rig_a").is_dir():
             return folder
-    raise InputError(f"{_PACKAGE}: this installation has no examples; the repository has them in its folder examples")
+    raise InputError(
+        f"{_PACKAGE}: this installation has no examples; the repository has them in its folder examples"
+    )
 
 
 def copy_examples(out: str | Path) -> list[Path]:

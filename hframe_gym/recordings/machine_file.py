@@ -40,12 +40,16 @@ def load_machine(source: str | Path | Machine) -> Machine:
         return source
     if not isinstance(source, str | PathLike):
         presets = ", ".join(BUILTIN_MACHINES)
-        raise InputError(f"machine is {source!r}; give one of {presets}, the path of a machine.json, or a Machine")
+        raise InputError(
+            f"machine is {source!r}; give one of {presets}, the path of a machine.json, or a Machine"
+        )
     if str(source) in BUILTIN_MACHINES:
         return BUILTIN_MACHINES[str(source)]()
     path = Path(source)
     if not path.is_file():
-        raise InputError(f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}")
+        raise InputError(
+            f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}"
+        )
     text = read_document(path)
     try:
         content = MachineFile.model_validate_json(text)
@@ -117,11 +121,25 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         for s in machine.sensors
     ]
     effects = [
-        {"name": e.name, "site": e.site, "parameters": {k: quantity(e.label, k, v) for k, v in e.parameters.items()}}
+        {
+            "name": e.name,
+            "site": e.site,
+            "parameters": {k: quantity(e.label, k, v) for k, v in e.parameters.items()},
+        }
         for e in machine.effects
     ]
-    content: dict[str, Any] = {"schema": SCHEMA_VERSION, "name": machine.name, "description": machine.description}
-    content |= {"coordinates": coordinates, "belts": belts, "drives": drives, "sensors": sensors, "effects": effects}
+    content: dict[str, Any] = {
+        "schema": SCHEMA_VERSION,
+        "name": machine.name,
+        "description": machine.description,
+    }
+    content |= {
+        "coordinates": coordinates,
+        "belts": belts,
+        "drives": drives,
+        "sensors": sensors,
+        "effects": effects,
+    }
     if machine.ties:
         content["ties"] = {name: list(tie) for name, tie in machine.ties.items()}
     if machine.uncertainty is not None:

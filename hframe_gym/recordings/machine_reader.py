@@ -44,8 +44,17 @@ from .machine_schema import (
 # m; larger values are probably millimeters. Belt axes of more than 10 m exist, hence a warning and no error.
 _LARGEST = {"range": 10.0, "rest_length": 50.0, "radius": 1.0, "noise": 0.1, "resolution": 0.1}
 MAX_TEXT = 1000  # characters of a name or description
-_NOT_IN_COLUMNS = (",", ";", '"', "'", "@")  # they separate or quote the columns of files, and "@" effects from sites
-_SMALLEST_POSITIVE, _LARGEST_MAGNITUDE = 1e-30, 1e30  # beyond which products of a few parameters overflow or vanish
+_NOT_IN_COLUMNS = (
+    ",",
+    ";",
+    '"',
+    "'",
+    "@",
+)  # they separate or quote the columns of files, and "@" effects from sites
+_SMALLEST_POSITIVE, _LARGEST_MAGNITUDE = (
+    1e-30,
+    1e30,
+)  # beyond which products of a few parameters overflow or vanish
 _OTHER_UNITS = ("_mm", "_um", "_cm", "_deg", "_counts")
 
 
@@ -101,7 +110,9 @@ class MachineReader:
             machine = machine.replace(effects=(*machine.effects, self._effect(entry, machine)))
         for tied, (owner, _) in file.ties.items():
             if tied not in machine.parameters or owner not in machine.parameters or owner in file.ties:
-                raise self._error(f"ties.{tied}", f"{tied!r} and {owner!r} must be parameters, and {owner!r} not tied")
+                raise self._error(
+                    f"ties.{tied}", f"{tied!r} and {owner!r} must be parameters, and {owner!r} not tied"
+                )
         machine = machine.replace(ties=file.ties)
         if file.uncertainty is None:
             return machine
@@ -129,10 +140,14 @@ class MachineReader:
         if len(text) > MAX_TEXT:
             raise self._error(field, f"is longer than {MAX_TEXT} characters")
         if not text.isprintable():
-            raise self._error(field, "has a line break or another character that cannot be printed; remove it")
+            raise self._error(
+                field, "has a line break or another character that cannot be printed; remove it"
+            )
         if column and (not text or text != text.strip() or set(text) & set(_NOT_IN_COLUMNS)):
             signs = " ".join(_NOT_IN_COLUMNS)
-            raise self._error(field, f"must be the name of a column: no blanks at its ends and none of {signs}")
+            raise self._error(
+                field, f"must be the name of a column: no blanks at its ends and none of {signs}"
+            )
 
     def _values(self, field: str, table: Table, units: dict[str, str]) -> dict[str, float]:
         """Check unit and sign of quantities.
@@ -162,7 +177,13 @@ class MachineReader:
         return values
 
     def _row(
-        self, field: str, row: dict[str, float], *, empty: bool = False, products: bool = False, of: str = "coordinate"
+        self,
+        field: str,
+        row: dict[str, float],
+        *,
+        empty: bool = False,
+        products: bool = False,
+        of: str = "coordinate",
     ) -> dict[str, float]:
         """Return a row of coefficients after checking that it names coordinates, or drives, of the file."""
         names = list(self._kinds) if of == "coordinate" else [drive.name for drive in self.content.drives]
@@ -202,7 +223,9 @@ class MachineReader:
             raise self._error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
         if entry.kind not in DRIVE_KINDS:
             choices = ", ".join(DRIVE_KINDS)
-            raise self._error(f"{field}.kind", f"drive kind {entry.kind!r} is not registered; choose one of {choices}")
+            raise self._error(
+                f"{field}.kind", f"drive kind {entry.kind!r} is not registered; choose one of {choices}"
+            )
         kind = DRIVE_KINDS.get(entry.kind)
         fields = {key for each in map(DRIVE_KINDS.get, DRIVE_KINDS) for key in (*each.parameters, each.rated)}
         for key in sorted(fields - {*kind.parameters, kind.rated}):
@@ -215,10 +238,14 @@ class MachineReader:
             if entry.Kt is None:
                 del units["Kt"]
             if entry.current_limit is not None:
-                raise self._error(f"{field}.current_limit", "a torque has no limit in A; describe a drive of currents")
+                raise self._error(
+                    f"{field}.current_limit", "a torque has no limit in A; describe a drive of currents"
+                )
         missing = next((key for key in units if getattr(entry, key) is None), None)
         if missing is not None:
-            raise self._error(f"{field}.{missing}", f'missing; write {{"value": ..., "unit": "{units[missing]}"}}')
+            raise self._error(
+                f"{field}.{missing}", f'missing; write {{"value": ..., "unit": "{units[missing]}"}}'
+            )
         if entry.voltage_range is not None:
             units["voltage_range"] = kind.unit()
         values: dict[str, Any] = {"Kt": 1.0, **kind.fixed} | self._values(field, entry, units)
@@ -229,9 +256,16 @@ class MachineReader:
                 raise self._error(f"{field}.supply", "only a drive of the kind 'duty-cycle' has one")
             values["supply"] = entry.supply
         if entry.bandwidth is not None and kind.command == "voltage":
-            raise self._error(f"{field}.bandwidth", "only a drive that controls its current or torque has one")
+            raise self._error(
+                f"{field}.bandwidth", "only a drive that controls its current or torque has one"
+            )
         return Drive(
-            entry.name, entry.channel, entry.coordinate, kind=entry.kind, converter_bits=entry.converter_bits, **values
+            entry.name,
+            entry.channel,
+            entry.coordinate,
+            kind=entry.kind,
+            converter_bits=entry.converter_bits,
+            **values,
         )
 
     def _sensor(self, entry: SensorEntry) -> Sensor:
@@ -241,7 +275,9 @@ class MachineReader:
         # `SENSOR_KINDS.get` would import the module of a name such as "module:kind".
         if entry.kind is not None and entry.kind not in SENSOR_KINDS:
             choices = ", ".join(SENSOR_KINDS)
-            raise self._error(f"{field}.kind", f"sensor kind {entry.kind!r} is not registered; choose one of {choices}")
+            raise self._error(
+                f"{field}.kind", f"sensor kind {entry.kind!r} is not registered; choose one of {choices}"
+            )
         quantity = SENSOR_KINDS.get(entry.kind or "laser").quantity()
         if quantity == "current":
             self._row(f"{field}.row", entry.row, of="drive")
@@ -260,7 +296,9 @@ class MachineReader:
             return Sensor(entry.channel, entry.row, kind=kind, **values)
         if entry.zero.unit != unit:
             raise self._error(f"{field}.zero", f"unit is {entry.zero.unit!r}, must be {unit!r}")
-        return Sensor(entry.channel, entry.row, kind=kind, zero=entry.zero.value, zero_std=entry.zero.std, **values)
+        return Sensor(
+            entry.channel, entry.row, kind=kind, zero=entry.zero.value, zero_std=entry.zero.std, **values
+        )
 
     def _declared_effects(self, machine: Machine) -> list[EffectEntry]:
         """Return the effects that the fields `range`, `delay` and `current_limit` of sensors and drives declare."""
@@ -277,7 +315,9 @@ class MachineReader:
             if sensor.delay is not None:
                 effects.append(declare("sensor_delay", sensor.channel, d=sensor.delay))
         drives = self.content.drives
-        effects += [declare("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None]
+        effects += [
+            declare("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None
+        ]
         for drive in drives:
             if drive.bandwidth is not None:
                 if drive.bandwidth.unit != "Hz" or not 0.0 < drive.bandwidth.value < _LARGEST_MAGNITUDE:
@@ -305,7 +345,9 @@ class MachineReader:
         needed = (definition.coordinate, definition.against.partition(" of ")[2])
         absent = next((name for name in needed if name and name not in machine.coordinate_names), None)
         if absent is not None:
-            raise self._error(field, f"the effect needs a coordinate that is called {absent!r}; the file has none")
+            raise self._error(
+                field, f"the effect needs a coordinate that is called {absent!r}; the file has none"
+            )
         try:
             applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
         except ValueError as error:
@@ -324,7 +366,9 @@ class MachineReader:
         square = len(table.covariance) == size and all(len(row) == size for row in table.covariance)
         covariance = np.array(table.covariance, float).reshape(size, size) if square else np.zeros((0, 0))
         if not square or not np.allclose(covariance, covariance.T, rtol=1e-6):
-            raise self._error("uncertainty.covariance", f"must be a symmetric {size} x {size} matrix, one row per name")
+            raise self._error(
+                "uncertainty.covariance", f"must be a symmetric {size} x {size} matrix, one row per name"
+            )
         if not np.all(np.diag(covariance) >= 0.0) or len(set(table.names)) < size:
             raise self._error("uncertainty", "must have distinct names and no negative variance")
         unknown = sorted(set(table.names) - set(machine.parameters))
@@ -358,38 +402,59 @@ def implausible_values(machine: Machine) -> list[tuple[str, str]]:
         unit = machine.unit(f"{sensor.channel}.noise")
         if ending is not None and sensor.of_position:
             advice = f"call the column {sensor.channel.removesuffix(ending)}_{unit} and convert its values"
-            doubts.append((f"sensors.{sensor.channel}", f"measurements are in {unit}, not in {ending[1:]}: {advice}"))
+            doubts.append(
+                (f"sensors.{sensor.channel}", f"measurements are in {unit}, not in {ending[1:]}: {advice}")
+            )
     return doubts
 
 
 def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
     """List lengths that are probably in millimeters."""
     lengths: list[tuple[str, tuple[float, ...]]] = []
-    lengths += [(f"coordinates.{c.name}.range", c.range) for c in machine.coordinates if c.kind == "linear" and c.range]
-    lengths += [(f"coordinates.{c.name}.radius", (c.radius,)) for c in machine.coordinates if c.kind == "rotary"]
+    lengths += [
+        (f"coordinates.{c.name}.range", c.range)
+        for c in machine.coordinates
+        if c.kind == "linear" and c.range
+    ]
+    lengths += [
+        (f"coordinates.{c.name}.radius", (c.radius,)) for c in machine.coordinates if c.kind == "rotary"
+    ]
     lengths += [(f"belts.{b.name}.rest_length", (b.rest_length,)) for b in machine.belts]
     for s in machine.sensors:
         if machine.unit(f"{s.channel}.noise") == "m":
-            lengths += [(f"sensors.{s.channel}.{key}", (value,)) for key, value in s.device_parameters.items()]
+            lengths += [
+                (f"sensors.{s.channel}.{key}", (value,)) for key, value in s.device_parameters.items()
+            ]
     largest = [(field, max(map(abs, values))) for field, values in lengths]
     text = "{:g} m: is it in millimeters? All lengths are in m"
-    return [(field, text.format(size)) for field, size in largest if size > _LARGEST[field.rpartition(".")[2]]]
+    return [
+        (field, text.format(size)) for field, size in largest if size > _LARGEST[field.rpartition(".")[2]]
+    ]
 
 
 def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
     """List factors of belts that are not plausible, carriages that cannot move, and negative lengths."""
-    doubts, moving = [], np.any([*rigid_motions(machine).values(), np.zeros(len(machine.coordinates))], axis=0)
+    doubts, moving = (
+        [],
+        np.any([*rigid_motions(machine).values(), np.zeros(len(machine.coordinates))], axis=0),
+    )
     for belt in machine.belts:
         for name, factor in belt.extension.items():
             if name in pulley_names(machine) and not float(2 * factor).is_integer():
-                reason = "is not a small integer; it multiplies the belt travel, which is radius * angle already"
-                doubts.append((f"belts.{belt.name}.extension.{name}", f"{factor:g} {reason}: usually it is 1 or -1"))
+                reason = (
+                    "is not a small integer; it multiplies the belt travel, which is radius * angle already"
+                )
+                doubts.append(
+                    (f"belts.{belt.name}.extension.{name}", f"{factor:g} {reason}: usually it is 1 or -1")
+                )
         ranges = {c.name: c.range for c in machine.coordinates if c.range is not None and c.kind == "linear"}
         changes = [min(f * end for end in ranges[name]) for name, f in belt.length.items() if name in ranges]
         shortest = belt.rest_length + sum(changes)
         if shortest <= 0:
             reason = f"the section would be {shortest:.3g} m long at an end of the coordinates' ranges"
-            doubts.append((f"belts.{belt.name}.rest_length", f"{reason}: correct rest_length, length or the ranges"))
+            doubts.append(
+                (f"belts.{belt.name}.rest_length", f"{reason}: correct rest_length, length or the ranges")
+            )
     for index, c in enumerate(machine.coordinates):
         if c.kind == "linear" and not moving[index] and c.name not in machine.spring_loaded:
             reason = "cannot move without stretching a belt: check the signs of the factors in `extension`"

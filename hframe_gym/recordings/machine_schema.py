@@ -47,7 +47,9 @@ def field_units(field: str) -> tuple[str, ...]:
     if field == "gear_ratio":
         return tuple(UNITS[kind]["rad/position"] for kind in UNITS)
     if field in _OF_SENSOR:
-        units = [FIXED_UNITS.get(quantity) or UNITS[kind][quantity] for quantity in QUANTITIES for kind in UNITS]
+        units = [
+            FIXED_UNITS.get(quantity) or UNITS[kind][quantity] for quantity in QUANTITIES for kind in UNITS
+        ]
         return tuple(dict.fromkeys(units))
     if field in FIXED_UNITS or field in _DECLARED_EFFECT_UNITS:
         return ((FIXED_UNITS | _DECLARED_EFFECT_UNITS)[field],)

@@ -40,8 +40,14 @@ _KINEMATICS = {
 _COORDINATE_COMMENTS = {
     ("hframe", "x"): "The bridge. mass: everything that moves along x, i.e. bridge, cart and tool.",
     ("hframe", "y"): "The cart on the bridge. mass: everything that moves along y, i.e. cart and tool.",
-    ("axis", "x"): "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor.",
-    ("corexy", "x"): "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool.",
+    (
+        "axis",
+        "x",
+    ): "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor.",
+    (
+        "corexy",
+        "x",
+    ): "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool.",
     ("corexy", "y"): "The bridge. mass: everything that moves along y, i.e. bridge, carriage and tool.",
 }
 _PULLEY_COMMENT = (
@@ -60,7 +66,9 @@ _ENCODER_COMMENT = (
     "An incremental encoder. resolution: 2 pi / (4 * lines * gear_ratio) for one on the motor shaft; noise: 0 if it is "
     "below the resolution."
 )
-_LASER_COMMENT = "A sensor with a fixed zero. noise: standard deviation at rest; resolution: 0 for an analog sensor."
+_LASER_COMMENT = (
+    "A sensor with a fixed zero. noise: standard deviation at rest; resolution: 0 for an analog sensor."
+)
 
 
 @dataclass(frozen=True)
@@ -117,7 +125,9 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     """
     if like not in TEMPLATES:
         raise InputError(f"--like {like}: choose one of {', '.join(TEMPLATES)}")
-    machine = BUILTIN_MACHINES[like]().replace(name=name, description=f"A machine like {like}; see docs/machine.md.")
+    machine = BUILTIN_MACHINES[like]().replace(
+        name=name, description=f"A machine like {like}; see docs/machine.md."
+    )
     _check(like, options)
     machine = _with_travel(machine, options)
     machine = machine.replace(drives=tuple(_drive(machine, d, options) for d in machine.drives))
@@ -125,7 +135,9 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     gear_ratios = {d.coordinate: d.gear_ratio for d in BUILTIN_MACHINES[like]().drives}
     machine = machine.replace(sensors=_sensors(machine, gear_ratios, options))
     if not machine.sensors:
-        raise InputError("no sensor is left: give the lines of encoders (--encoder-lines), or keep the linear sensor")
+        raise InputError(
+            "no sensor is left: give the lines of encoders (--encoder-lines), or keep the linear sensor"
+        )
     return _with_values(machine, options.values)
 
 
@@ -184,7 +196,9 @@ def compact_json(value: Any, indent: int = 0) -> str:
     return f"{opening}\n{pad}" + f",\n{pad}".join(lines) + f"\n{' ' * indent}{closing}"
 
 
-def _commented(entries: list[dict[str, Any]], comment: Callable[[dict[str, Any]], str]) -> list[dict[str, Any]]:
+def _commented(
+    entries: list[dict[str, Any]], comment: Callable[[dict[str, Any]], str]
+) -> list[dict[str, Any]]:
     """Return entries with comments after their first fields; a comment that would be repeated is left out."""
     result, used = [], set()
     for entry in entries:
@@ -202,17 +216,24 @@ def _check(like: str, options: MachineOptions) -> None:
         values = getattr(options, name)
         if values is not None and len(values) != axes:
             example = "0.5" if axes == 1 else "0.3,0.2"
-            raise InputError(f"--{name}: {like} needs {axes} value{'s'[: axes - 1]}, for example --{name} {example}")
+            raise InputError(
+                f"--{name}: {like} needs {axes} value{'s'[: axes - 1]}, for example --{name} {example}"
+            )
     for info in dataclasses.fields(options):
         value = getattr(options, info.name)
         numbers = value if isinstance(value, tuple) else (value,) if isinstance(value, int | float) else ()
         # The mass of an axis may include the rotor; the inertia of a pulley must be positive.
-        zero_allowed = (info.name, like) == ("rotor_inertia", "axis") or info.name in ("encoder_lines", "linear_sensor")
+        zero_allowed = (info.name, like) == ("rotor_inertia", "axis") or info.name in (
+            "encoder_lines",
+            "linear_sensor",
+        )
         for number in numbers:
             if not math.isfinite(number) or number < 0 or (number == 0 and not zero_allowed):
                 raise InputError(f"--{info.name.replace('_', '-')} {number:g}: must be positive")
             if number > _LONGEST.get(info.name, math.inf):
-                raise InputError(f"--{info.name.replace('_', '-')} {number:g}: is it in millimeters? Give it in m")
+                raise InputError(
+                    f"--{info.name.replace('_', '-')} {number:g}: is it in millimeters? Give it in m"
+                )
 
 
 def _with_travel(machine: Machine, options: MachineOptions) -> Machine:
@@ -239,7 +260,11 @@ def _drive(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
     new: dict[str, float] = {}
     if options.Kt is not None:
         new |= {"Kt": options.Kt, "Ke": options.Kt}
-    given = {"resistance": options.resistance, "rated_voltage": options.rated_voltage, "gear_ratio": options.gear_ratio}
+    given = {
+        "resistance": options.resistance,
+        "rated_voltage": options.rated_voltage,
+        "gear_ratio": options.gear_ratio,
+    }
     new |= {key: value for key, value in given.items() if value is not None}
     if options.pulley_radius is not None and machine.coordinate(drive.coordinate).kind == "linear":
         new["gear_ratio"] = (options.gear_ratio or 1.0) / options.pulley_radius
@@ -262,7 +287,9 @@ def _with_masses(machine: Machine, options: MachineOptions) -> Machine:
     return machine.replace(coordinates=tuple(coordinates))
 
 
-def _sensors(machine: Machine, gear_ratios: Mapping[str, float], options: MachineOptions) -> tuple[Sensor, ...]:
+def _sensors(
+    machine: Machine, gear_ratios: Mapping[str, float], options: MachineOptions
+) -> tuple[Sensor, ...]:
     """Return the sensors: encoders on the motor shafts, then the sensors of the carriages.
 
     Args:
@@ -290,7 +317,9 @@ def _with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
     names = machine.parameters | machine.device_parameters
     unknown = [name for name in values if name not in names]
     if unknown and unknown[0] in machine.ties:
-        raise InputError(f"--set {unknown[0]}: it is tied to {machine.ties[unknown[0]][0]}; set that parameter")
+        raise InputError(
+            f"--set {unknown[0]}: it is tied to {machine.ties[unknown[0]][0]}; set that parameter"
+        )
     if unknown:
         similar = difflib.get_close_matches(unknown[0], names, 3) or sorted(names)
         raise InputError(f"--set {unknown[0]}: there is no such parameter; there are {', '.join(similar)}")

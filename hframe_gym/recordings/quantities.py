@@ -42,16 +42,33 @@ QUANTITIES: dict[str, Quantity] = {
         "a",
         {"s": (1, 1), "ms": (1, 1e3), "us": (1, 1e6), "ns": (1, 1e9), "min": (60, 1)},
         (
-            *("time", "timestamp", "zeit", "uhrzeit", "zeitstempel", "elapsed", "seconds", "sec", "millis", "micros"),
+            *(
+                "time",
+                "timestamp",
+                "zeit",
+                "uhrzeit",
+                "zeitstempel",
+                "elapsed",
+                "seconds",
+                "sec",
+                "millis",
+                "micros",
+            ),
             *("clock", "date", "datum", "messzeit", "laufzeit"),
         ),
     ),
-    "voltage": Quantity("a", {"V": (1, 1), "mV": (1, 1e3)}, ("voltage", "volt", "volts", "spannung", "vbus", "vbat")),
+    "voltage": Quantity(
+        "a", {"V": (1, 1), "mV": (1, 1e3)}, ("voltage", "volt", "volts", "spannung", "vbus", "vbat")
+    ),
     "duty cycle": Quantity(
-        "a", {"%": (1, 100), "pu": (1, 1)}, ("duty", "dutycycle", "pwm", "throttle", "tastgrad", "aussteuerung")
+        "a",
+        {"%": (1, 100), "pu": (1, 1)},
+        ("duty", "dutycycle", "pwm", "throttle", "tastgrad", "aussteuerung"),
     ),
     "current": Quantity(
-        "a", {"A": (1, 1), "mA": (1, 1e3)}, ("current", "amps", "ampere", "amperage", "strom", "courant", "iq")
+        "a",
+        {"A": (1, 1), "mA": (1, 1e3)},
+        ("current", "amps", "ampere", "amperage", "strom", "courant", "iq"),
     ),
     "torque": Quantity(
         "a",
@@ -68,7 +85,19 @@ QUANTITIES: dict[str, Quantity] = {
     "angle": Quantity(
         "an",
         {"rad": (1, 1), "mrad": (1, 1e3), "deg": (np.pi, 180), "rev": (2 * np.pi, 1)},
-        ("angle", "winkel", "theta", "phi", "rotation", "rotations", "turns", "heading", "yaw", "pitch", "roll"),
+        (
+            "angle",
+            "winkel",
+            "theta",
+            "phi",
+            "rotation",
+            "rotations",
+            "turns",
+            "heading",
+            "yaw",
+            "pitch",
+            "roll",
+        ),
         "position",
     ),
     "position": Quantity("a", {}, ("position", "pos", "encoder", "laser"), "position"),
@@ -93,23 +122,54 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         "speed",
     ),
-    "linear acceleration": Quantity("a", {"m/s^2": (1, 1), "mm/s^2": (1, 1e3), "g": (9.80665, 1)}, (), "acceleration"),
+    "linear acceleration": Quantity(
+        "a", {"m/s^2": (1, 1), "mm/s^2": (1, 1e3), "g": (9.80665, 1)}, (), "acceleration"
+    ),
     "angular acceleration": Quantity("an", {"rad/s^2": (1, 1), "deg/s^2": (np.pi, 180)}, (), "acceleration"),
     "acceleration": Quantity(
         "an",
         {},
-        ("acceleration", "accel", "acc", "beschleunigung", "ddot", "xddot", "yddot", "qddot", "phiddot", "thetaddot"),
+        (
+            "acceleration",
+            "accel",
+            "acc",
+            "beschleunigung",
+            "ddot",
+            "xddot",
+            "yddot",
+            "qddot",
+            "phiddot",
+            "thetaddot",
+        ),
         "acceleration",
     ),
-    "temperature": Quantity("a", {"degC": (1, 1), "K": (1, 1), "degF": (1, 1)}, ("temperature", "temp", "temperatur")),
+    "temperature": Quantity(
+        "a", {"degC": (1, 1), "K": (1, 1), "degF": (1, 1)}, ("temperature", "temp", "temperatur")
+    ),
     "power": Quantity("a", {"W": (1, 1), "kW": (1e3, 1)}, ("power", "leistung", "puissance")),
     "frequency": Quantity("a", {"Hz": (1, 1), "kHz": (1e3, 1)}, ("frequency", "freq", "frequenz")),
     "pressure": Quantity("a", {"bar": (1e5, 1), "Pa": (1, 1)}, ("pressure", "druck", "pression")),
     "row number": Quantity(
-        "a", {}, ("index", "idx", "sample", "samples", "timestep", "tick", "ticks", "seq", "sequence", "row", "frame")
+        "a",
+        {},
+        ("index", "idx", "sample", "samples", "timestep", "tick", "ticks", "seq", "sequence", "row", "frame"),
     ),
     "state": Quantity(
-        "a", {}, ("state", "status", "flag", "flags", "mode", "fault", "valid", "enable", "enabled", "trigger", "event")
+        "a",
+        {},
+        (
+            "state",
+            "status",
+            "flag",
+            "flags",
+            "mode",
+            "fault",
+            "valid",
+            "enable",
+            "enabled",
+            "trigger",
+            "event",
+        ),
     ),
 }
 # Units of a number without a dimension: encoder counts, converter steps, bits, and marks of a column without a unit.
@@ -156,7 +216,18 @@ _KNOWN |= {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling
 _QUANTITY_OF_UNIT = {unit: name for name, quantity in QUANTITIES.items() for unit in quantity.units}
 # Endings without brackets that are units only if the name before them agrees ("current_A", but not "phase_A"), because
 # they are also letters that number things, or words ("x_min", "v_in").
-_NEEDS_NAME = {"A": "i", "N": "f", "C": "t", "K": "t", "W": "p", "g": "a", "Hz": "f", "bar": "p", "s": "t", "min": "t"}
+_NEEDS_NAME = {
+    "A": "i",
+    "N": "f",
+    "C": "t",
+    "K": "t",
+    "W": "p",
+    "g": "a",
+    "Hz": "f",
+    "bar": "p",
+    "s": "t",
+    "min": "t",
+}
 # Names of a voltage or current before "_m" and "_in", which then stand for the motor and the input.
 _ELECTRICAL = re.compile(r"[uvi][a-z]?\d*")
 
@@ -175,7 +246,19 @@ _LONG = 5  # letters; a shorter word is recognized only if it stands alone: "pos
 
 # Words that say what a value is for. A set point is no measurement, a control error no position.
 _SET_POINT = (
-    *("target", "setpoint", "set", "reference", "ref", "command", "commanded", "cmd", "goal", "desired", "demand"),
+    *(
+        "target",
+        "setpoint",
+        "set",
+        "reference",
+        "ref",
+        "command",
+        "commanded",
+        "cmd",
+        "goal",
+        "desired",
+        "demand",
+    ),
     *("soll", "sollwert", "vorgabe", "consigne"),
 )
 _DEVIATION = ("error", "err", "deviation", "regelabweichung")
@@ -208,7 +291,11 @@ class Meaning(NamedTuple):
         """The quantity with an article and, if it is known, the unit: "a current in A"."""
         article = QUANTITIES[self.quantity].article if self.quantity in QUANTITIES else "a"
         words = f"{article} {self.quantity}"
-        return f"{words} in {'percent' if self.unit == '%' else self.unit}" if self.unit else f"{words} by its name"
+        return (
+            f"{words} in {'percent' if self.unit == '%' else self.unit}"
+            if self.unit
+            else f"{words} by its name"
+        )
 
 
 def normalize_unit(text: str) -> str:

@@ -105,11 +105,15 @@ def load_recordings(
         raise InputError(f"{path}: {advice if path.exists() else 'no such folder'}")
     files = recording_files(path)
     if not files:
-        advice = f"; logs of other formats become runs with {import_command(path)}" if any(path.iterdir()) else ""
+        advice = (
+            f"; logs of other formats become runs with {import_command(path)}" if any(path.iterdir()) else ""
+        )
         raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder{advice}")
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):
-            raise InputError(f"{second}: the run {run_name(second)!r} exists twice, also as {first.name}; delete one")
+            raise InputError(
+                f"{second}: the run {run_name(second)!r} exists twice, also as {first.name}; delete one"
+            )
     add = cumulative(progress, sum(p.stat().st_size for p in files))
     if max_rows is None:
         return [load_recording(p, machine, progress=add) for p in files]
@@ -232,7 +236,9 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
         reason = f"{steps.max():.4g} s after row {row - 1}, gaps are at most {LONGEST_GAP:g} s: split the run there"
         raise InputError(f"{path}, row {row}, column time_s: {reason}")
     if duration > LONGEST_RUN:
-        raise InputError(f"{path}: lasts {duration:.4g} s, runs are at most {LONGEST_RUN:g} s: is time_s in s?")
+        raise InputError(
+            f"{path}: lasts {duration:.4g} s, runs are at most {LONGEST_RUN:g} s: is time_s in s?"
+        )
     if len(steps) and duration > (MOST_LOST_ROWS + len(time_s)) * float(np.median(steps)):
         lost = f"gaps of more than {MOST_LOST_ROWS} rows in total at a period of {np.median(steps):.3g} s"
         raise InputError(f"{path}: has {lost}: split the run there")
@@ -258,7 +264,9 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, ma
         np.savetxt(stream, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
 
 
-def write_recording(path: Path, recording: Recording, machine: Machine, progress: Progress | None = None) -> None:
+def write_recording(
+    path: Path, recording: Recording, machine: Machine, progress: Progress | None = None
+) -> None:
     """Write a recording to a file, from which every number is read back exactly.
 
     Args:
@@ -278,7 +286,9 @@ def write_recording(path: Path, recording: Recording, machine: Machine, progress
             import pyarrow
             from pyarrow import parquet
         except ImportError:
-            raise InputError(f"{path.name}: writing Parquet files needs pip install 'hframe_gym[parquet]'") from None
+            raise InputError(
+                f"{path.name}: writing Parquet files needs pip install 'hframe_gym[parquet]'"
+            ) from None
         arrays = [pyarrow.array(column, from_pandas=True) for column in columns]
         with atomic_file(path) as raw:
             parquet.write_table(pyarrow.table(dict(zip(names, arrays, strict=True))), raw)
@@ -374,7 +384,9 @@ def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
         if limits[0] < factor < limits[1]:
             positions = [s for s in machine.sensors if s.of_position]
             channels = tuple(s.channel for s in positions if machine.coordinate(s.coordinate).kind == kind)
-            problem = f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow"
+            problem = (
+                f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow"
+            )
             raise WrongUnitError(problem, channels, suspect)
 
 

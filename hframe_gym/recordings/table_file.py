@@ -68,7 +68,9 @@ def recording_files(folder: Path) -> list[Path]:
         Files in alphabetical order.
     """
     return sorted(
-        p for p in folder.iterdir() if p.name.endswith(SUFFIXES) and not p.name.startswith(".") and p.is_file()
+        p
+        for p in folder.iterdir()
+        if p.name.endswith(SUFFIXES) and not p.name.startswith(".") and p.is_file()
     )
 
 
@@ -174,7 +176,9 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
     header, columns = read_table(path)
     for name in header:
         if name not in ("time_s", "x_m", "y_m") or header.count(name) > 1:
-            raise InputError(f"{path}, column {name}: a path has the columns x_m, y_m or time_s, x_m, y_m, once each")
+            raise InputError(
+                f"{path}, column {name}: a path has the columns x_m, y_m or time_s, x_m, y_m, once each"
+            )
     for name in ("x_m", "y_m"):
         if name not in columns:
             raise InputError(f"{path}, column {name}: missing (the header has {', '.join(header)})")
@@ -189,7 +193,9 @@ def read_path(path: str | Path) -> tuple[Array, Array | None]:
     return points, columns["time_s"] - columns["time_s"][0]
 
 
-def _read_csv(path: Path, progress: Progress | None, max_rows: int | None) -> tuple[list[str], dict[str, Array]]:
+def _read_csv(
+    path: Path, progress: Progress | None, max_rows: int | None
+) -> tuple[list[str], dict[str, Array]]:
     """Read a CSV file in the format of recordings; other formats are refused with advice."""
     layout = detect_format(path)
     if layout.deviations:
@@ -223,7 +229,9 @@ def open_parquet(path: Path) -> Any:
         file = parquet.ParquetFile(path)
         content, names = file.metadata, file.schema_arrow.names
         groups = [content.row_group(i) for i in range(content.num_row_groups)]
-        size = sum(group.column(j).total_uncompressed_size for group in groups for j in range(content.num_columns))
+        size = sum(
+            group.column(j).total_uncompressed_size for group in groups for j in range(content.num_columns)
+        )
     except Exception as error:  # pyarrow raises many types, some of them private
         raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     refuse_many_values(path, content.num_rows, content.num_columns)
@@ -278,7 +286,9 @@ def parquet_numbers(path: Path, name: str, column: Any) -> Array:
         return np.asarray(column.cast("double").to_numpy(), np.float64)
     except Exception as error:  # pyarrow raises many types, some of them private
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}, column {name}: {column.type} cannot be converted to numbers: {reason}") from None
+        raise InputError(
+            f"{path}, column {name}: {column.type} cannot be converted to numbers: {reason}"
+        ) from None
 
 
 def _read_parquet(path: Path, max_rows: int | None) -> tuple[list[str], dict[str, Array]]:
@@ -289,8 +299,12 @@ def _read_parquet(path: Path, max_rows: int | None) -> tuple[list[str], dict[str
     for field in file.schema_arrow:
         kind = field.type
         if types.is_temporal(kind):
-            raise ForeignFormatError(f"{path}, column {field.name}: has dates or times ({kind}) instead of numbers")
-        if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_null(kind)):
+            raise ForeignFormatError(
+                f"{path}, column {field.name}: has dates or times ({kind}) instead of numbers"
+            )
+        if not (
+            types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind) or types.is_null(kind)
+        ):
             raise InputError(f"{path}, column {field.name}: has values of the type {kind} instead of numbers")
     names = list(file.schema_arrow.names)
     columns = {name: read_parquet_column(path, file, name, max_rows) for name in names}

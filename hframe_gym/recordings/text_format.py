@@ -31,11 +31,15 @@ _COMMENT_SIGNS = ("#", "%", "//")
 _COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
 _ROW_ENDS = ";,|\t"  # separators that may end each row although other separators are between its cells
 _MOST = 0.5  # fraction of the rows of numbers that have such an end; their last one may be incomplete
-_ROW_START = re.compile(rf"[ \t]*\"?(?:[+-]?[.,]?\d|(?:nan|{MISSING_WORDS})\b)", re.IGNORECASE)  # in a row of numbers
+_ROW_START = re.compile(
+    rf"[ \t]*\"?(?:[+-]?[.,]?\d|(?:nan|{MISSING_WORDS})\b)", re.IGNORECASE
+)  # in a row of numbers
 _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for
 # Name before a number, as for Arduino's serial plotter: "speed:1.5". The "e" of "1e-3" begins none.
 _LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
-_ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")  # between time stamp and text in Arduino's serial monitor
+_ARROW = re.compile(
+    r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> "
+)  # between time stamp and text in Arduino's serial monitor
 # Row between two equal letters, as SimpleFOC's monitor writes it.
 _ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]*")
 # Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an oscilloscope.
@@ -145,7 +149,9 @@ def detect_format(path: Path) -> TextFormat:
         header, units = [label or f"#{k}" for k, label in enumerate(labels, start=1)], [""] * len(labels)
         layout = [remark for remark in layout if remark != _NO_HEADER]
     while (
-        len(header) > 1 and _NOT_A_COLUMN.fullmatch(header[-1]) and not any(any(row[len(header) - 1 :]) for row in rows)
+        len(header) > 1
+        and _NOT_A_COLUMN.fullmatch(header[-1])
+        and not any(any(row[len(header) - 1 :]) for row in rows)
     ):
         header.pop()
         units.pop()
@@ -214,7 +220,9 @@ def split_row(line: str, separator: str) -> list[str]:
     """
     if separator == _WHITESPACE:
         return line.split()
-    if '"' not in line and line.strip():  # nearly all lines; the reader below returns the same, but takes longer
+    if (
+        '"' not in line and line.strip()
+    ):  # nearly all lines; the reader below returns the same, but takes longer
         return [cell.strip() for cell in line.split(separator)]
     try:
         cells = next(csv.reader([line], delimiter=separator), [])
@@ -292,13 +300,21 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
         edits.append((_ARROW, rf"\1{separator}"))
         remarks.append("an arrow follows the time stamps")
     enclosed = [match for match in map(_ENCLOSED.fullmatch, (_ARROW.sub("", row) for row in rows)) if match]
-    if len(enclosed) > max(_MOST * len(rows), _CONSECUTIVE - 1) and len({match["letter"] for match in enclosed}) == 1:
+    if (
+        len(enclosed) > max(_MOST * len(rows), _CONSECUTIVE - 1)
+        and len({match["letter"] for match in enclosed}) == 1
+    ):
         letter = enclosed[0]["letter"]
         edits.append((re.compile(rf"(?m)(?:^|(?<=\t)){letter}(?=[-+.\d])|(?<=\d){letter}[ \t]*$"), ""))
         remarks.append(f"the letter {letter} encloses each row")
     last = [_ARROW.sub("", row) for row in rows[-_CONSECUTIVE:]]
     names = [tuple(match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)) for row in last]
-    if names and names[0] and len(set(names)) == 1 and all(_is_number_per_label(row, len(names[0])) for row in last):
+    if (
+        names
+        and names[0]
+        and len(set(names)) == 1
+        and all(_is_number_per_label(row, len(names[0])) for row in last)
+    ):
         edits.append((_LABEL, ""))
         labels = ([""] if edits[0][0] is _ARROW else []) + list(names[0])
         remarks.append("each cell begins with the name of its column")
@@ -430,7 +446,9 @@ def _detect_header(
     elif names.is_comment:
         deviations.append("the header is in a comment line")
     if units is not None:
-        place = "below the header" if names is not None and units.number > names.number else "above the header"
+        place = (
+            "below the header" if names is not None and units.number > names.number else "above the header"
+        )
         in_comment = " in a comment line" if units.is_comment else ""
         deviations.append(f"a row of units is {place if names is not None else 'above the data'}{in_comment}")
     for is_comment, what in ((True, "comment"), (False, "other")):
@@ -447,7 +465,9 @@ def _fitting(row: Sequence[str], widths: Sequence[int]) -> list[str]:
     """Return the cells of a line above the data if their number fits that of the columns, else none."""
     width = widths[0]
     trimmed = list(row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)])
-    while len(trimmed) > max(width, 1) and (_NOT_A_COLUMN.fullmatch(trimmed[-1]) or _NUMBER.fullmatch(trimmed[-1])):
+    while len(trimmed) > max(width, 1) and (
+        _NOT_A_COLUMN.fullmatch(trimmed[-1]) or _NUMBER.fullmatch(trimmed[-1])
+    ):
         trimmed.pop()
     return trimmed if len(trimmed) in widths else []
 
@@ -482,6 +502,8 @@ def _decimal_and_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, 
     for k in range(width):
         values = [row[k] for row in rows if k < len(row) and not is_missing(row[k])]
         stamps, numbers = sum(map(is_stamp, values)), [v for v in values if _NUMBER.fullmatch(v)]
-        kinds.append("stamp" if stamps > len(values) / 2 else "number" if 2 * len(numbers) >= len(values) else "text")
+        kinds.append(
+            "stamp" if stamps > len(values) / 2 else "number" if 2 * len(numbers) >= len(values) else "text"
+        )
         marks.update(mark for value in numbers for mark in ".," if mark in value)
     return (max(marks, key=lambda mark: marks[mark]) if marks else ""), kinds

@@ -25,7 +25,9 @@ from .text_format import (
 )
 
 Array = NDArray[np.float64]
-Progress = Callable[[int], None]  # called with the number of bytes of the file that were read since the last call
+Progress = Callable[
+    [int], None
+]  # called with the number of bytes of the file that were read since the last call
 
 _BLOCK = 1 << 22  # characters that are converted at a time
 # Possessive repetitions (*+, ++) and the look-behind keep the time linear in lines of blanks.
@@ -98,13 +100,17 @@ def read_columns(
             break
     table = np.concatenate([np.zeros((0, len(reader.numbers))), *reader.tables])[:max_rows]
     reader.tables.clear()
-    values: dict[int, NDArray[Any]] = {c: np.ascontiguousarray(table[:, k]) for k, c in enumerate(reader.numbers)}
+    values: dict[int, NDArray[Any]] = {
+        c: np.ascontiguousarray(table[:, k]) for k, c in enumerate(reader.numbers)
+    }
     for k, column in enumerate(reader.stamps):
         stamps = [np.zeros(0, "datetime64[ns]"), *(block[k] for block in reader.stamp_blocks)]
         values[column] = np.concatenate(stamps)[:max_rows]
     remarks = []
     if reader.comments:
-        remarks.append(f"{reader.comments} comment line{'s' if reader.comments > 1 else ''} between the rows left out")
+        remarks.append(
+            f"{reader.comments} comment line{'s' if reader.comments > 1 else ''} between the rows left out"
+        )
     if reader.incomplete:
         remarks.append("the last row is incomplete and left out")
     return [values[c] for c in columns], remarks
@@ -252,7 +258,9 @@ class _BlockReader:
     @staticmethod
     def _load(text: str, columns: Sequence[int], kind: type) -> NDArray[Any]:
         """Read columns of lines with commas by NumPy's fast reader."""
-        return np.loadtxt(io.StringIO(text), dtype=kind, delimiter=",", comments=None, ndmin=2, usecols=columns)
+        return np.loadtxt(
+            io.StringIO(text), dtype=kind, delimiter=",", comments=None, ndmin=2, usecols=columns
+        )
 
     def _refuse_faulty_cell(self, block: str) -> None:
         """Refuse the first row of a wrong length or cell that is no number; return if there is none."""

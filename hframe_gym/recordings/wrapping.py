@@ -30,10 +30,46 @@ _NEIGHBORS = 4  # regular changes on each side of a jump, from which the motion 
 # Relative deviation of a jump from a modulus. Moduli in use (4000 and 4096 counts) differ by 2.3 %; a constant
 # acceleration changes the motion during a jump by far less.
 _TOLERANCE = 0.01
-_AGREEING = 0.9  # fraction of the jumps that must have the size of the modulus and the opposite sign of the motion
-_BITS = (8, 10, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 32)  # of counters and absolute encoders in use
+_AGREEING = (
+    0.9  # fraction of the jumps that must have the size of the modulus and the opposite sign of the motion
+)
+_BITS = (
+    8,
+    10,
+    12,
+    13,
+    14,
+    15,
+    16,
+    17,
+    18,
+    19,
+    20,
+    21,
+    22,
+    23,
+    24,
+    32,
+)  # of counters and absolute encoders in use
 _TURNS = {2 * math.pi: "one turn", 360.0: "one turn in degrees", 1.0: "one turn in turns"}
-_COUNTS_PER_TURN = (400, 800, 1000, 1440, 1600, 2000, 2400, 2500, 3600, 4000, 5000, 7200, 8000, 10000, 20000, 36000)
+_COUNTS_PER_TURN = (
+    400,
+    800,
+    1000,
+    1440,
+    1600,
+    2000,
+    2400,
+    2500,
+    3600,
+    4000,
+    5000,
+    7200,
+    8000,
+    10000,
+    20000,
+    36000,
+)
 
 
 class Wrap(NamedTuple):

@@ -5,7 +5,13 @@ from __future__ import annotations
 from ..errors import InputError
 
 # Units that recordings do not use, in words.
-UNIT_WORDS = {"mm": "millimeters", "um": "micrometers", "deg": "degrees", "ms": "milliseconds", "%": "percent"}
+UNIT_WORDS = {
+    "mm": "millimeters",
+    "um": "micrometers",
+    "deg": "degrees",
+    "ms": "milliseconds",
+    "%": "percent",
+}
 
 
 class WrongUnitError(InputError):

@@ -37,7 +37,9 @@ def test_reset_clears_the_history_of_the_masked_environments():
 def test_observations_of_another_size_are_refused():
     observation, _ = HFrameVectorEnv(2).reset(seed=0)
     observation["observation"] = observation["observation"][:, :4]
-    with pytest.raises(InputError, match=r"observation has shape \(2, 4\), but the agent was trained on \(batch, 8\)"):
+    with pytest.raises(
+        InputError, match=r"observation has shape \(2, 4\), but the agent was trained on \(batch, 8\)"
+    ):
         Agent.load(shipped_agent_folder("ppo", "reach")).act(observation)
 
 
@@ -82,7 +84,9 @@ def test_missing_entries_and_other_schemas_are_refused(copied_agent):
 
 
 def test_weights_of_another_policy_are_refused(copied_agent):
-    shutil.copy(shipped_agent_folder("sac", "reach") / "policy.safetensors", copied_agent / "policy.safetensors")
+    shutil.copy(
+        shipped_agent_folder("sac", "reach") / "policy.safetensors", copied_agent / "policy.safetensors"
+    )
     with pytest.raises(InputError, match=r"policy\.safetensors: .*actor"):
         Agent.load(copied_agent)
 

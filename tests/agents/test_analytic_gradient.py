@@ -42,7 +42,9 @@ def test_derivatives_agree_with_the_linear_model_of_the_motion():
     motions = period.simulate(state, volts, volts, parameters)
     outputs = period.outputs(motions)
     rows = [period.gradients(motions, np.tile(row, (16, 1))) for row in np.eye(outputs.shape[1])]
-    derivatives = np.stack([np.hstack(row[:2]) for row in rows], axis=2).transpose(1, 0, 2)  # (entries, B, outputs)
+    derivatives = np.stack([np.hstack(row[:2]) for row in rows], axis=2).transpose(
+        1, 0, 2
+    )  # (entries, B, outputs)
     A, B, _ = MODEL.discretize(MODEL.tool_position(state).mean(axis=0), PERIOD)
     expected = np.hstack([A, B]).T  # (entries of state and voltages, entries of the next state)
     scale = np.repeat([1e-3, 0.05], 4) / np.repeat([1e-3, 0.05, 1.0], [4, 4, 2])[:, None]
@@ -65,7 +67,9 @@ def test_a_dead_time_applies_the_voltages_of_the_period_before():
     start = state / np.tile(machine.travel_per_unit, 2)
     inputs = np.concatenate([np.zeros((1, 1, 2)), voltages]).transpose(1, 0, 2)
     # One period of 0 V first: before the first sample, its voltage acts.
-    expected = simulate_batch(machine, np.arange(7) * PERIOD, np.append(inputs, inputs[:, -1:], axis=1), start=start)
+    expected = simulate_batch(
+        machine, np.arange(7) * PERIOD, np.append(inputs, inputs[:, -1:], axis=1), start=start
+    )
     last = np.zeros((1, 2))
     for k in range(len(times) - 1):
         state = period.outputs(period.simulate(state, voltages[k], last, parameters))[:, :8]
@@ -96,7 +100,13 @@ def build(actuation=None, task="reach", machine=MACHINE, **settings):
     chosen = {"periods": 4, "skipped": 0, "discount": 1.0, "limit": np.inf, "averaging": 0.5, **settings}
     keywords = policy_keywords({"net_arch": [16]}, feature_parameters(MACHINE))
     algorithm = AnalyticPolicyGradient(
-        "MultiInputPolicy", environment, lambda _: 1e-3, seed=0, device="cpu", policy_kwargs=keywords, **chosen
+        "MultiInputPolicy",
+        environment,
+        lambda _: 1e-3,
+        seed=0,
+        device="cpu",
+        policy_kwargs=keywords,
+        **chosen,
     )
     if not actuation.get("base"):
         with torch.no_grad():  # enough voltage to overcome friction
@@ -128,7 +138,9 @@ def test_the_gradient_of_an_episode_predicts_how_its_cost_changes(actuation, tas
         environment.seed(5)
         return algorithm._episode_costs(0).mean()
 
-    parameters = [p for n, p in algorithm._trained.named_parameters() if "policy_net" in n or "action_net" in n]
+    parameters = [
+        p for n, p in algorithm._trained.named_parameters() if "policy_net" in n or "action_net" in n
+    ]
     gradients = torch.autograd.grad(costs(), parameters)
     length = torch.sqrt(sum((g**2).sum() for g in gradients))
     change = {}

@@ -34,7 +34,8 @@ def test_names_of_the_shipped_agents():
 
 def test_unknown_shipped_agent_is_refused_with_a_list():
     with pytest.raises(
-        InputError, match="no shipped agent 'pp' for the task reach; choose one of: apg-seed0, apg_mix-seed0, "
+        InputError,
+        match="no shipped agent 'pp' for the task reach; choose one of: apg-seed0, apg_mix-seed0, ",
     ):
         shipped_agent_folder("pp", "reach")
 
@@ -42,7 +43,11 @@ def test_unknown_shipped_agent_is_refused_with_a_list():
 @pytest.mark.parametrize(
     ("name", "task", "message"),
     [
-        ("apg_predictive", "reach", r"apg_predictive: was trained for the task track, not for reach; choose the task "),
+        (
+            "apg_predictive",
+            "reach",
+            r"apg_predictive: was trained for the task track, not for reach; choose the task ",
+        ),
         (
             "apg_plan-seed1",
             "track",
@@ -63,7 +68,9 @@ def test_agents_for_a_task_of_the_user():
     class Elsewhere(Reach):
         """A task for which no agent was shipped."""
 
-    with pytest.raises(InputError, match="for the task reach and for track, not for elsewhere; choose the task reach"):
+    with pytest.raises(
+        InputError, match="for the task reach and for track, not for elsewhere; choose the task reach"
+    ):
         make_controller("ppo", Scenario(task=Elsewhere()))
     with pytest.raises(InputError, match=r"'pp' is unknown; .* \(none was shipped for the task elsewhere\)"):
         make_controller("pp", Scenario(task=Elsewhere()))
@@ -132,7 +139,9 @@ def test_files_state_the_sensors_of_the_training():
 
 
 def test_a_machine_of_another_number_of_axes_is_refused_with_the_machine_of_the_training(tmp_path):
-    with pytest.raises(InputError, match=r"ppo: was trained on .* 2 axes.*'axis' has 1 axis.*--machine hframe\)"):
+    with pytest.raises(
+        InputError, match=r"ppo: was trained on .* 2 axes.*'axis' has 1 axis.*--machine hframe\)"
+    ):
         make_controller("ppo", Scenario(machine="axis"))
     with pytest.warns(UserWarning, match="evaluated on 'hframe-order20'"):  # observes the same coordinates
         make_controller("ppo", Scenario(machine="hframe-order20"))

@@ -28,7 +28,9 @@ def test_all_features_but_the_position_are_zero_at_rest_at_the_goal():
 
 
 def test_an_error_of_a_tenth_of_a_millimeter_changes_the_features():
-    near, at_goal = (extract(rest_observation(MACHINE, (0.1 + error, -0.05), (0.1, -0.05))) for error in (1e-4, 0.0))
+    near, at_goal = (
+        extract(rest_observation(MACHINE, (0.1 + error, -0.05), (0.1, -0.05))) for error in (1e-4, 0.0)
+    )
     assert np.abs(near - at_goal).max() > 0.05
 
 

@@ -40,12 +40,22 @@ def reaching_episodes(settled, final_error_mm, time_s=0.3):
 @pytest.mark.parametrize(
     ("better", "worse"),
     [
-        pytest.param(reaching_episodes(256, 3.1), reaching_episodes(1, 0.1), id="one lucky episode does not decide"),
-        pytest.param(reaching_episodes(256, 4.1), reaching_episodes(0, 0.0), id="nothing settles: final error decides"),
+        pytest.param(
+            reaching_episodes(256, 3.1), reaching_episodes(1, 0.1), id="one lucky episode does not decide"
+        ),
+        pytest.param(
+            reaching_episodes(256, 4.1), reaching_episodes(0, 0.0), id="nothing settles: final error decides"
+        ),
         pytest.param(reaching_episodes(256, 0.4), reaching_episodes(100, 0.4), id="more settle within 1 mm"),
-        pytest.param(reaching_episodes(256, 0.1), reaching_episodes(256, 0.4), id="they settle within 0.2 mm"),
-        pytest.param(reaching_episodes(256, 0.04), reaching_episodes(256, 0.06), id="they settle within 0.05 mm"),
-        pytest.param(reaching_episodes(256, 0.05), reaching_episodes(256, 0.04, 0.31), id="faster, equal otherwise"),
+        pytest.param(
+            reaching_episodes(256, 0.1), reaching_episodes(256, 0.4), id="they settle within 0.2 mm"
+        ),
+        pytest.param(
+            reaching_episodes(256, 0.04), reaching_episodes(256, 0.06), id="they settle within 0.05 mm"
+        ),
+        pytest.param(
+            reaching_episodes(256, 0.05), reaching_episodes(256, 0.04, 0.31), id="faster, equal otherwise"
+        ),
     ],
 )
 def test_the_better_agent_is_kept_with_a_fixed_goal(better, worse):
@@ -65,7 +75,11 @@ def test_along_a_path_a_tool_that_stays_at_its_start_is_bad():
     def episodes(contour_mm, tracking_mm):
         position = np.full((4, 10, 2), 1e-3 * tracking_mm / np.sqrt(2.0))
         return Episodes(
-            np.arange(10.0), position, np.zeros_like(position), np.full((4, 10), 1e-3 * contour_mm), *np.zeros((4, 4))
+            np.arange(10.0),
+            position,
+            np.zeros_like(position),
+            np.full((4, 10), 1e-3 * contour_mm),
+            *np.zeros((4, 4)),
         )
 
     np.testing.assert_allclose(episode_costs(episodes(0.1, 0.5)), 0.6)

@@ -31,7 +31,9 @@ def test_every_recipe_loads(name):
 
 
 def test_unknown_recipe_is_refused_with_a_list():
-    with pytest.raises(InputError, match=r"no recipe for dqn on reach; .* ppo on reach, ppo on track, .*, sac_her on"):
+    with pytest.raises(
+        InputError, match=r"no recipe for dqn on reach; .* ppo on reach, ppo on track, .*, sac_her on"
+    ):
         load_recipe("dqn", "reach")
 
 

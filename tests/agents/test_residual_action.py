@@ -109,13 +109,17 @@ def test_plans_follow_the_estimates():
     for _ in range(4):
         mapping.augment(observation)
         gains.append(mapping.laws.gains[:, 2])
-        observation = envs.step(mapping.action(np.tile([0.0, 0.0, -1.0, -1.0, 1.0], (4, 1))).astype(np.float32))[0]
+        observation = envs.step(
+            mapping.action(np.tile([0.0, 0.0, -1.0, -1.0, 1.0], (4, 1))).astype(np.float32)
+        )[0]
     # The same for all machines at first, then different.
     assert np.ptp(gains[0], axis=0).max() < 0.05 * np.abs(gains[0]).max()
     assert np.ptp(gains[-1], axis=0).max() > 0.05 * np.abs(gains[-1]).max()
 
 
-@pytest.mark.parametrize("further", [{}, {"estimates": True, "transfers": [0]}], ids=["no estimates", "transfers"])
+@pytest.mark.parametrize(
+    "further", [{}, {"estimates": True, "transfers": [0]}], ids=["no estimates", "transfers"]
+)
 def test_plans_without_estimates_or_beside_transfers_are_refused(further):
     with pytest.raises(InputError, match="plans need estimates = true and no transfers"):
         ResidualAction(MACHINE, 0.01, plans=[4], **further)

@@ -28,7 +28,9 @@ def saved(path: Path, env: Any, algorithm: str = "PPO", seed: int = 0) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("options", [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}])
+@pytest.mark.parametrize(
+    "options", [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}]
+)
 @pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
 def test_a_model_acts_as_in_its_training(tmp_path: Path, algorithm: str, options: dict[str, bool]) -> None:
     envs = HFrameVecEnv(4, **options)  # type: ignore[arg-type]
@@ -68,8 +70,14 @@ def test_two_models_have_two_hashes_and_count_as_learned(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: gym.wrappers.FlattenObservation(gym.make("HFrame-v0", machine="corexy")), "its bounds are others"),
-        (lambda: HFrameVecEnv(2, env_id="HFrameTrack-v0"), "it observes preview, which the environment lacks"),
+        (
+            lambda: gym.wrappers.FlattenObservation(gym.make("HFrame-v0", machine="corexy")),
+            "its bounds are others",
+        ),
+        (
+            lambda: HFrameVecEnv(2, env_id="HFrameTrack-v0"),
+            "it observes preview, which the environment lacks",
+        ),
         (lambda: HFrameVecEnv(2, privileged=True), "it observes privileged, which the environment lacks"),
         (lambda: gym.make("Pendulum-v1"), "its actions are Box"),
         (
@@ -78,7 +86,9 @@ def test_two_models_have_two_hashes_and_count_as_learned(tmp_path: Path) -> None
         ),
     ],
 )
-def test_a_model_of_other_observations_is_refused_by_what_is_missing(tmp_path: Path, make: Any, message: str) -> None:
+def test_a_model_of_other_observations_is_refused_by_what_is_missing(
+    tmp_path: Path, make: Any, message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         make_controller(saved(tmp_path / "model.zip", make()))
 

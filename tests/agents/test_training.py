@@ -67,7 +67,11 @@ def test_agents_are_scored_with_the_sensors_drives_and_randomization_of_the_reci
     ideal = Scenario(randomize="none", episodes=EPISODES, seed=1_000_000)
     agent, row = Agent.load(tmp_path), card["curve"][0]
     assert score_agent(agent, replace(ideal, sensors="rig", drives="rig")).row.items() <= row.items()
-    for other in ({"sensors": "rig"}, {"drives": "rig"}, {"sensors": "rig", "drives": "rig", "randomize": "default"}):
+    for other in (
+        {"sensors": "rig"},
+        {"drives": "rig"},
+        {"sensors": "rig", "drives": "rig", "randomize": "default"},
+    ):
         assert not score_agent(agent, replace(ideal, **other)).row.items() <= row.items()
     assert "Randomization: `none`" in (tmp_path / "README.md").read_text()
 
@@ -161,7 +165,10 @@ def test_a_resumed_run_equals_an_unbroken_one_to_the_bit(tmp_path, algorithm, st
     assert cards[0] == cards[1]
     for file in ("policy.safetensors", "agent.json", "machine.json"):
         assert (whole / file).read_bytes() == (broken / file).read_bytes()
-    with zipfile.ZipFile(whole / "checkpoint.zip") as first, zipfile.ZipFile(broken / "checkpoint.zip") as second:
+    with (
+        zipfile.ZipFile(whole / "checkpoint.zip") as first,
+        zipfile.ZipFile(broken / "checkpoint.zip") as second,
+    ):
         for file in ("policy.pth", *(n for n in first.namelist() if n.endswith("optimizer.pth"))):
             weights = [torch.load(io.BytesIO(z.read(file)), weights_only=True) for z in (first, second)]
             assert_same(*weights)
@@ -195,7 +202,9 @@ def test_resuming_another_run_is_refused(untrained_agent):
 
 
 def test_resuming_on_another_machine_is_refused(untrained_agent):
-    with pytest.raises(InputError, match=r"holds a run on the machine 'hframe', .* --machine \S+/machine\.json"):
+    with pytest.raises(
+        InputError, match=r"holds a run on the machine 'hframe', .* --machine \S+/machine\.json"
+    ):
         train("ppo", "hframe-linear", steps=10, out=untrained_agent, resume=True)
 
 
@@ -217,7 +226,9 @@ def test_a_run_is_replaced_only_by_force(untrained_agent):
 def test_several_seeds_replace_no_run_without_force(untrained_agent):
     folder = untrained_agent.rename(untrained_agent.parent / "seed_0").parent
     command = re.escape(f"`hframe train ppo --seed 0 --resume --out {folder / 'seed_0'}`")
-    with pytest.raises(InputError, match=rf"seed_0: holds the agent ppo.* continue the run alone with {command}"):
+    with pytest.raises(
+        InputError, match=rf"seed_0: holds the agent ppo.* continue the run alone with {command}"
+    ):
         train_seeds("ppo", steps=1, seeds=(0, 1), out=folder, log=ignore)
     assert not (folder / "seed_1").exists()
 
@@ -230,15 +241,22 @@ def test_a_run_that_cannot_be_resumed_is_refused_without_that_advice(hindrance, 
         (untrained_agent / "checkpoint.zip").unlink()
     if hindrance == "a damaged card":
         (untrained_agent / "card.json").write_text("{}")
-    algorithm, seed = "sac" if hindrance == "another recipe" else "ppo", 1 if hindrance == "another seed" else 0
+    algorithm, seed = (
+        "sac" if hindrance == "another recipe" else "ppo",
+        1 if hindrance == "another seed" else 0,
+    )
     machine = "axis" if hindrance == "another machine" else "hframe"
     with pytest.raises(InputError) as error:
         train(algorithm, machine, steps=1, seed=seed, out=untrained_agent, log=ignore)
-    assert str(error.value).endswith("training would replace; choose another folder, or replace it with --force")
+    assert str(error.value).endswith(
+        "training would replace; choose another folder, or replace it with --force"
+    )
 
 
 def test_a_recipe_that_continues_an_agent_of_two_axes_refuses_one_axis(tmp_path):
-    message = "recipe adapt_reach: .* ppo-seed0, which was trained on a machine with 2 axes.* has 1 axis.*train ppo"
+    message = (
+        "recipe adapt_reach: .* ppo-seed0, which was trained on a machine with 2 axes.* has 1 axis.*train ppo"
+    )
     with pytest.raises(InputError, match=message):
         train("adapt", "axis", steps=1, out=tmp_path, log=ignore)
     assert not list(tmp_path.rglob("*.json"))
@@ -299,7 +317,9 @@ def test_a_task_without_recipes_is_trained_by_those_of_the_same_metrics(algorith
 
 
 def test_runs_of_two_tasks_are_not_mixed(untrained_agent, user_task):
-    with pytest.raises(InputError, match="a run of ppo_reach on reach with seed 0, not of ppo_reach on user-task"):
+    with pytest.raises(
+        InputError, match="a run of ppo_reach on reach with seed 0, not of ppo_reach on user-task"
+    ):
         train("ppo", task=user_task, steps=10, out=untrained_agent, resume=True)
     with pytest.raises(InputError, match="would replace; choose another folder, or replace it with --force"):
         train("ppo", task=user_task, steps=1, out=untrained_agent, log=ignore)
@@ -308,11 +328,17 @@ def test_runs_of_two_tasks_are_not_mixed(untrained_agent, user_task):
 def test_recipes_that_do_not_fit_a_task_of_the_user_are_refused(tmp_path, user_task):
     shows = {"shown": 3}
     recipe = replace(load_recipe("apg", "track"), task=shows)
-    with pytest.raises(InputError, match=r"uses 10 future goals, but the task user-task shows 3 .*: ppo, residual"):
+    with pytest.raises(
+        InputError, match=r"uses 10 future goals, but the task user-task shows 3 .*: ppo, residual"
+    ):
         train(recipe, task=user_task, out=tmp_path, log=ignore)
-    with pytest.raises(InputError, match=r"uses 10 future goals, but the task user-task shows 3 .*: ppo, residual"):
+    with pytest.raises(
+        InputError, match=r"uses 10 future goals, but the task user-task shows 3 .*: ppo, residual"
+    ):
         train_seeds(recipe, task=user_task, out=tmp_path, log=ignore, jobs=2)
-    with pytest.raises(InputError, match=r"recipe adapt_reach: .* with 0 future goals, but the task user-task shows 3"):
+    with pytest.raises(
+        InputError, match=r"recipe adapt_reach: .* with 0 future goals, but the task user-task shows 3"
+    ):
         train(replace(load_recipe("adapt", user_task), task=shows), task=user_task, out=tmp_path, log=ignore)
     with pytest.raises(InputError, match=r"recipe ppo_track, table task: .*keyword argument 'path'"):
         train(load_recipe("ppo", "track"), task=user_task, out=tmp_path, log=ignore)
@@ -325,7 +351,9 @@ def test_exploration_that_depends_on_the_state_trains_and_loads(tmp_path, algori
     small = {"num_envs": 8, "max_episode_steps": 20}
     of_kind = {"ppo": {"batch_size": 256}, "sac": {"learning_starts": 64, "gradient_steps": 1}}
     keywords = {**recipe.algorithm, **of_kind[algorithm], "use_sde": True}
-    card = train(replace(recipe, env=recipe.env | small, algorithm=keywords), steps=600, out=tmp_path, log=ignore)
+    card = train(
+        replace(recipe, env=recipe.env | small, algorithm=keywords), steps=600, out=tmp_path, log=ignore
+    )
     kept = next(row for row in card["curve"] if row["steps"] == card["kept"])
     scenario = Scenario(randomize="default", episodes=EPISODES, seed=1_000_000)
     assert score_agent(Agent.load(tmp_path), scenario).row.items() <= kept.items()

@@ -120,7 +120,9 @@ class Visitor:
 
     def stage(self, key: str) -> str:
         """Return the text of a stage."""
-        return str(self.driver.execute_script(f"return document.querySelector('main[data-stage={key}]').innerText"))
+        return str(
+            self.driver.execute_script(f"return document.querySelector('main[data-stage={key}]').innerText")
+        )
 
     def drop(self, files: dict[str, bytes], selector: str = "main[data-stage=logs] .q-uploader") -> None:
         """Drop files on an element, by default on the stage Logs."""
@@ -169,7 +171,9 @@ class Visitor:
                 return
             chain = ActionChains(self.driver)
             (
-                chain.key_down(Keys.SHIFT).send_keys(Keys.TAB).key_up(Keys.SHIFT) if back else chain.send_keys(Keys.TAB)
+                chain.key_down(Keys.SHIFT).send_keys(Keys.TAB).key_up(Keys.SHIFT)
+                if back
+                else chain.send_keys(Keys.TAB)
             ).perform()
         raise AssertionError(f"the keyboard does not reach: {condition}")
 
@@ -254,13 +258,17 @@ def newcomers_session(visitor: Visitor) -> dict[str, str]:
     visitor.go("results")
     visitor.until("document.querySelector('.hf-report')?.contentDocument?.querySelector('.verdict')", 20.0)
     texts["results"] = str(
-        visitor.driver.execute_script("return document.querySelector('.hf-report').contentDocument.body.innerText")
+        visitor.driver.execute_script(
+            "return document.querySelector('.hf-report').contentDocument.body.innerText"
+        )
     )
     visitor.go("control")
     texts["control"] = visitor.run("control", 120.0)
     visitor.go("export")
     texts["c"] = visitor.run("export", 60.0)
     visitor.choose("[data-kind]", "fmu")
-    visitor.until("document.querySelector('main[data-stage=export]').innerText.includes('hframe export fmu')", 10.0)
+    visitor.until(
+        "document.querySelector('main[data-stage=export]').innerText.includes('hframe export fmu')", 10.0
+    )
     texts["fmu"] = visitor.run("export", 60.0)
     return texts

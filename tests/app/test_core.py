@@ -58,7 +58,9 @@ def test_other_commands() -> None:
         "--out",
         "result",
     ]
-    words = evaluate_command(["pid"], "machine.json", task="reach", randomize="none", period="", episodes=8, motions=2)
+    words = evaluate_command(
+        ["pid"], "machine.json", task="reach", randomize="none", period="", episodes=8, motions=2
+    )
     assert "--period" not in words
     assert export_command("c", "machine.json", {"period": "0.002", "flat": ""}, ["pid"])[1:] == [
         "c", "pid", "--machine", "machine.json", "--period", "0.002", "--flat", "--out", "export/c",
@@ -143,7 +145,11 @@ def test_columns_of_a_log_are_shown_as_what_the_import_takes_them_for(tmp_path: 
     assert not incomplete.has_time
     view = view_log(path, machine, MappingOptions({"v_V": "Sollspannung", "x_m": "Weg"}))
     notes = {curve.name: curve.note for curve in view.curves}
-    assert notes == {"Sollspannung [V]": "→ v_V", "Weg [mm]": "→ x_m (mm to m)", "Temperatur [°C]": "not used, degC"}
+    assert notes == {
+        "Sollspannung [V]": "→ v_V",
+        "Weg [mm]": "→ x_m (mm to m)",
+        "Temperatur [°C]": "not used, degC",
+    }
     position = next(curve for curve in view.curves if curve.name == "Weg [mm]")
     assert view.has_time
     assert position.time[-1] == pytest.approx(1.499)
@@ -156,7 +162,9 @@ def test_the_drawing_follows_the_tool(name: str) -> None:
     drawing, geometry = drawing_of(machine), stage_geometry(machine)
     assert drawing is not None
     x, y = 0.07, 0.0 if name == "axis" else -0.04
-    expected = [point for line in geometry.sections(x, y).values() for point in line] + list(geometry.pulleys(x, y))
+    expected = [point for line in geometry.sections(x, y).values() for point in line] + list(
+        geometry.pulleys(x, y)
+    )
     drawn = [
         (a + b * x + c * y, d + e * x + f * y)
         for shape in drawing["shapes"]
@@ -192,7 +200,9 @@ def test_an_interval_may_name_its_log() -> None:
     assert parse_interval("run_01=-1:3e1") == Interval("run_01", -1.0, 30.0)
 
 
-def test_without_the_extra_the_message_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_the_message_says_how_to_install_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "nicegui", None)
     with pytest.raises(ImportError, match=r"hframe_gym\[app\]"):
         serve(tmp_path / "session", 0, open_browser=False, log=print)

@@ -83,7 +83,9 @@ def test_runs_are_cut_with_the_mouse_and_by_numbers_and_a_wrong_column_is_explai
         visitor.go("logs")
         visitor.until("document.querySelectorAll('main[data-stage=logs] canvas').length > 0", 30.0)
         visitor.choose("[data-channel=x_m]", "Temperatur")
-        visitor.until("document.querySelector('main[data-stage=logs]').innerText.includes('Not yet complete')", 10.0)
+        visitor.until(
+            "document.querySelector('main[data-stage=logs]').innerText.includes('Not yet complete')", 10.0
+        )
         visitor.choose("[data-channel=x_m]", "Weg")
         visitor.click_text("[data-split] .q-radio", "keep the intervals")
         visitor.until("document.querySelector('[data-cut=add]')", 10.0)
@@ -92,7 +94,9 @@ def test_runs_are_cut_with_the_mouse_and_by_numbers_and_a_wrong_column_is_explai
         visitor.fill("[data-cut=from]", "0.9")
         visitor.fill("[data-cut=to]", "1.4")
         visitor.click("[data-cut=add]")
-        visitor.until("document.querySelector('main[data-stage=logs]').innerText.includes('one: 0.9 to 1.4 s')", 10.0)
+        visitor.until(
+            "document.querySelector('main[data-stage=logs]').innerText.includes('one: 0.9 to 1.4 s')", 10.0
+        )
         visitor.run("logs", 60.0)
     runs = sorted(path.name for path in (session / "runs").iterdir())
     assert runs == ["one_01.csv.gz", "one_02.csv.gz"]
@@ -112,7 +116,8 @@ def test_an_identification_that_is_stopped_keeps_the_best_machine(tmp_path: Path
         visitor.go("identify")
         visitor.click("[data-run=identify]")
         visitor.until(
-            "document.querySelector('main[data-stage=identify]').innerText.includes('Error of the best')", 120.0
+            "document.querySelector('main[data-stage=identify]').innerText.includes('Error of the best')",
+            120.0,
         )
         visitor.click_text("main[data-stage=identify] button", "Stop and keep the best")
         ended = "document.querySelector('main[data-stage=identify] .hf-details summary')?.innerText"
@@ -129,17 +134,23 @@ def test_stages_are_reached_and_commands_run_by_keyboard_alone(tmp_path: Path) -
         visitor.look(1280, "light")
         visitor.tab_to("e.innerText?.startsWith('One axis')")
         visitor.press(keys.SPACE)
-        visitor.until("document.querySelector('main[data-stage=machine]').innerText.includes('--like axis')", 10.0)
+        visitor.until(
+            "document.querySelector('main[data-stage=machine]').innerText.includes('--like axis')", 10.0
+        )
         visitor.tab_to("e.closest('[data-option=travel]') || e.matches('[data-option=travel]')")
         visitor.press("0.4")
         visitor.tab_to("e.dataset.run === 'machine'")
         visitor.press(keys.ENTER)
-        visitor.until("/done in/.test(document.querySelector('main[data-stage=machine] summary')?.innerText)", 60.0)
+        visitor.until(
+            "/done in/.test(document.querySelector('main[data-stage=machine] summary')?.innerText)", 60.0
+        )
         visitor.tab_to("e.matches('.q-tab')")
         visitor.press(keys.ARROW_RIGHT)
         visitor.press(keys.ENTER)
         visitor.until("document.querySelector('main[data-stage=logs]')?.offsetParent", 10.0)
-    assert load_machine(tmp_path / "session" / "machine.json").coordinate("x").range == pytest.approx((-0.2, 0.2))
+    assert load_machine(tmp_path / "session" / "machine.json").coordinate("x").range == pytest.approx(
+        (-0.2, 0.2)
+    )
 
 
 def test_a_dropped_machine_replaces_the_machine_and_a_faulty_one_is_explained(tmp_path: Path) -> None:

@@ -103,9 +103,17 @@ def _write(path: Path, content: dict[str, Any]) -> None:
         io.savemat(path, columns | {n: ARRAYS[key] for n, key in content["mat"].items()}, do_compression=True)
     if content.get("delete"):
         path.unlink()
-    if path.is_dir() or not {"replace", "set", "remove", "cut", "append", "hex", "repeat", "gzip", "pickle"} & set(
-        content
-    ):
+    if path.is_dir() or not {
+        "replace",
+        "set",
+        "remove",
+        "cut",
+        "append",
+        "hex",
+        "repeat",
+        "gzip",
+        "pickle",
+    } & set(content):
         return
     data = path.read_bytes() if path.exists() else b""
     data = pickle.dumps(Payload()) if "pickle" in content else data
@@ -161,6 +169,8 @@ def _write_parquet(path: Path, changed: dict[str, Any]) -> None:
     for name, (kind, value, *_) in changed.items():
         target = pyarrow.timestamp("ns") if kind == "timestamp" else pyarrow.type_for_alias(kind)
         columns[name] = (
-            pyarrow.array([value] * ROWS).cast(target) if rows == ROWS else pyarrow.array(np.full(rows, value))
+            pyarrow.array([value] * ROWS).cast(target)
+            if rows == ROWS
+            else pyarrow.array(np.full(rows, value))
         )
     parquet.write_table(pyarrow.table(columns), path)

@@ -68,14 +68,18 @@ class _PartsOfPage(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self._in_script = tag == "script"
         self._is_data = ("type", "application/json") in attrs
-        self.hostile += [f"{key}={value}" for key, value in attrs if key.startswith("on") and MARK in (value or "")]
+        self.hostile += [
+            f"{key}={value}" for key, value in attrs if key.startswith("on") and MARK in (value or "")
+        ]
 
     def handle_endtag(self, tag: str) -> None:
         self._in_script = False
 
     def handle_data(self, data: str) -> None:
         if self._in_script and MARK in data and not (self._is_data and "<" not in data):
-            self.hostile.append(data)  # no element can begin in a block of data without "<", which executes nothing
+            self.hostile.append(
+                data
+            )  # no element can begin in a block of data without "<", which executes nothing
 
 
 def hostile_parts(page: Path) -> list[str]:
@@ -127,7 +131,12 @@ def _internal_error(stop: SystemExit) -> str:
     import traceback
 
     error = stop.__context__
-    if stop.code != 1 or error is None or isinstance(error, SystemExit) or DEBUG_VARIABLE not in _last_line(error):
+    if (
+        stop.code != 1
+        or error is None
+        or isinstance(error, SystemExit)
+        or DEBUG_VARIABLE not in _last_line(error)
+    ):
         return ""
     return "".join(traceback.format_exception(error))
 

@@ -69,7 +69,12 @@ def log_text() -> str:
 def dialect_texts() -> dict[str, str]:
     """Return logs with names and units in comments and other row ends, with names before numbers, and of LabVIEW."""
     rows = [[f"{value:.6f}" for value in row] for row in run_table()]
-    comments = ["%logger 7", f"%{','.join(HEADER)}", "%[s],[V],[V],[rad],[rad],[m],[m]", "nan" + 6 * ",nan" + ";"]
+    comments = [
+        "%logger 7",
+        f"%{','.join(HEADER)}",
+        "%[s],[V],[V],[rad],[rad],[m],[m]",
+        "nan" + 6 * ",nan" + ";",
+    ]
     comments += [f"{','.join(row)};" for row in rows]
     labels = [",".join(f"{name}:{value}" for name, value in zip(HEADER, row, strict=True)) for row in rows]
     labview = [
@@ -113,7 +118,10 @@ def machine_content(name: str = "hframe") -> dict[str, Any]:
     first = content["coordinates"][0]["name"]
     content["uncertainty"] = {"names": [f"{first}.mass"], "covariance": [[1e-6]]}
     content["ties"] = {f"{first}.viscous": [f"{first}.coulomb", 1.0]}
-    content["drives"][0] |= {"current_limit": {"value": 10.0, "unit": "A"}, "delay": {"value": 1e-3, "unit": "s"}}
+    content["drives"][0] |= {
+        "current_limit": {"value": 10.0, "unit": "A"},
+        "delay": {"value": 1e-3, "unit": "s"},
+    }
     content["sensors"][-1] |= {"range": [-1.0, 1.0]}
     return content
 
@@ -175,21 +183,36 @@ def answer_report() -> dict[str, Any]:
                 "rivals": ["presliding@x"],
             }
         ],
-        "residual": {"depends_on": [{"variable": "velocity of x", "coordinate": "x", "share": 0.5}], "white": False},
+        "residual": {
+            "depends_on": [{"variable": "velocity of x", "coordinate": "x", "share": 0.5}],
+            "white": False,
+        },
         "explained": 0.9,
         "left": 1.5,
-        "considered": [{"name": "presliding", "site": "x", "size": 0.1, "held_out_gain": 0.01, "reason": "small"}],
+        "considered": [
+            {"name": "presliding", "site": "x", "size": 0.1, "held_out_gain": 0.01, "reason": "small"}
+        ],
         "not_separable": [
             {
                 "parameters": ["x.viscous", "motor.Ke"],
                 "determined": [{"weights": {"x.viscous": 1.0, "motor.Ke": 2.0}, "value": 3.0, "std": 0.1}],
             }
         ],
-        "next_experiment": {"separates": ["a", "b"], "why": "It separates them.", "file": "next_experiment.csv"},
+        "next_experiment": {
+            "separates": ["a", "b"],
+            "why": "It separates them.",
+            "file": "next_experiment.csv",
+        },
         "seconds": 1.0,
         "warnings": ["advice: odd"],
         "proposed_formulas": [
-            {"table": table, "complexity": KNOTS, "fitted": 1.0, "held_out": {"x_m": 1.1}, "formulas": [formula]}
+            {
+                "table": table,
+                "complexity": KNOTS,
+                "fitted": 1.0,
+                "held_out": {"x_m": 1.1},
+                "formulas": [formula],
+            }
         ],
     }
 

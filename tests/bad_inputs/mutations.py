@@ -12,9 +12,46 @@ from hypothesis import strategies as st
 MARK = "hostile_mark"  # in every text that would do something if it were executed; no page may contain it unescaped
 PAYLOAD = f"__import__('pathlib').Path('{MARK}').touch()"
 TEXTS = (
-    *("", " ", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1e400", "9" * 400, "0x10", "1_0", "12:30:00"),
-    *("\u0661\u0662", "--", "#n/a", '"', "'", ";", ",", "\t", "\r", "\x00", "\x1b[2J", "\u202e", "\ud7ff", "%s", "{0}"),
-    *(f"<script>{MARK}()</script>", f'" onload="{MARK}()', f"{{{{ {MARK} }}}}", "$\\frac_$", "[/bold]", "[link=x]"),
+    *(
+        "",
+        " ",
+        "nan",
+        "inf",
+        "-inf",
+        "1e308",
+        "-1e308",
+        "1e-320",
+        "1e400",
+        "9" * 400,
+        "0x10",
+        "1_0",
+        "12:30:00",
+    ),
+    *(
+        "\u0661\u0662",
+        "--",
+        "#n/a",
+        '"',
+        "'",
+        ";",
+        ",",
+        "\t",
+        "\r",
+        "\x00",
+        "\x1b[2J",
+        "\u202e",
+        "\ud7ff",
+        "%s",
+        "{0}",
+    ),
+    *(
+        f"<script>{MARK}()</script>",
+        f'" onload="{MARK}()',
+        f"{{{{ {MARK} }}}}",
+        "$\\frac_$",
+        "[/bold]",
+        "[link=x]",
+    ),
     *(
         PAYLOAD,
         f"x\n{PAYLOAD}",
@@ -27,7 +64,26 @@ TEXTS = (
     ),
 )
 NUMBERS = (
-    *(0, 1, -1, 2, 1e-300, -1e-300, 1e-9, 1e9, 1e30, 1e300, -1e300, 10**30, -(10**30), 2**63, 10**400, 0.1, -0.1, 1e-3),
+    *(
+        0,
+        1,
+        -1,
+        2,
+        1e-300,
+        -1e-300,
+        1e-9,
+        1e9,
+        1e30,
+        1e300,
+        -1e300,
+        10**30,
+        -(10**30),
+        2**63,
+        10**400,
+        0.1,
+        -0.1,
+        1e-3,
+    ),
     *(float("nan"), float("inf"), float("-inf"), True, False),
 )
 _JSON_KINDS = (
@@ -38,7 +94,9 @@ VALUES = (None, [], {}, [[]], {"": {}}, [1.0, "x"], {"value": 1.0, "unit": "kg"}
 
 def hostile_value() -> st.SearchStrategy[Any]:
     """Return a strategy for JSON values that a reader may not expect."""
-    return st.one_of(st.sampled_from(NUMBERS), st.sampled_from(TEXTS), st.sampled_from(VALUES), st.floats(), st.text())
+    return st.one_of(
+        st.sampled_from(NUMBERS), st.sampled_from(TEXTS), st.sampled_from(VALUES), st.floats(), st.text()
+    )
 
 
 @st.composite
@@ -74,7 +132,9 @@ def damaged_table(draw: st.DrawFn, text: str, separator: str = ",") -> str:
         i = draw(st.one_of(st.just(0), st.integers(0, len(rows) - 1)))
         k = draw(st.integers(0, len(rows) - 1))
         j = draw(st.integers(0, max(len(rows[i]) - 1, 0)))
-        kind = draw(st.sampled_from(("cell", "cell", "number", "column", "lose", "repeat", "swap", "cells", "cut")))
+        kind = draw(
+            st.sampled_from(("cell", "cell", "number", "column", "lose", "repeat", "swap", "cells", "cut"))
+        )
         if kind == "cell" and rows[i]:
             rows[i][j] = draw(st.one_of(st.sampled_from(TEXTS), st.text(max_size=4)))
         elif kind == "number" and rows[i]:
@@ -149,6 +209,8 @@ def damaged_json(draw: st.DrawFn, content: Any) -> str:
     text = json.dumps(content)
     if draw(st.integers(0, 30)) == 0:
         text = draw(
-            st.sampled_from((text[: len(text) // 2], "[" * 100_000, '{"a":' * 100_000, "9" * 100_000, f"[{text}]"))
+            st.sampled_from(
+                (text[: len(text) // 2], "[" * 100_000, '{"a":' * 100_000, "9" * 100_000, f"[{text}]")
+            )
         )
     return text

@@ -144,11 +144,25 @@ def parquet_run(draw: st.DrawFn) -> Case:
     )
     if draw(st.booleans()):
         return Case({"a.parquet": draw(damaged_bytes(contents_of("run", "a.parquet")["a.parquet"]))}, words)
-    columns: dict[str, Any] = {name: pyarrow.array(column) for name, column in zip(HEADER, run_table().T, strict=True)}
+    columns: dict[str, Any] = {
+        name: pyarrow.array(column) for name, column in zip(HEADER, run_table().T, strict=True)
+    }
     for _ in range(draw(st.integers(1, 2))):
         name = draw(st.sampled_from(HEADER))
         values = run_table()[:, HEADER.index(name)]
-        types = ("int64", "uint64", "bool", "text", "number text", "null", "time", "decimal", "list", "half", "binary")
+        types = (
+            "int64",
+            "uint64",
+            "bool",
+            "text",
+            "number text",
+            "null",
+            "time",
+            "decimal",
+            "list",
+            "half",
+            "binary",
+        )
         kind = draw(st.sampled_from((*types, "dictionary", "struct", "duration", "number", "rename")))
         integers = [draw(st.sampled_from((0, 1, 2**53 + 1, 2**62)))] * len(values)
         new: Any = {
@@ -158,7 +172,9 @@ def parquet_run(draw: st.DrawFn) -> Case:
             "text": lambda v=values: pyarrow.array([draw(st.sampled_from(TEXTS[:20]))] * len(v)),
             "number text": lambda v=values: pyarrow.array([str(x) for x in v]),
             "null": lambda v=values: pyarrow.nulls(len(v)),
-            "time": lambda v=integers: pyarrow.array(v, pyarrow.timestamp(draw(st.sampled_from(("s", "ns"))))),
+            "time": lambda v=integers: pyarrow.array(
+                v, pyarrow.timestamp(draw(st.sampled_from(("s", "ns"))))
+            ),
             "decimal": lambda v=values: pyarrow.array([round(x) for x in v]).cast(pyarrow.decimal128(38, 3)),
             "list": lambda v=values: pyarrow.array([[x] for x in v]),
             "half": lambda v=values: pyarrow.array(v.astype(np.float16)),
@@ -185,7 +201,9 @@ def parquet_run(draw: st.DrawFn) -> Case:
 def text_log(draw: st.DrawFn) -> Case:
     """Return a strategy for a damaged log in text with its mapping."""
     valid = log_text()
-    damaged = damaged_table(valid, ";").map(_encoded) if draw(st.booleans()) else damaged_bytes(valid.encode())
+    damaged = (
+        damaged_table(valid, ";").map(_encoded) if draw(st.booleans()) else damaged_bytes(valid.encode())
+    )
     split = ("--split-at-rests",) if draw(st.booleans()) else ()
     files = {"log.txt": draw(damaged), "map.toml": mapping_text().encode()}
     return Case(files, ("import", "log.txt", "--mapping", "map.toml", "--out", "runs", *split))
@@ -197,7 +215,11 @@ def dialect_log(draw: st.DrawFn) -> Case:
     name = draw(st.sampled_from(sorted(dialect_texts())))
     valid = dialect_texts()[name]
     separator = "\t" if name == "labview" else ","
-    damaged = damaged_table(valid, separator).map(_encoded) if draw(st.booleans()) else damaged_bytes(valid.encode())
+    damaged = (
+        damaged_table(valid, separator).map(_encoded)
+        if draw(st.booleans())
+        else damaged_bytes(valid.encode())
+    )
     return Case({"log.txt": draw(damaged)}, ("import", "log.txt", "--out", "runs"))
 
 
@@ -227,7 +249,13 @@ def mat_log(draw: st.DrawFn) -> Case:
     with np.errstate(invalid="ignore", over="ignore"):  # 0 times infinity: NaN in a log is one of the cases
         scaled = columns[name] * draw(st.floats())
     others = (
-        *(columns[name][:-1], columns[name].astype(complex), np.zeros((3, 4, 5)), np.array("text"), np.zeros((0, 2))),
+        *(
+            columns[name][:-1],
+            columns[name].astype(complex),
+            np.zeros((3, 4, 5)),
+            np.array("text"),
+            np.zeros((0, 2)),
+        ),
         *(
             {"a": columns[name]},
             np.array([{"a": 1}, "x"], object),
@@ -286,7 +314,10 @@ def mapping_file(draw: st.DrawFn) -> Case:
         name, content = "map.json", _encoded(draw(damaged_json(json.loads(mapping_text(".json")))))
     else:
         name, content = "map.toml", draw(damaged_bytes(mapping_text().encode()))
-    return Case({"log.txt": log_text().encode(), name: content}, ("import", "log.txt", "--mapping", name, "--out", "r"))
+    return Case(
+        {"log.txt": log_text().encode(), name: content},
+        ("import", "log.txt", "--mapping", name, "--out", "r"),
+    )
 
 
 @st.composite
@@ -298,7 +329,9 @@ def machine_file(draw: st.DrawFn) -> Case:
     else:
         damaged = _encoded(draw(damaged_json(content)))
     words = draw(
-        st.sampled_from((("machines", "show", "m.json"), ("machines", "show", "m.json"), ("kernel", "m.json")))
+        st.sampled_from(
+            (("machines", "show", "m.json"), ("machines", "show", "m.json"), ("kernel", "m.json"))
+        )
     )
     return Case({"m.json": damaged}, words)
 
@@ -311,7 +344,9 @@ def machine_values(draw: st.DrawFn) -> Case:
     entry = draw(st.sampled_from(numbers))
     quantities = [key for key, value in entry.items() if isinstance(value, dict) and "value" in value]
     key = draw(st.sampled_from(quantities))
-    entry[key]["value"] *= draw(st.sampled_from((1e-300, 1e-30, 1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 1e30, 1e300)))
+    entry[key]["value"] *= draw(
+        st.sampled_from((1e-300, 1e-30, 1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 1e30, 1e300))
+    )
     files = {"m.json": _encoded(json.dumps(content)), "a.csv": run_text().encode()}
     return Case(files, ("simulate", "--machine", "m.json", "--inputs", "a.csv", "--out", "out.csv"))
 
@@ -335,7 +370,9 @@ def _npz(arrays: dict[str, Any]) -> bytes:
 def answer_folder(draw: st.DrawFn) -> Case:
     """Return a strategy for an answer of `hframe identify` with one damaged file."""
     files = dict(contents_of("answer", "answer"))
-    name = draw(st.sampled_from(("report.json", "report.json", "machine.json", "declared.json", "evidence.npz")))
+    name = draw(
+        st.sampled_from(("report.json", "report.json", "machine.json", "declared.json", "evidence.npz"))
+    )
     if draw(st.integers(0, 5)) == 0:
         files[f"answer/{name}"] = draw(damaged_bytes(files[f"answer/{name}"]))
     elif name == "report.json":
@@ -347,7 +384,9 @@ def answer_folder(draw: st.DrawFn) -> Case:
     if draw(st.integers(0, 20)) == 0:
         del files[f"answer/{name}"]
     words = draw(
-        st.sampled_from((("report", "answer"), ("effects", "new", "found", "--from", "answer", "--out", "f.py")))
+        st.sampled_from(
+            (("report", "answer"), ("effects", "new", "found", "--from", "answer", "--out", "f.py"))
+        )
     )
     return Case(files, words)
 
@@ -359,7 +398,14 @@ def damaged_curves(draw: st.DrawFn) -> bytes:
     name = draw(st.sampled_from(sorted(curves)))
     values = curves[name]
     others = (
-        *(values[:-1], values[:0], values[:, None], values.astype(np.float32), values.astype(int), values * np.nan),
+        *(
+            values[:-1],
+            values[:0],
+            values[:, None],
+            values.astype(np.float32),
+            values.astype(int),
+            values * np.nan,
+        ),
         *(
             values * 1e300,
             values * 1e-300,
@@ -368,8 +414,20 @@ def damaged_curves(draw: st.DrawFn) -> bytes:
             values + 1j,
             np.float64(1.0),
         ),
-        *(np.array([Payload()], object), np.zeros(50_000), np.zeros(0), values[::-1], np.zeros((50, 0)), values > 0),
-        *(values.astype(np.longdouble), values.astype(np.float16), values.astype(">f8"), np.asfortranarray(values)),
+        *(
+            np.array([Payload()], object),
+            np.zeros(50_000),
+            np.zeros(0),
+            values[::-1],
+            np.zeros((50, 0)),
+            values > 0,
+        ),
+        *(
+            values.astype(np.longdouble),
+            values.astype(np.float16),
+            values.astype(">f8"),
+            np.asfortranarray(values),
+        ),
     )
     curves[name] = others[draw(st.integers(0, len(others) - 1))]
     if draw(st.integers(0, 4)) == 0:
@@ -404,7 +462,9 @@ def checkpoint(draw: st.DrawFn) -> Case:
     files = {f"agent/{Path(name).name}": content for name, content in contents_of("agent", "agent").items()}
     card = json.loads(files["agent/card.json"])
     card["kept"] = card["curve"][-1]["steps"]
-    files["agent/card.json"] = _encoded(draw(damaged_json(card))) if draw(st.booleans()) else json.dumps(card).encode()
+    files["agent/card.json"] = (
+        _encoded(draw(damaged_json(card))) if draw(st.booleans()) else json.dumps(card).encode()
+    )
     files["agent/checkpoint.zip"] = draw(st.one_of(st.just(pickle.dumps(Payload())), st.binary(max_size=200)))
     files["agent/replay.pkl"] = pickle.dumps(Payload())
     return Case(files, ("train", "ppo", "--steps", "1", "--resume", "--out", "agent"))

@@ -13,7 +13,19 @@ from .commands import PREFIX, REFUSED, run_command
 
 pytestmark = pytest.mark.integration
 CASES = load()
-READERS = (".csv", ".csv.gz", ".parquet", ".txt", ".mat", ".toml", "m.json", "path.csv", "answer", "agent", "card.json")
+READERS = (
+    ".csv",
+    ".csv.gz",
+    ".parquet",
+    ".txt",
+    ".mat",
+    ".toml",
+    "m.json",
+    "path.csv",
+    "answer",
+    "agent",
+    "card.json",
+)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

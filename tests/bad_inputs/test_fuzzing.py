@@ -22,7 +22,12 @@ from .readers import FOREIGN_LOGS, READERS, Case, import_case, load_case
 pytestmark = [pytest.mark.integration, pytest.mark.filterwarnings("ignore:Generating overly large repr")]
 
 FEW, MANY = 8, 400
-FUZZING = {"deadline": None, "derandomize": True, "database": None, "suppress_health_check": list(HealthCheck)}
+FUZZING = {
+    "deadline": None,
+    "derandomize": True,
+    "database": None,
+    "suppress_health_check": list(HealthCheck),
+}
 REFUSALS: list[str] = []  # messages about options and actions, none of which may be empty
 CORPUS = sorted((Path(__file__).parent / "corpus").iterdir())
 
@@ -78,7 +83,10 @@ ENV_OPTIONS: dict[str, st.SearchStrategy[Any]] = {
     "drives": st.sampled_from(("ideal", "rig", "machine", "none", None)),
     **{name: st.sampled_from((True, False, None, 1, "yes")) for name in ("privileged", "normalize", "flat")},
     "ends": st.sampled_from(("stops", "terminate", "explode", None)),
-    **{name: st.sampled_from((*NUMBERS, "0.01", None, [0.01])) for name in ("penalty", "period", "longest_step")},
+    **{
+        name: st.sampled_from((*NUMBERS, "0.01", None, [0.01]))
+        for name in ("penalty", "period", "longest_step")
+    },
 }
 
 

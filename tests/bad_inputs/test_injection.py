@@ -57,13 +57,17 @@ def test_the_example_has_every_string_field_of_the_schema() -> None:
 
 
 @pytest.mark.parametrize("path", STRING_FIELDS, ids=lambda path: ".".join(map(str, path)))
-def test_code_in_a_string_of_a_machine_is_refused_or_harmless(path: tuple[str | int, ...], tmp_path: Path) -> None:
+def test_code_in_a_string_of_a_machine_is_refused_or_harmless(
+    path: tuple[str | int, ...], tmp_path: Path
+) -> None:
     for text in INJECTIONS:
         _assert_harmless(json.dumps(replaced(CONTENT, path, text)), tmp_path)
 
 
 @pytest.mark.parametrize("path", FREE_KEYS, ids=lambda path: ".".join(map(str, path)))
-def test_code_in_a_key_of_a_machine_is_refused_or_harmless(path: tuple[str | int, ...], tmp_path: Path) -> None:
+def test_code_in_a_key_of_a_machine_is_refused_or_harmless(
+    path: tuple[str | int, ...], tmp_path: Path
+) -> None:
     for text in INJECTIONS:
         parent = value_at(CONTENT, path[:-1])
         renamed = {text if key == path[-1] else key: value for key, value in parent.items()}
@@ -82,7 +86,9 @@ def _assert_harmless(text: str, folder: Path) -> None:
         ast.parse(kernel.out)
         assert MARK not in kernel.out
         (folder / "run.csv").write_text(run_text())
-        simulated = run_command(("simulate", "--machine", "m.json", "--inputs", "run.csv", "--out", "o.csv"), folder)
+        simulated = run_command(
+            ("simulate", "--machine", "m.json", "--inputs", "run.csv", "--out", "o.csv"), folder
+        )
         assert simulated.problem == ""
     assert not (folder / MARK).exists()
 
@@ -103,7 +109,9 @@ def test_the_report_escapes_every_text_of_its_folder(tmp_path: Path) -> None:
     report["considered"][0] |= {"name": SCRIPT, "site": SCRIPT, "reason": SCRIPT}
     report["effects"][0]["rivals"] = [SCRIPT]
     report["proposed_formulas"][0]["formulas"][0]["formula"] = SCRIPT
-    curves = {name.replace("run_2", run).replace("v_V", SCRIPT): values for name, values in answer_curves().items()}
+    curves = {
+        name.replace("run_2", run).replace("v_V", SCRIPT): values for name, values in answer_curves().items()
+    }
     np.savez(folder / "evidence.npz", **curves)
     (folder / "report.json").write_text(json.dumps(report))
     for name in ("machine.json", "declared.json"):
@@ -120,14 +128,26 @@ def test_the_scorecard_escapes_the_names_of_machines_and_controllers(tmp_path: P
     name = f"<script>{MARK}()<|script>[b].json"
     (tmp_path / name).write_text(json.dumps(machine_content() | {"name": SCRIPT}))
     write_material("agent", tmp_path / f"<script>{MARK}()[b]")
-    words = ("evaluate", f"<script>{MARK}()[b]", "--machine", name, "--episodes", "2", "--html", "--out", "out")
+    words = (
+        "evaluate",
+        f"<script>{MARK}()[b]",
+        "--machine",
+        name,
+        "--episodes",
+        "2",
+        "--html",
+        "--out",
+        "out",
+    )
     outcome = run_command(words, tmp_path)
     assert (outcome.code, outcome.problem) == (0, "")
     _assert_escaped(tmp_path / "out" / "scorecard.html")
 
 
 @pytest.mark.train
-def test_a_checkpoint_is_resumed_only_where_it_was_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_checkpoint_is_resumed_only_where_it_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "first"))
     folder = tmp_path / "agent"
     train("ppo", steps=1, out=folder, log=lambda line: None)
@@ -150,7 +170,12 @@ def test_a_changed_checkpoint_has_no_valid_signature(
     sign_checkpoint(file)
     refuse_unsigned(file)
     data = file.read_bytes()
-    changed = {"first byte": b"C" + data[1:], "last byte": data[:-1] + b"g", "appended": data + b"x", "cut": data[:3]}
+    changed = {
+        "first byte": b"C" + data[1:],
+        "last byte": data[:-1] + b"g",
+        "appended": data + b"x",
+        "cut": data[:3],
+    }
     file.write_bytes(changed[change])
     with pytest.raises(InputError, match="was not written by this installation"):
         refuse_unsigned(file)

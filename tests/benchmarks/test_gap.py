@@ -12,7 +12,15 @@ import pytest
 
 from benchmarks.gap import bounds, machines, protocol, results
 from benchmarks.gap.__main__ import run
-from benchmarks.gap.control_loop import CLOCK_S, DURATION_S, RESTING_S, GapEpisodes, Starts, control, starts_of
+from benchmarks.gap.control_loop import (
+    CLOCK_S,
+    DURATION_S,
+    RESTING_S,
+    GapEpisodes,
+    Starts,
+    control,
+    starts_of,
+)
 from benchmarks.gap.entries import GapEntry, entry_names, get_entry, posterior_covariance
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, GapPlant, declared_machine, draw_plant
 from benchmarks.gap.recorder import CHOSEN_S, Recorder, standard_session
@@ -93,7 +101,11 @@ def test_plants_hide_zero_to_three_effects_and_every_second_of_each_number_a_res
 
 
 def test_a_plant_follows_from_its_seed_and_index() -> None:
-    first, again, other = draw_plant(PUBLIC_SEED, 7), draw_plant(PUBLIC_SEED, 7), draw_plant(PUBLIC_SEED + 1, 7)
+    first, again, other = (
+        draw_plant(PUBLIC_SEED, 7),
+        draw_plant(PUBLIC_SEED, 7),
+        draw_plant(PUBLIC_SEED + 1, 7),
+    )
     assert first.describe() == again.describe()
     assert first.stage == again.stage
     assert first.stage != other.stage
@@ -225,7 +237,9 @@ def test_practice_shows_no_true_positions() -> None:
 
 
 def test_names_of_entries() -> None:
-    assert {"pid", "predictive-corrected", "adaptive-pid-online", "ppo", "apg-identified"} <= set(entry_names())
+    assert {"pid", "predictive-corrected", "adaptive-pid-online", "ppo", "apg-identified"} <= set(
+        entry_names()
+    )
     assert get_entry("pid-plain").track == "identified"
     assert get_entry("predictive-online").track == "online"
     assert get_entry(f"{__name__}:Still") is Still
@@ -235,7 +249,9 @@ def test_names_of_entries() -> None:
 
 
 def test_the_hash_of_an_entry_covers_its_name_and_source() -> None:
-    hashes = {results.sha256_of(get_entry(name)) for name in ("pid", "pid-plain", "pid-corrected", "predictive")}
+    hashes = {
+        results.sha256_of(get_entry(name)) for name in ("pid", "pid-plain", "pid-corrected", "predictive")
+    }
     assert len(hashes) == 4
 
 
@@ -252,7 +268,9 @@ def test_posterior_of_the_parameters() -> None:
     assert observed is not None
     of = StateEstimator(observed, 0.01).augmented.names
     rows = [of.index(name) for name in names[:2]]
-    np.testing.assert_allclose(covariance[np.ix_(rows, rows)], relative[:2, :2] + 4e-4 * np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(
+        covariance[np.ix_(rows, rows)], relative[:2, :2] + 4e-4 * np.eye(2), atol=1e-12
+    )
     worst = of.index("phi1.coulomb")  # hardly identified: no worse than declared, a standard deviation of 0.4
     assert covariance[worst, worst] == pytest.approx(0.4**2)
     assert covariance[of.index("motor1.Kt"), of.index("motor1.Kt")] == pytest.approx(4e-4)
@@ -295,7 +313,9 @@ def test_run_continues_and_keeps_the_result(tmp_path: Path) -> None:
 def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     machine = declared_machine()
     heavier = machine.replace({"x.mass": 5.0})
-    found = [machines.Identified(machine, corrected, "no_effect", (), 1.0, 0.0) for corrected in (machine, heavier)]
+    found = [
+        machines.Identified(machine, corrected, "no_effect", (), 1.0, 0.0) for corrected in (machine, heavier)
+    ]
     runs = []
 
     def fake_control(*arguments: Any) -> GapEpisodes:
@@ -307,7 +327,9 @@ def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(protocol, "control", fake_control)
     monkeypatch.setattr(protocol, "EPISODES", {"reach": 1, "circle": 1, "square": 1})
     monkeypatch.setattr(results, "EPISODES", {"reach": 1, "circle": 1, "square": 1})
-    monkeypatch.setattr("benchmarks.gap.entries._standard", lambda declared, recorder, folder: found[len(runs) >= 6])
+    monkeypatch.setattr(
+        "benchmarks.gap.entries._standard", lambda declared, recorder, folder: found[len(runs) >= 6]
+    )
     rows = []
     for name in ("pid-plain", "pid-corrected", "predictive-plain", "predictive-corrected"):
         known = {(row["plant"], row["key"]): row for row in rows}
@@ -327,7 +349,9 @@ def test_edited_and_impossible_results_are_refused(tmp_path: Path, monkeypatch: 
         results.read(edited)
     monkeypatch.setattr(results, "stored_bounds", lambda seed: {0: np.array([0.1, 0.3, np.nan])})
     results.write(edited, content)
-    with pytest.raises(InputError, match=r"move 1 takes 0\.2 s, less than the shortest possible time, 0\.3000 s"):
+    with pytest.raises(
+        InputError, match=r"move 1 takes 0\.2 s, less than the shortest possible time, 0\.3000 s"
+    ):
         results.read(edited)
     results.write(edited, {**content, "digest": "0" * 16})
     with pytest.raises(InputError, match="other plants or episodes"):
@@ -409,7 +433,9 @@ def test_the_bound_leaves_out_what_the_optimization_does_not_support() -> None:
     rng = np.random.default_rng(0)
     names = (("belt_play", "belts"), ("bridge_yaw", "machine"), ("cogging", "motor1"))
     effects = tuple(draw_effect(name, site, 1.0, rng) for name, site in names)
-    row = bounds.compute(GapPlant(1, 0, effects, Residue()), np.zeros((2, 2)), np.array([[0.05, 0.0], [0.1, 0.1]]))
+    row = bounds.compute(
+        GapPlant(1, 0, effects, Residue()), np.zeros((2, 2)), np.array([[0.05, 0.0], [0.1, 0.1]])
+    )
     assert row["left_out"] == ["belt_play@belts", "bridge_yaw@machine"]
     assert 0.03 < row["times_s"][0] < row["times_s"][1] < 0.4
 

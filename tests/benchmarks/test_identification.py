@@ -63,7 +63,9 @@ def test_exception_gives_a_row_that_is_not_cached(counted, tmp_path, monkeypatch
 
 def test_only_complete_sets_are_written(tmp_path, monkeypatch):
     written = {}
-    monkeypatch.setattr(identification, "write_results", lambda name, content, seed: written.update({name: content}))
+    monkeypatch.setattr(
+        identification, "write_results", lambda name, content, seed: written.update({name: content})
+    )
     count = sum(case.group == "none" for case in cases().values())
     identification.write([ROW] * (count - 1))
     assert written == {}

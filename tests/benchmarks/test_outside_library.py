@@ -39,12 +39,16 @@ def test_a_table_over_the_right_variable_is_a_neighbor() -> None:
         ("motor2", "heat of motor2", (False, False)),
     ],
 )
-def test_hints_are_scored_by_component_and_variable(component: str, variable: str, scores: tuple[bool, bool]) -> None:
+def test_hints_are_scored_by_component_and_variable(
+    component: str, variable: str, scores: tuple[bool, bool]
+) -> None:
     heat = effect("winding heat", "motor1")
     entry = {"component": component, "coordinate": "phi1", "variable": variable, "share": 0.5}
     hint = score_hint(heat, {"residual": {"depends_on": [entry]}}, [])
     assert (hint["right_component"], hint["right"]) == scores
-    assert score_hint(heat, {"residual": {"depends_on": []}, "hint": entry}, [])["right_component"] == scores[0]
+    assert (
+        score_hint(heat, {"residual": {"depends_on": []}, "hint": entry}, [])["right_component"] == scores[0]
+    )
 
 
 def test_a_rig_without_a_hint_is_wrong_unless_a_neighbor_is_named() -> None:

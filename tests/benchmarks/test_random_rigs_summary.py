@@ -13,7 +13,11 @@ def _hidden(family, size, identified, absorbed=False):
 
 
 def _row(index, hidden=(), extra=(), kind="library", residue="", z=(), verdict="effect_found", after=1.0):
-    named = [{"label": f"{h['family']}@x", "family": h["family"], "extra": False} for h in hidden if h["identified"]]
+    named = [
+        {"label": f"{h['family']}@x", "family": h["family"], "extra": False}
+        for h in hidden
+        if h["identified"]
+    ]
     named += [{"label": f"{family}@y", "family": family, "extra": True} for family in extra]
     errors = {name: {"mean": value, "worst": value} for name, value in (("after", after), ("true", 1.0))}
     return {

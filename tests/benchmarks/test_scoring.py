@@ -60,8 +60,20 @@ def _effect(label, *, accepted=(), absorbed=False):
             [],
         ),
         (["electrical_lag@drives"], "effect_found", {"electrical_lag@motor1": []}, [False], []),
-        (["electrical_lag@motor1"], "effect_found", {"electrical_lag@drives": []}, [False], ["electrical_lag@drives"]),
-        (["electrical_lag@drives"], "effect_found", {"input_delay@drives": []}, [False], ["input_delay@drives"]),
+        (
+            ["electrical_lag@motor1"],
+            "effect_found",
+            {"electrical_lag@drives": []},
+            [False],
+            ["electrical_lag@drives"],
+        ),
+        (
+            ["electrical_lag@drives"],
+            "effect_found",
+            {"input_delay@drives": []},
+            [False],
+            ["input_delay@drives"],
+        ),
         (["input_delay@drives"], "effect_found", {"input_delay@drives": []}, [True], []),
         (["belt_damping@belts"], "effect_found", {"belt_damping@left": []}, [True], []),
         (["cogging@motor1", "belt_play@belts"], "effect_found", {"belt_play@belts": []}, [False, True], []),
@@ -75,10 +87,14 @@ def test_score_names(hidden, verdict, named, identified, extra):
 
 def test_score_of_effects_outside_the_library_and_of_absorbed_ones():
     catch = _effect("magnetic catch@x", accepted=("smooth_force[position of x]@x", ""))
-    assert score_names([catch], "effect_found", {"smooth_force[position of x]@x": []}) == NameScore((True,), ())
+    assert score_names([catch], "effect_found", {"smooth_force[position of x]@x": []}) == NameScore(
+        (True,), ()
+    )
     assert score_names([catch], "unexplained", {}) == NameScore((True,), ())
     assert score_names([catch], "no_effect", {}) == NameScore((False,), ())
-    assert score_names([catch], "unexplained", {"cogging@motor1": []}) == NameScore((False,), ("cogging@motor1",))
+    assert score_names([catch], "unexplained", {"cogging@motor1": []}) == NameScore(
+        (False,), ("cogging@motor1",)
+    )
     frame = _effect("frame resonance@x_m", accepted=("*mode*", ""))
     assert score_names([frame], "effect_found", {"added_mode@x_m": []}) == NameScore((True,), ())
     gain = _effect("gain_mismatch@motor1", absorbed=True)

@@ -139,7 +139,9 @@ assert results["num_env_steps_sampled_lifetime"] >= STEPS
 assert abs(results["env_runners"]["episode_return_mean"]) < 10.0, "ln of the distance at start over that at the end"
 """,
     ),
-    "Minari data sets": Client({"minari": "minari", "h5py": "h5py", **SB3}, 2, "assert len(rewards) == 150\n"),
+    "Minari data sets": Client(
+        {"minari": "minari", "h5py": "h5py", **SB3}, 2, "assert len(rewards) == 150\n"
+    ),
 }
 
 
@@ -202,7 +204,11 @@ REFUSED = {
     ),
     "'dict' object has no attribute 'shape'": Refusal(
         "skrl",
-        re.sub(r"HFrameFlat", "HFrame", "\n".join(re.findall(r"```python\n(.*?)```", SECTIONS["skrl"], re.DOTALL))),
+        re.sub(
+            r"HFrameFlat",
+            "HFrame",
+            "\n".join(re.findall(r"```python\n(.*?)```", SECTIONS["skrl"], re.DOTALL)),
+        ),
     ),
     "No default encoder config for obs space=Dict(": Refusal(
         "RLlib",
@@ -255,14 +261,18 @@ def test_section_runs(section: str, tmp_path: Path) -> None:
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     commands = "\n".join(re.findall(r"```sh\n(.*?)```", SECTIONS[section], re.DOTALL))
     if commands:
-        functions = f'set -e\npython() {{ "{sys.executable}" "$@"; }}\nhframe() {{ python -m hframe_gym "$@"; }}\n'
+        functions = (
+            f'set -e\npython() {{ "{sys.executable}" "$@"; }}\nhframe() {{ python -m hframe_gym "$@"; }}\n'
+        )
         short = re.sub(r"-n 150000\b", f"-n {client.steps}", commands)
         short = re.sub(r"--episodes \d+", f"--episodes {client.steps}", short)
         done = run(["bash", "-c", functions + short], tmp_path)
         assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     blocks = "\n".join(re.findall(r"```python\n(.*?)```", SECTIONS[section], re.DOTALL))
     if blocks or client.checks:
-        short, replaced = re.subn(r"^(STEPS.*? = )[\d_]+", rf"\g<1>{client.steps}", blocks, flags=re.MULTILINE)
+        short, replaced = re.subn(
+            r"^(STEPS.*? = )[\d_]+", rf"\g<1>{client.steps}", blocks, flags=re.MULTILINE
+        )
         assert replaced == ("STEPS" in blocks)
         program = tmp_path / "program.py"
         program.write_text(short + "\n" + client.checks)

@@ -67,7 +67,10 @@ def closed_loop(
         errors.append(np.linalg.norm(state[:, :2] - present_goal, axis=1))
         if k == periods:
             break
-        observation = {"observation": state if measure is None else measure(state), "desired_goal": present_goal}
+        observation = {
+            "observation": state if measure is None else measure(state),
+            "desired_goal": present_goal,
+        }
         if goal.ndim == 3:
             observation["preview"] = goal[:, k + 1 : k + 1 + PREVIEW].reshape(len(start), -1)
         actions.append(controller.act(observation))

@@ -24,7 +24,10 @@ FRICTION_X, FRICTION_PHI1, FRICTION_PHI2, MASS_X, BELTS = 0, 2, 3, 4, 8  # colum
 MODELED_EFFECTS = {
     "none": (),
     "dead band": (EFFECTS["dead_band"].at("motor1", Vd=0.5, drop=0.5),),
-    "forces": (EFFECTS["stribeck_friction"].at("x", dF=1.5, vs=0.03), EFFECTS["constant_force"].at("y", size=5.0)),
+    "forces": (
+        EFFECTS["stribeck_friction"].at("x", dF=1.5, vs=0.03),
+        EFFECTS["constant_force"].at("y", size=5.0),
+    ),
 }
 
 
@@ -33,7 +36,11 @@ def test_tracks_circles_more_accurately(hframe: Machine, effects: str) -> None:
     machine = hframe.with_effects(*MODELED_EFFECTS[effects])
     goals, changes = circles(COUNT, 2), random_stages(hframe, COUNT, 3)
     adaptive_rms, model_based_rms = [
-        np.sqrt(np.mean(closed_loop(kind(machine, PERIOD), machine, goals[:, 0], goals, changes=changes).error ** 2))
+        np.sqrt(
+            np.mean(
+                closed_loop(kind(machine, PERIOD), machine, goals[:, 0], goals, changes=changes).error ** 2
+            )
+        )
         for kind in (AdaptiveController, ModelBasedController)
     ]
     assert adaptive_rms < 0.6 * model_based_rms
@@ -65,11 +72,15 @@ def test_ends_where_the_model_based_controller_does_on_the_nominal_machine(
 
 def test_reset_clears_the_memory(hframe: Machine, adaptive: AdaptiveController) -> None:
     goals, changes = circles(3, 4, periods=30), random_stages(hframe, 3, 5)
-    first, second = (closed_loop(adaptive, hframe, goals[:, 0], goals, changes=changes, periods=30) for _ in range(2))
+    first, second = (
+        closed_loop(adaptive, hframe, goals[:, 0], goals, changes=changes, periods=30) for _ in range(2)
+    )
     np.testing.assert_array_equal(first.actions, second.actions)
 
 
-def test_a_fixed_goal_after_a_path_needs_no_friction_of_the_path(hframe: Machine, adaptive: AdaptiveController) -> None:
+def test_a_fixed_goal_after_a_path_needs_no_friction_of_the_path(
+    hframe: Machine, adaptive: AdaptiveController
+) -> None:
     """Environments pass fixed goals without a reset of all stages at once."""
     goals, changes = circles(3, 4, periods=5), random_stages(hframe, 3, 5)
     closed_loop(adaptive, hframe, goals[:, 0], goals, changes=changes, periods=5)

@@ -33,7 +33,9 @@ def test_parameters_are_declared_values_times_limited_ratios(hframe: Machine) ->
     declared = np.array(list(hframe.parameters.values()))
     column = list(hframe.parameters).index("y.mass")
     np.testing.assert_allclose(rows[:, column] / declared[column], [1.2, 4.0])
-    np.testing.assert_array_equal(np.delete(rows, column, axis=1), np.tile(np.delete(declared, column), (2, 1)))
+    np.testing.assert_array_equal(
+        np.delete(rows, column, axis=1), np.tile(np.delete(declared, column), (2, 1))
+    )
 
 
 def test_errors_of_the_belts_are_correlated(hframe: Machine) -> None:
@@ -47,7 +49,10 @@ def test_errors_of_the_belts_are_correlated(hframe: Machine) -> None:
 
 def test_measurement_equation_follows_the_declared_sensors(hframe: Machine) -> None:
     """An encoder in front of a gear of 5, and a laser with range, skew and delay."""
-    sensors = (Sensor("phi1_rad", {"phi1": 5.0}, 0.0, 0.12, "encoder"), Sensor("x_m", {"x": 1.0}, 2e-5, 0.0, "laser"))
+    sensors = (
+        Sensor("phi1_rad", {"phi1": 5.0}, 0.0, 0.12, "encoder"),
+        Sensor("x_m", {"x": 1.0}, 2e-5, 0.0, "laser"),
+    )
     effects = (
         EFFECTS["sensor_range"].at("x_m", low=-0.05, high=0.06),
         EFFECTS["sensor_skew"].at("x_m", a=0.02),
@@ -62,7 +67,9 @@ def test_measurement_equation_follows_the_declared_sensors(hframe: Machine) -> N
     expected[1, [0, 1]] = 1.0 / length, 0.02 / length
     expected[1, 4:] = -0.003 * expected[1, :4]
     np.testing.assert_allclose(measurements.matrix, expected, atol=1e-12)
-    np.testing.assert_allclose(measurements.to_travel(np.array([[2.0, 0.1]])), [[2.0 * radius / 5.0, 0.1 / length]])
+    np.testing.assert_allclose(
+        measurements.to_travel(np.array([[2.0, 0.1]])), [[2.0 * radius / 5.0, 0.1 / length]]
+    )
     std = np.array([0.12 / np.sqrt(12.0) * radius / 5.0, 2e-5 / length])
     np.testing.assert_allclose(np.sqrt(measurements.variance), std, rtol=1e-3)
     in_range = measurements.in_range(np.array([[100.0, 0.06], [0.0, 0.059]]))

@@ -137,11 +137,15 @@ def test_a_batch_equals_batches_of_one(hframe: Machine, model_based: ModelBasedC
     batch = closed_loop(model_based, hframe, goals[:, 0], goals, changes=changes, periods=40)
     for b in range(3):
         parameters = {name: values[b : b + 1] for name, values in changes.items()}
-        single = closed_loop(model_based, hframe, goals[b : b + 1, 0], goals[b : b + 1], changes=parameters, periods=40)
+        single = closed_loop(
+            model_based, hframe, goals[b : b + 1, 0], goals[b : b + 1], changes=parameters, periods=40
+        )
         np.testing.assert_allclose(single.actions[0], batch.actions[b], rtol=0.0, atol=1e-9)
 
 
-def test_a_previewed_goal_that_does_not_move_is_held(hframe: Machine, model_based: ModelBasedController) -> None:
+def test_a_previewed_goal_that_does_not_move_is_held(
+    hframe: Machine, model_based: ModelBasedController
+) -> None:
     goals = np.tile(np.array([[[0.05, -0.02]]]), (2, 41 + PREVIEW, 1))
     loop = closed_loop(model_based, hframe, goals[:, 0], goals, periods=40)
     assert loop.error.max() < 1e-9

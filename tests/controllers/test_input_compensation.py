@@ -118,7 +118,9 @@ def test_drives_without_effects_are_not_changed(hframe: Machine) -> None:
 
 
 @pytest.mark.parametrize(("drop", "ratio"), [(0.0, 0.75), (1.0, 0.3)], ids=["switch", "dead zone"])
-def test_contour_error_is_smaller_with_a_modeled_dead_band(hframe: Machine, drop: float, ratio: float) -> None:
+def test_contour_error_is_smaller_with_a_modeled_dead_band(
+    hframe: Machine, drop: float, ratio: float
+) -> None:
     machine = with_dead_band(hframe, drop)
     scenario = Scenario(machine, "track", randomize="none", episodes=8, seed=3)
     errors = []

@@ -13,7 +13,9 @@ from tests.controllers.closed_loop import PERIOD, closed_loop, random_points, ra
 pytestmark = pytest.mark.integration
 
 
-def test_reaches_a_grid_of_the_workspace_and_stays(hframe: Machine, model_based: ModelBasedController) -> None:
+def test_reaches_a_grid_of_the_workspace_and_stays(
+    hframe: Machine, model_based: ModelBasedController
+) -> None:
     grid = np.array([[x, y] for x in np.linspace(-0.25, 0.25, 5) for y in np.linspace(-0.16, 0.16, 5)])
     loop = closed_loop(model_based, hframe, grid[::-1].copy(), grid)
     assert loop.error[:, 100:].max() < 5e-5
@@ -39,7 +41,9 @@ def test_a_batch_equals_batches_of_one(hframe: Machine, model_based: ModelBasedC
     batch = closed_loop(model_based, hframe, start, goal, changes=changes, periods=60)
     for b in range(5):
         parameters = {name: values[b : b + 1] for name, values in changes.items()}
-        single = closed_loop(model_based, hframe, start[b : b + 1], goal[b : b + 1], changes=parameters, periods=60)
+        single = closed_loop(
+            model_based, hframe, start[b : b + 1], goal[b : b + 1], changes=parameters, periods=60
+        )
         np.testing.assert_allclose(single.actions[0], batch.actions[b], rtol=0.0, atol=1e-9)
 
 
@@ -80,7 +84,9 @@ def test_settles_sooner_if_it_models_the_effects(hframe: Machine, model_based: M
     assert np.sum(with_model.error > 2e-4) < 0.9 * np.sum(without_model.error > 2e-4)
 
 
-def test_a_replaced_action_is_not_taken_for_a_disturbance(hframe: Machine, model_based: ModelBasedController) -> None:
+def test_a_replaced_action_is_not_taken_for_a_disturbance(
+    hframe: Machine, model_based: ModelBasedController
+) -> None:
     """While friction holds the stage, each voltage is the one that was applied plus the same feedback."""
     model = MotionModel(hframe)
     observation = {

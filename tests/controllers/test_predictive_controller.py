@@ -109,7 +109,9 @@ def test_plans_arrive_within_the_voltage_limits():
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize(("task", "periods"), [(Track(path="circle", size=0.05, speed=0.3), 20), ("reach", 8)])
+@pytest.mark.parametrize(
+    ("task", "periods"), [(Track(path="circle", size=0.05, speed=0.3), 20), ("reach", 8)]
+)
 def test_the_gain_is_the_derivative_of_the_voltages(task, periods):
     envs = HFrameVectorEnv(4, task=task, randomize="default")
     controller = CONTROLLERS.get("predictive")(MACHINE, PERIOD)

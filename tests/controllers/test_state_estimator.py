@@ -40,10 +40,14 @@ class RigMeasurements:
         return np.hstack([np.clip(tool, -self.half, self.half), QUANTUM * np.rint(values[:, 2:4] / QUANTUM)])
 
 
-def random_motion(machine: Machine, start: tuple[float, float], periods: int) -> tuple[np.ndarray, Trajectory]:
+def random_motion(
+    machine: Machine, start: tuple[float, float], periods: int
+) -> tuple[np.ndarray, Trajectory]:
     """Simulate a machine under random voltages; return the voltages and the motion, one sample per period."""
     volts = np.random.default_rng(5).uniform(-9.0, 9.0, (periods + 1, 2))
-    return volts, simulate(machine, PERIOD * np.arange(periods + 1), volts, rest_state(machine, np.array(start)))
+    return volts, simulate(
+        machine, PERIOD * np.arange(periods + 1), volts, rest_state(machine, np.array(start))
+    )
 
 
 def true_states(machine: Machine, motion: Trajectory) -> np.ndarray:
@@ -116,7 +120,9 @@ def test_recovers_from_an_outlier(hframe: Machine, channel: int) -> None:
         estimate = estimator.update(measurement)
         estimator.send(volts[k : k + 1])
         if k > 46:
-            np.testing.assert_allclose(estimate[0, :4], motion.positions[k] * hframe.travel_per_unit, atol=1e-4)
+            np.testing.assert_allclose(
+                estimate[0, :4], motion.positions[k] * hframe.travel_per_unit, atol=1e-4
+            )
 
 
 def test_lasers_at_the_ends_of_their_ranges_change_nothing(hframe: Machine) -> None:
@@ -126,7 +132,9 @@ def test_lasers_at_the_ends_of_their_ranges_change_nothing(hframe: Machine) -> N
     for _ in range(20):
         angles = rng.normal([-9.0, 8.0], 0.01, (3, 2))
         clipped = np.hstack([np.full((3, 1), 0.05), np.full((3, 1), -0.05), angles])
-        np.testing.assert_allclose(with_lasers.update(clipped), without_lasers.update(angles), rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            with_lasers.update(clipped), without_lasers.update(angles), rtol=0.0, atol=1e-12
+        )
         for estimator in (with_lasers, without_lasers):
             estimator.send(np.ones((3, 2)))
 
@@ -134,7 +142,9 @@ def test_lasers_at_the_ends_of_their_ranges_change_nothing(hframe: Machine) -> N
 def test_delay_of_a_laser_is_compensated(hframe: Machine) -> None:
     """Measurements that are 5 ms old, of a tool that moves at up to 0.3 m/s, with and without a declared delay."""
     volts, motion = random_motion(hframe, (0.0, 0.0), 60)
-    fine = simulate(hframe, 1e-3 * np.arange(601), np.repeat(volts, 10, axis=0)[:601], rest_state(hframe, np.zeros(2)))
+    fine = simulate(
+        hframe, 1e-3 * np.arange(601), np.repeat(volts, 10, axis=0)[:601], rest_state(hframe, np.zeros(2))
+    )
     rig = with_rig(hframe, np.inf)
     delays = tuple(EFFECTS["sensor_delay"].at(s.channel, d=0.005) for s in LASERS)
     errors = []
@@ -165,7 +175,9 @@ def test_covariance_converges_to_the_riccati_solution() -> None:
     posterior = prior - gain @ H @ prior
     scale = np.sqrt(np.outer(np.diag(posterior), np.diag(posterior))) + 1e-30
     # The estimator integrates in steps of 0.5 ms, and F is a matrix exponential.
-    np.testing.assert_allclose(estimator._covariance[0, : 2 * n, : 2 * n] / scale, posterior / scale, atol=2e-3)
+    np.testing.assert_allclose(
+        estimator._covariance[0, : 2 * n, : 2 * n] / scale, posterior / scale, atol=2e-3
+    )
 
 
 def test_masked_reset_starts_a_new_episode(hframe: Machine) -> None:

@@ -38,7 +38,11 @@ def test_reset_clears_the_integrators_of_the_mask(hframe: Machine) -> None:
 
 
 def test_an_unstable_loop_is_told() -> None:
-    literal = BUILTIN_MACHINES["hframe-literal"]()  # without gear its motors are light, and the belt modes dominate
-    assert "unstable on machine 'hframe-literal' at a control period of 0.01 s" in str(TextbookPID(literal).concern())
+    literal = BUILTIN_MACHINES[
+        "hframe-literal"
+    ]()  # without gear its motors are light, and the belt modes dominate
+    assert "unstable on machine 'hframe-literal' at a control period of 0.01 s" in str(
+        TextbookPID(literal).concern()
+    )
     assert TextbookPID(BUILTIN_MACHINES["hframe"]()).concern() is None
     assert TextbookPID(BUILTIN_MACHINES["axis"]()).concern() is None

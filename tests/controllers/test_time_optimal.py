@@ -60,7 +60,8 @@ def bang_bang_time(machine: Machine, distance: float, band: float) -> float:
     switch = brentq(beyond_far_edge, 1e-9, 10.0)
     speed, x = accelerated(switch)
     return float(
-        switch + brentq(lambda t: x + braking_distance(speed, t) - (distance - band), 0.0, braking_time(speed))
+        switch
+        + brentq(lambda t: x + braking_distance(speed, t) - (distance - band), 0.0, braking_time(speed))
     )
 
 
@@ -82,7 +83,9 @@ def test_a_constant_force_changes_the_bang_bang_solution_of_an_axis() -> None:
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=-1.0))
     motion = TimeOptimalReach(pushed, band=BAND).solve([0.0], [0.1])
     assert motion.solved
-    assert motion.time_s == pytest.approx(bang_bang_time(axis.replace({"x.coulomb": 1.0}), 0.1, BAND), abs=5e-5)
+    assert motion.time_s == pytest.approx(
+        bang_bang_time(axis.replace({"x.coulomb": 1.0}), 0.1, BAND), abs=5e-5
+    )
 
 
 @pytest.mark.oracle
@@ -95,8 +98,14 @@ def test_a_wider_band_is_reached_earlier() -> None:
 
 EFFECT_SETS: Mapping[str, tuple] = {
     "none": (),
-    "friction": (EFFECTS["stribeck_friction"].at("x", dF=1.0, vs=0.5), EFFECTS["asymmetric_viscous"].at("y", a=0.3)),
-    "forces": (EFFECTS["constant_force"].at("y", size=5.0), EFFECTS["cogging"].at("motor1", A=0.03, n=24.0, p=0.5)),
+    "friction": (
+        EFFECTS["stribeck_friction"].at("x", dF=1.0, vs=0.5),
+        EFFECTS["asymmetric_viscous"].at("y", a=0.3),
+    ),
+    "forces": (
+        EFFECTS["constant_force"].at("y", size=5.0),
+        EFFECTS["cogging"].at("motor1", A=0.03, n=24.0, p=0.5),
+    ),
     "eccentric pulley": (EFFECTS["eccentric_pulley"].at("motor2", e=3e-4, p=0.5),),
     "voltage offset": (EFFECTS["voltage_offset"].at("motor1", V0=0.5),),
     "belt hardening": (EFFECTS["belt_hardening"].at("belts", h=2e4),),
@@ -112,7 +121,10 @@ def test_symbolic_equations_agree_with_the_simulator(effects: str) -> None:
     begin = casadi.SX.sym("begin", 8)
     model = SymbolicModel(machine, P, begin, 1e-3)
     values = np.array(list(machine.parameters.values()))
-    low, high = np.array([[-12.0, -12.0], [12.0, 12.0]]) + (0.5 if effects == "voltage offset" else 0.0) * np.eye(2)[0]
+    low, high = (
+        np.array([[-12.0, -12.0], [12.0, 12.0]])
+        + (0.5 if effects == "voltage offset" else 0.0) * np.eye(2)[0]
+    )
     scale = machine.travel_per_unit
     for _ in range(5):
         start = rest_state(machine, rng.uniform(-0.15, 0.15, 2))
@@ -135,7 +147,9 @@ def test_the_voltages_bring_the_simulated_stage_into_the_band(hframe_problem: Ti
     assert np.all(np.abs(motion.volts) <= 12.0 + 1e-6)
     assert motion.edges_s[-1] == pytest.approx(motion.time_s + HOLD_S)
     held = np.concatenate([motion.volts, motion.volts[-1:]])
-    simulated = simulate_batch(HFRAME, motion.edges_s, held, start=rest_state(HFRAME, START), longest_step=5e-5)
+    simulated = simulate_batch(
+        HFRAME, motion.edges_s, held, start=rest_state(HFRAME, START), longest_step=5e-5
+    )
     error = np.linalg.norm(simulated.positions[0][:, :2] - GOAL, axis=1)
     arrived = motion.edges_s >= motion.time_s
     assert np.all(error[~arrived] > BAND)
@@ -166,7 +180,10 @@ def test_effects_change_the_least_time_in_the_plausible_direction(
     name, site, parameters = effects
     machine = HFRAME.with_effects(EFFECTS[name].at(site, **parameters))
     start, goal = (-0.05, 0.0), (0.05, 0.0)
-    plain, changed = hframe_problem.solve(start, goal), TimeOptimalReach(machine, band=BAND).solve(start, goal)
+    plain, changed = (
+        hframe_problem.solve(start, goal),
+        TimeOptimalReach(machine, band=BAND).solve(start, goal),
+    )
     assert plain.solved
     assert changed.solved
     assert np.all(np.abs(changed.volts) <= 12.0 + 1e-6)

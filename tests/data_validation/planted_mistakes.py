@@ -21,7 +21,9 @@ def faults(findings: list[Finding]) -> list[str]:
     return [str(finding) for finding in findings if finding.severity == "fault"]
 
 
-def with_change(runs: list[Recording], change: Callable[[Array, Array], tuple[Array, Array]]) -> list[Recording]:
+def with_change(
+    runs: list[Recording], change: Callable[[Array, Array], tuple[Array, Array]]
+) -> list[Recording]:
     """Return the runs with inputs and outputs passed through a function."""
     parts = [change(run.inputs.copy(), run.outputs.copy()) for run in runs]
     return [dataclasses.replace(run, inputs=u, outputs=y) for run, (u, y) in zip(runs, parts, strict=True)]

@@ -82,7 +82,9 @@ def test_noise_is_not_estimated_from_rests_that_are_all_too_short() -> None:
     axis = load_machine("axis")
     axis = axis.replace(sensors=tuple(dataclasses.replace(s, noise=0.0) for s in axis.sensors))
     runs = [r for r in axis_runs(noisy) for _ in range(2)][:5]
-    short = [Recording(f"run_{k}", r.time_s[193:], r.inputs[193:], r.outputs[193:]) for k, r in enumerate(runs)]
+    short = [
+        Recording(f"run_{k}", r.time_s[193:], r.inputs[193:], r.outputs[193:]) for k, r in enumerate(runs)
+    ]
     for recordings, expected in ((runs, False), (short, True)):
         [noise] = [f for f in check_recordings(recordings, axis) if f.message.startswith("noise")]
         assert ("estimated during motion: too few rows are at rest" in noise.message) == expected
@@ -100,7 +102,9 @@ def test_an_encoder_that_keeps_its_value_while_its_drive_pushes_both_ways_is_sus
 
 @pytest.mark.parametrize("lasers", [True, False])
 @pytest.mark.parametrize("coulomb", [0.3, 1.0])
-def test_an_encoder_whose_motor_is_held_by_friction_is_not_stuck(lasers: bool, coulomb: float, hframe: Machine) -> None:
+def test_an_encoder_whose_motor_is_held_by_friction_is_not_stuck(
+    lasers: bool, coulomb: float, hframe: Machine
+) -> None:
     """Drive motor 2 alone: the carriage moves diagonally, belts stretch, and motor 1 rests within its friction."""
     machine = hframe.replace({"phi1.coulomb": coulomb, "phi2.coulomb": coulomb})
     time = np.arange(3000) * 1e-3
@@ -124,7 +128,9 @@ def test_lasers_that_end_at_their_range_do_not_make_other_channels_suspect(
 ) -> None:
     """Lasers of 100 mm range are clipped for whole runs; the encoders, which rest at times, are not stuck."""
     near = [r for r in runs if np.abs(r.outputs[:, [X, Y]]).max() > 0.05]
-    clipped = with_column(with_column(near, X, lambda y: np.clip(y, -0.02, 0.02)), Y, lambda y: np.clip(y, -0.02, 0.02))
+    clipped = with_column(
+        with_column(near, X, lambda y: np.clip(y, -0.02, 0.02)), Y, lambda y: np.clip(y, -0.02, 0.02)
+    )
     findings = check_before_fit(clipped, hframe)
     assert faults(findings) == []
     assert {f.channel for f in findings if "clipped?" in f.message} == {"x_m", "y_m"}
@@ -158,11 +164,15 @@ def test_lasers_that_measure_less_often_than_the_log_has_rows(
     negated = faults(check_recordings(with_column(sparse, X, lambda y: -y), hframe))
     assert len(negated) == 1
     assert "x_m has the wrong sign" in negated[0]
-    stuck = with_column(sparse[1:2], X, lambda y: np.where(np.isfinite(y) & (np.arange(len(y)) > 900), y[902], y))
+    stuck = with_column(
+        sparse[1:2], X, lambda y: np.where(np.isfinite(y) & (np.arange(len(y)) > 900), y[902], y)
+    )
     assert any("stuck" in line for line in faults(check_before_fit([*stuck, *sparse[2:]], hframe)))
 
 
-def test_outliers_are_reported_by_run_and_channel_and_are_no_fault(runs: list[Recording], hframe: Machine) -> None:
+def test_outliers_are_reported_by_run_and_channel_and_are_no_fault(
+    runs: list[Recording], hframe: Machine
+) -> None:
     def jump(y: np.ndarray) -> np.ndarray:
         y[[700, 1500]] += 0.05
         return y
@@ -198,7 +208,9 @@ def test_dropped_samples_are_reported(runs: list[Recording], hframe: Machine) ->
     run = runs[0]
     keep = np.ones(len(run.time_s), bool)
     keep[[500, 900, 901]] = False
-    [warning] = check_before_fit([Recording("r", run.time_s[keep], run.inputs[keep], run.outputs[keep])], hframe)
+    [warning] = check_before_fit(
+        [Recording("r", run.time_s[keep], run.inputs[keep], run.outputs[keep])], hframe
+    )
     assert warning.channel == "time_s"
     assert "2 gaps (3 ms in total" in warning.message
 
@@ -226,19 +238,25 @@ def test_the_jitter_of_the_clock_is_stated(runs: list[Recording], hframe: Machin
     assert float(line.message.split("by ")[1].split(" ms")[0]) == pytest.approx(0.6 / np.sqrt(12), rel=0.2)
 
 
-def test_an_output_that_was_not_measured_is_advice_and_no_fault(runs: list[Recording], hframe: Machine) -> None:
+def test_an_output_that_was_not_measured_is_advice_and_no_fault(
+    runs: list[Recording], hframe: Machine
+) -> None:
     findings = check_recordings(with_column(runs, Y, lambda y: np.full_like(y, np.nan)), hframe)
     assert faults(findings) == []
     assert sum(f.channel == "y_m" and "was not measured" in f.message for f in findings) == len(runs)
 
 
 def test_a_run_in_which_nothing_moves_is_advice(runs: list[Recording], hframe: Machine) -> None:
-    resting = dataclasses.replace(runs[0], name="still", inputs=0 * runs[0].inputs, outputs=0 * runs[0].outputs)
+    resting = dataclasses.replace(
+        runs[0], name="still", inputs=0 * runs[0].inputs, outputs=0 * runs[0].outputs
+    )
     [line] = [f for f in check_recordings([*runs, resting], hframe) if "nothing moves" in f.message]
     assert line.run == "still"
 
 
-def test_the_quantum_of_an_encoder_is_not_lost_among_resting_runs(runs: list[Recording], hframe: Machine) -> None:
+def test_the_quantum_of_an_encoder_is_not_lost_among_resting_runs(
+    runs: list[Recording], hframe: Machine
+) -> None:
     quantum = 2e-3  # rad, four times the declared one
     coarse = with_column(runs[:2], PHI1, lambda y: np.rint(y / quantum) * quantum)
     still = dataclasses.replace(runs[0], inputs=0 * runs[0].inputs, outputs=0 * runs[0].outputs)
@@ -257,7 +275,9 @@ def test_a_run_that_does_not_begin_at_rest_is_advice(hframe: Machine) -> None:
         str(f) for f in check_recordings([moving], hframe)
     )
     inputs[:20] = 0.0
-    findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
+    findings = check_recordings(
+        [Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe
+    )
     assert any(f.run == "push" and f.message.startswith("21 rows (20 ms) at rest before") for f in findings)
 
 
@@ -276,27 +296,39 @@ def test_motion_without_any_voltage_is_a_fault(dead: int, runs: list[Recording],
     without = [dataclasses.replace(run, inputs=0.0 * run.inputs) for run in runs[:dead]] + runs[dead:]
     for findings in (check_recordings(without, hframe), check_before_fit(without, hframe)):
         lines = faults(findings)
-        assert all("move while v1_V and v2_V are 0 throughout: the voltage was not logged" in line for line in lines)
+        assert all(
+            "move while v1_V and v2_V are 0 throughout: the voltage was not logged" in line for line in lines
+        )
         assert len(lines) == dead
         assert all("x_m" in line for line in lines)
 
 
 def test_motion_before_the_first_input_is_advice(runs: list[Recording], hframe: Machine) -> None:
     late = 30  # rows of 1 ms
-    shifted = [dataclasses.replace(run, inputs=np.vstack([np.zeros((late, 2)), run.inputs[:-late]])) for run in runs]
+    shifted = [
+        dataclasses.replace(run, inputs=np.vstack([np.zeros((late, 2)), run.inputs[:-late]])) for run in runs
+    ]
     findings = check_recordings(shifted, hframe)
     assert faults(findings) == []
-    lines = [f.message for f in findings if "before the first input: is v1_V and v2_V logged late" in f.message]
+    lines = [
+        f.message for f in findings if "before the first input: is v1_V and v2_V logged late" in f.message
+    ]
     assert len(lines) >= 2
-    assert any(f.channel == "x_m" and f.severity == "note" and f.message.startswith("noise") for f in findings)
+    assert any(
+        f.channel == "x_m" and f.severity == "note" and f.message.startswith("noise") for f in findings
+    )
 
 
-def test_a_machine_that_still_swings_when_a_run_begins_is_advice(runs: list[Recording], hframe: Machine) -> None:
+def test_a_machine_that_still_swings_when_a_run_begins_is_advice(
+    runs: list[Recording], hframe: Machine
+) -> None:
     rows = np.arange(len(runs[0].time_s))[:, None]
     swing = 2e-3 * np.cos(2 * np.pi * rows / 40) * np.exp(-rows / 10) * hframe.sensor_matrix[:, :1].T
     swinging = [dataclasses.replace(run, outputs=run.outputs + swing) for run in runs]
     findings = check_recordings(swinging, hframe)
-    assert [f.run for f in findings if "still moves when the run begins" in f.message] == [run.name for run in runs]
+    assert [f.run for f in findings if "still moves when the run begins" in f.message] == [
+        run.name for run in runs
+    ]
     [line] = [f.message for f in findings if f.channel == "x_m" and f.message.startswith("noise")]
     assert float(line.split()[1]) < 30e-6
 
@@ -310,7 +342,10 @@ def test_times_in_milliseconds_are_a_fault(runs: list[Recording], hframe: Machin
     wrong = dataclasses.replace(runs[0], time_s=1000 * runs[0].time_s)
     for findings in (check_recordings([wrong], hframe), check_before_fit([wrong], hframe)):
         [line] = faults(findings)
-        assert "time_s: samples are 1 s apart, is it in milliseconds? Convert it: hframe import FILE --unit" in line
+        assert (
+            "time_s: samples are 1 s apart, is it in milliseconds? Convert it: hframe import FILE --unit"
+            in line
+        )
 
 
 def test_a_run_of_many_rows_is_checked_and_should_be_cut(runs: list[Recording], hframe: Machine) -> None:
@@ -320,7 +355,9 @@ def test_a_run_of_many_rows_is_checked_and_should_be_cut(runs: list[Recording], 
     inputs, outputs = (np.tile(values, (repeats, 1)) for values in (runs[0].inputs, runs[0].outputs))
     long = Recording("long", period * np.arange(rows), inputs, outputs)
     findings = check_recordings([long], hframe)
-    assert any("s long, which makes a fit slow: cut it by hframe import --split-at-rests" in str(f) for f in findings)
+    assert any(
+        "s long, which makes a fit slow: cut it by hframe import --split-at-rests" in str(f) for f in findings
+    )
     assert any(f.channel == "x.mass" and "standard error" in f.message for f in findings)
 
 
@@ -337,7 +374,9 @@ def test_late_time_stamps_are_not_lost_rows(runs: list[Recording]) -> None:
 def test_rows_that_are_lost_regularly_are_no_late_stamps(runs: list[Recording], every: int) -> None:
     run = runs[0]
     kept = np.arange(len(run.time_s)) % every > 0
-    lossy = dataclasses.replace(run, time_s=run.time_s[kept], inputs=run.inputs[kept], outputs=run.outputs[kept])
+    lossy = dataclasses.replace(
+        run, time_s=run.time_s[kept], inputs=run.inputs[kept], outputs=run.outputs[kept]
+    )
     assert any("samples were dropped or taken late" in finding.message for finding in check_sampling(lossy))
 
 

@@ -35,21 +35,29 @@ def test_inputs_below_coulomb_friction_never_break_away(runs: list[Recording], h
 
 def test_inputs_far_above_the_rated_voltage_are_advice(runs: list[Recording], hframe: Machine) -> None:
     findings = check_recordings(with_change(runs[:1], lambda u, y: (20 * u, y)), hframe)
-    assert any(f.channel == "v1_V" and "rated 12 V: is the column in another unit" in f.message for f in findings)
+    assert any(
+        f.channel == "v1_V" and "rated 12 V: is the column in another unit" in f.message for f in findings
+    )
 
 
 def test_a_current_is_reported_in_ampere() -> None:
     axis = BUILTIN_MACHINES["axis"]()
-    machine = axis.replace(drives=(dataclasses.replace(axis.drives[0], channel="i_A", Ke=0.0, resistance=1.0),))
+    machine = axis.replace(
+        drives=(dataclasses.replace(axis.drives[0], channel="i_A", Ke=0.0, resistance=1.0),)
+    )
     time = np.arange(1000) * 1e-3
     inputs = np.where(time > 0.1, 40 * np.sign(np.sin(90 * time)), 0.0)[:, None]
-    findings = check_recordings([Recording("r", time, inputs, machine.simulate(time, inputs).outputs)], machine)
+    findings = check_recordings(
+        [Recording("r", time, inputs, machine.simulate(time, inputs).outputs)], machine
+    )
     assert any(f.message.startswith("reaches 40 A, rated 12 A") for f in findings)
 
 
 def test_motion_in_one_direction_is_advice(hframe: Machine) -> None:
     time = np.arange(1000) * 1e-3
     inputs = np.full((1000, 2), -3.0)
-    findings = check_recordings([Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe)
+    findings = check_recordings(
+        [Recording("push", time, inputs, hframe.simulate(time, inputs).outputs)], hframe
+    )
     assert any(f.channel == "y" and "one direction only" in f.message for f in findings)
     assert any(f.channel == "y" and "moves forward 100 %" in f.message for f in findings)

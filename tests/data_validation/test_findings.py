@@ -36,16 +36,26 @@ def test_findings_are_lines_in_a_file_and_a_table_on_a_terminal() -> None:
 
 def test_the_unit_of_a_channel_is_in_its_name_else_that_of_its_quantity() -> None:
     machine = BUILTIN_MACHINES["axis"]()
-    assert [channel_unit(c, machine) for c in (*machine.input_channels, *machine.output_channels)] == ["V", "m"]
-    inputs = {name: dataclasses.replace(machine.drives[0], channel=name) for name in ("torque_Nm", "i_A", "duty")}
-    outputs = {name: dataclasses.replace(machine.sensors[0], channel=name) for name in ("shaft_rad", "counter")}
+    assert [channel_unit(c, machine) for c in (*machine.input_channels, *machine.output_channels)] == [
+        "V",
+        "m",
+    ]
+    inputs = {
+        name: dataclasses.replace(machine.drives[0], channel=name) for name in ("torque_Nm", "i_A", "duty")
+    }
+    outputs = {
+        name: dataclasses.replace(machine.sensors[0], channel=name) for name in ("shaft_rad", "counter")
+    }
     units = [channel_unit(name, machine.replace(drives=(drive,))) for name, drive in inputs.items()]
     assert units == ["Nm", "A", "V"]
     assert [channel_unit(name, machine.replace(sensors=(s,))) for name, s in outputs.items()] == ["rad", "m"]
 
 
 def test_equal_findings_of_many_runs_are_printed_once() -> None:
-    findings = [Finding("advice", f"run_{i}", "time_s", f"{i} gaps (3.{i} ms): samples were dropped") for i in range(5)]
+    findings = [
+        Finding("advice", f"run_{i}", "time_s", f"{i} gaps (3.{i} ms): samples were dropped")
+        for i in range(5)
+    ]
     plain = io.StringIO()
     notes = [Finding("note", "", "x", f"standard error at least {percent} %") for percent in (1, 2)]
     print_findings([*findings, *notes], Console(file=plain))

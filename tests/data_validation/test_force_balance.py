@@ -25,13 +25,24 @@ def torque_motor() -> Machine:
         belts=(),
         coordinates=(Coordinate("shaft", 1e-3, 1e-3, 0.01, "rotary", 0.05),),
         drives=(
-            Drive("motor", "torque_Nm", "shaft", Kt=1.0, Ke=0.0, resistance=1.0, gear_ratio=1.0, rated_voltage=0.15),
+            Drive(
+                "motor",
+                "torque_Nm",
+                "shaft",
+                Kt=1.0,
+                Ke=0.0,
+                resistance=1.0,
+                gear_ratio=1.0,
+                rated_voltage=0.15,
+            ),
         ),
         sensors=(Sensor("angle_rad", {"shaft": 1.0}, resolution=QUANTUM, kind="encoder"),),
     )
 
 
-def slow_runs(machine: Machine, effect: AppliedEffect | None, sign: float = 1.0, size: float = 0.1) -> list[Recording]:
+def slow_runs(
+    machine: Machine, effect: AppliedEffect | None, sign: float = 1.0, size: float = 0.1
+) -> list[Recording]:
     """Return runs with slow sines, below the resonance of a spring or a weight, measured with a sign."""
     rig = machine if effect is None else machine.with_effects(effect)
     runs = []
@@ -95,7 +106,9 @@ def test_random_machines_with_springs_weights_and_offsets_have_no_fault(seed: in
     for k in range(3):
         torque = np.repeat(rng.uniform(-0.12, 0.12, 15), 100)[:, None] * (time > 0.2)[:, None]
         runs.append(
-            Recording(f"run_{k}", 5.0 * k + time, torque, measure(declared, rig.simulate(time, torque).outputs))
+            Recording(
+                f"run_{k}", 5.0 * k + time, torque, measure(declared, rig.simulate(time, torque).outputs)
+            )
         )
     findings = check_before_fit(runs, declared)
     assert [f for f in findings if f.severity == "fault"] == []
@@ -110,7 +123,9 @@ def test_inputs_of_another_recording_are_advice() -> None:
     for k in range(3):
         torque, other = (np.repeat(rng.uniform(-0.1, 0.1, 20), 100)[:, None] for _ in range(2))
         runs.append(
-            Recording(f"run_{k}", 5.0 * k + time, other, measure(machine, machine.simulate(time, torque).outputs))
+            Recording(
+                f"run_{k}", 5.0 * k + time, other, measure(machine, machine.simulate(time, torque).outputs)
+            )
         )
     [advice] = [f for f in check_before_fit(runs, machine) if "the inputs explain only" in f.message]
     assert advice.severity == "advice"

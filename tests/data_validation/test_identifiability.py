@@ -18,7 +18,9 @@ def cart() -> Machine:
     """Return an axis with viscous friction only and no back-EMF, whose motion has a closed form."""
     axis = BUILTIN_MACHINES["axis"]()
     drive = axis.drives[0]
-    return axis.replace(coordinates=(Coordinate("x", mass=2.0, viscous=5.0),)).replace({f"{drive.name}.Ke": 0.0})
+    return axis.replace(coordinates=(Coordinate("x", mass=2.0, viscous=5.0),)).replace(
+        {f"{drive.name}.Ke": 0.0}
+    )
 
 
 @pytest.mark.oracle
@@ -34,8 +36,12 @@ def test_bounds_of_mass_and_friction_equal_the_closed_form(cart: Machine) -> Non
         return force / b * (time - tau * (1 - np.exp(-time / tau)))
 
     h = 1e-5
-    slopes = np.stack([x(m * (1 + h), b) - x(m * (1 - h), b), x(m, b * (1 + h)) - x(m, b * (1 - h))]) / (2 * h * noise)
-    slopes -= slopes.mean(axis=1, keepdims=True)  # the sensor is not quantized, so the zero of the run is fitted
+    slopes = np.stack([x(m * (1 + h), b) - x(m * (1 - h), b), x(m, b * (1 + h)) - x(m, b * (1 - h))]) / (
+        2 * h * noise
+    )
+    slopes -= slopes.mean(
+        axis=1, keepdims=True
+    )  # the sensor is not quantized, so the zero of the run is fitted
     expected = np.sqrt(np.diag(np.linalg.inv(slopes @ slopes.T)))
     data = prepare([Recording("r", time, inputs, x(m, b)[:, None])], cart)
     np.testing.assert_allclose(data.noise, noise)
@@ -95,7 +101,11 @@ def test_the_sum_of_viscous_friction_and_back_emf_is_reported_and_not_each_alone
     ("relative_std", "severity", "message"),
     [
         (0.001, "note", "standard error at least 0.1 %"),
-        (0.3, "advice", "standard error at least 30 %; cannot be separated from x.viscous (correlation +0.990)"),
+        (
+            0.3,
+            "advice",
+            "standard error at least 30 %; cannot be separated from x.viscous (correlation +0.990)",
+        ),
     ],
 )
 def test_correlated_parameters_are_inseparable_only_if_they_are_inaccurate(

@@ -100,7 +100,9 @@ def with_hidden_mass(noise: float, late: int, controlled: bool = False) -> list[
 
 def timing_findings(recordings: list[Recording]) -> list[tuple[str, str]]:
     """Return severity and message of the findings about late voltages of recordings of the axis."""
-    return [(f.severity, f.message) for f in check_before_fit(recordings, AXIS) if "one row late" in f.message]
+    return [
+        (f.severity, f.message) for f in check_before_fit(recordings, AXIS) if "one row late" in f.message
+    ]
 
 
 @pytest.mark.parametrize("noise", [1e-6, 15e-6])

@@ -22,7 +22,11 @@ def motor() -> Machine:
         name="motor",
         belts=(),
         coordinates=(Coordinate("shaft", 5e-4, 1e-4, 0.01, "rotary", 0.02),),
-        drives=(Drive("motor", "u_V", "shaft", Kt=0.05, Ke=0.05, resistance=2.0, gear_ratio=1.0, rated_voltage=12.0),),
+        drives=(
+            Drive(
+                "motor", "u_V", "shaft", Kt=0.05, Ke=0.05, resistance=2.0, gear_ratio=1.0, rated_voltage=12.0
+            ),
+        ),
         sensors=(Sensor("angle_rad", {"shaft": 1.0}, resolution=1.5e-3, kind="encoder"),),
     )
 
@@ -52,7 +56,10 @@ def test_right_units_are_not_suspected() -> None:
 def test_turns_are_suspected_but_may_be_a_wrong_gain() -> None:
     [advice] = of_channel(check_before_fit(motor_runs(1 / TURN), motor()), "angle_rad")
     assert advice.severity == "advice"
-    assert "slower than the machine simulates in all 3 runs: is the column in turns, not in rad?" in advice.message
+    assert (
+        "slower than the machine simulates in all 3 runs: is the column in turns, not in rad?"
+        in advice.message
+    )
     assert "Then multiply it by 6.283; otherwise a gain" in advice.message
 
 
@@ -65,7 +72,8 @@ def test_a_motion_that_a_spring_restrains_is_not_in_turns() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(360.0 / TURN, "degrees"), (4096 / TURN, "counts of an encoder (about 4.1e+03 per turn)")]
+    ("factor", "unit"),
+    [(360.0 / TURN, "degrees"), (4096 / TURN, "counts of an encoder (about 4.1e+03 per turn)")],
 )
 def test_a_unit_far_from_any_gain_is_a_fault_if_inertia_and_friction_agree(factor: float, unit: str) -> None:
     [line] = faults(check_before_fit(motor_runs(factor), motor()))

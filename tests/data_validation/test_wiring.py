@@ -10,27 +10,47 @@ import pytest
 from hframe_gym.data_validation import check_before_fit, check_recordings
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
-from tests.data_validation.planted_mistakes import PHI1, PHI2, Array, X, Y, faults, measure, with_change, with_column
+from tests.data_validation.planted_mistakes import (
+    PHI1,
+    PHI2,
+    Array,
+    X,
+    Y,
+    faults,
+    measure,
+    with_change,
+    with_column,
+)
 
 REMEDY = "correct the columns of the file, or the declaration in machine.json"
 
 
 @pytest.mark.parametrize("column", [PHI1, PHI2, X, Y])
-def test_a_channel_that_counts_backwards_is_named(column: int, runs: list[Recording], hframe: Machine) -> None:
+def test_a_channel_that_counts_backwards_is_named(
+    column: int, runs: list[Recording], hframe: Machine
+) -> None:
     lines = faults(check_recordings(with_column(runs, column, lambda y: -y), hframe))
     assert lines == [f"fault: {hframe.output_channels[column]} has the wrong sign: {REMEDY}"]
 
 
-@pytest.mark.parametrize(("pair", "names"), [((PHI1, PHI2), "phi1_rad and phi2_rad"), ((X, Y), "x_m and y_m")])
-def test_swapped_outputs_are_named(pair: tuple[int, int], names: str, runs: list[Recording], hframe: Machine) -> None:
+@pytest.mark.parametrize(
+    ("pair", "names"), [((PHI1, PHI2), "phi1_rad and phi2_rad"), ((X, Y), "x_m and y_m")]
+)
+def test_swapped_outputs_are_named(
+    pair: tuple[int, int], names: str, runs: list[Recording], hframe: Machine
+) -> None:
     def swap(u: Array, y: Array) -> tuple[Array, Array]:
         y[:, list(pair)] = y[:, list(reversed(pair))]
         return u, y
 
-    assert f"fault: {names} are swapped: {REMEDY}" in faults(check_recordings(with_change(runs, swap), hframe))
+    assert f"fault: {names} are swapped: {REMEDY}" in faults(
+        check_recordings(with_change(runs, swap), hframe)
+    )
 
 
-def test_a_motor_with_the_wrong_sign_and_swapped_motors_are_named(runs: list[Recording], hframe: Machine) -> None:
+def test_a_motor_with_the_wrong_sign_and_swapped_motors_are_named(
+    runs: list[Recording], hframe: Machine
+) -> None:
     negated = with_change(runs, lambda u, y: (u * [1.0, -1.0], y))
     assert faults(check_recordings(negated, hframe)) == [f"fault: v2_V has the wrong sign: {REMEDY}"]
     swapped = with_change(runs, lambda u, y: (u[:, ::-1], y))
@@ -47,13 +67,19 @@ def test_on_a_single_axis_the_sign_of_sensor_and_motor_cannot_be_distinguished()
     assert lines == [f"fault: x_m has the wrong sign or v_V has the wrong sign: {REMEDY}"]
 
 
-@pytest.mark.parametrize(("column", "factor", "unit"), [(Y, 1000.0, "millimeters"), (PHI1, 57.2958, "degrees")])
-def test_a_wrong_unit_is_named(column: int, factor: float, unit: str, runs: list[Recording], hframe: Machine) -> None:
+@pytest.mark.parametrize(
+    ("column", "factor", "unit"), [(Y, 1000.0, "millimeters"), (PHI1, 57.2958, "degrees")]
+)
+def test_a_wrong_unit_is_named(
+    column: int, factor: float, unit: str, runs: list[Recording], hframe: Machine
+) -> None:
     lines = faults(check_recordings(with_column(runs, column, lambda y: factor * y), hframe))
     assert any(hframe.output_channels[column] in line and unit in line for line in lines)
 
 
-def test_the_name_of_a_channel_decides_which_unit_is_suspected(runs: list[Recording], hframe: Machine) -> None:
+def test_the_name_of_a_channel_decides_which_unit_is_suspected(
+    runs: list[Recording], hframe: Machine
+) -> None:
     first, *others = hframe.sensors
     machine = hframe.replace(sensors=(dataclasses.replace(first, channel="belt_m"), *others))
     lines = faults(check_recordings(with_column(runs, PHI1, lambda y: 57.3 * y), machine))
@@ -77,7 +103,9 @@ def test_a_single_run_with_a_wrong_sign_is_named(runs: list[Recording], hframe: 
 
 def test_a_machine_that_hardly_moves_as_simulated_has_no_certain_fault(hframe: Machine) -> None:
     """Friction of three times the declared one: speeds are a small fraction of the simulated ones."""
-    friction = {f"{name}.coulomb": 3 * hframe.parameters[f"{name}.coulomb"] for name in ("x", "y", "phi1", "phi2")}
+    friction = {
+        f"{name}.coulomb": 3 * hframe.parameters[f"{name}.coulomb"] for name in ("x", "y", "phi1", "phi2")
+    }
     machine = hframe.replace(friction)
     time = np.arange(2000) * 1e-3
     inputs = np.column_stack([4 * np.sin(9 * time), 3 * np.sin(7 * time)])
@@ -95,7 +123,8 @@ def test_a_pulley_of_another_radius_is_measured(runs: list[Recording], hframe: M
 
 
 @pytest.mark.parametrize(
-    ("factor", "text"), [(3.0, "moves 3 times as far"), (1.1, "moves 10.0 % too far"), (0.9, "moves 10.0 % too little")]
+    ("factor", "text"),
+    [(3.0, "moves 3 times as far"), (1.1, "moves 10.0 % too far"), (0.9, "moves 10.0 % too little")],
 )
 def test_an_encoder_that_contradicts_a_scale_is_named(factor: float, text: str) -> None:
     """A gear ratio that nobody converted is a fault; a small error may be one of the scale."""

@@ -44,7 +44,9 @@ def test_torch_confirms_all_gradients(stage):
         return states / UNITS, 1e3 * stage.readings(states, parameters)
 
     scaled = (start / UNITS).detach().requires_grad_()
-    assert torch.autograd.gradcheck(function, (scaled, voltages, mass, stretch), eps=1e-6, atol=1e-4, rtol=1e-5)
+    assert torch.autograd.gradcheck(
+        function, (scaled, voltages, mass, stretch), eps=1e-6, atol=1e-4, rtol=1e-5
+    )
 
 
 def test_steps_are_a_rollout(stage):
@@ -81,7 +83,9 @@ def test_an_episode_of_the_environment_is_a_rollout():
     states = stage.rollout(start, torch.from_numpy(actions) * torch.from_numpy(stage.rated), parameters)
     for k in range(40):
         observation, *_ = environment.step(actions[:, k])
-        np.testing.assert_allclose(stage.tool_positions(states[:, k + 1]), observation["achieved_goal"], atol=2e-7)
+        np.testing.assert_allclose(
+            stage.tool_positions(states[:, k + 1]), observation["achieved_goal"], atol=2e-7
+        )
 
 
 def test_end_stops_keep_the_tool_in_the_workspace():

@@ -16,7 +16,15 @@ from tests.effects.one_of_each import CASES
 
 MACHINE = BUILTIN_MACHINES["hframe"]()
 PERIOD, STEP = 0.01, 0.5e-3
-FEW = ("stribeck_friction", "presliding", "cogging", "belt_slack", "eccentric_pulley", "input_delay", "bridge_yaw")
+FEW = (
+    "stribeck_friction",
+    "presliding",
+    "cogging",
+    "belt_slack",
+    "eccentric_pulley",
+    "input_delay",
+    "bridge_yaw",
+)
 
 
 class Case:
@@ -35,7 +43,9 @@ class Case:
         ahead = 1e-3 * np.linspace(1.0, 0.4, len(linear))  # not all equal: then a pulley would be at rest
         moved = np.array([rest_state(machine, tool + ahead)[:count] for tool in tools]) - start[:, :count]
         start[:, count : 2 * count] = moved * generator.uniform(200.0, 400.0, (batch, 1))  # 0.2 to 0.4 m/s
-        start[:, 2 * count :] = generator.uniform(1e-6, 2e-6, start[:, 2 * count :].shape)  # |z| has a corner at 0
+        start[:, 2 * count :] = generator.uniform(
+            1e-6, 2e-6, start[:, 2 * count :].shape
+        )  # |z| has a corner at 0
         self.arrays = {
             "start": start,
             "inputs": generator.uniform(0.0, 4.0, (batch, periods, len(machine.drives))),
@@ -43,7 +53,9 @@ class Case:
             "parameters": parameters,
         }
         self.units = {  # of the steps of the differences
-            "start": np.concatenate([np.tile(np.maximum(np.abs(start[:, :count]), 1e-3), 2), start[:, 2 * count :]], 1),
+            "start": np.concatenate(
+                [np.tile(np.maximum(np.abs(start[:, :count]), 1e-3), 2), start[:, 2 * count :]], 1
+            ),
             "inputs": 1.0,
             "earlier": 1.0,
             "parameters": np.abs(parameters),
@@ -81,7 +93,8 @@ class Case:
         quotients = []
         for step in (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7):
             ends = [
-                self.value({**self.arrays, name: self.arrays[name] + sign * step * direction}) for sign in (1.0, -1.0)
+                self.value({**self.arrays, name: self.arrays[name] + sign * step * direction})
+                for sign in (1.0, -1.0)
             ]
             quotients.append((ends[0] - ends[1]) / (2.0 * step))
         quotients = np.array(quotients)
@@ -175,7 +188,9 @@ def test_a_voltage_that_friction_holds_has_no_influence():
 def test_sliding_derivatives_are_those_of_a_motion_with_constant_friction():
     motions, held = axis_at_rest(1e3, "sliding", 1.0)
     assert not motions.states.any()
-    _, moving = axis_at_rest(0.0, "exact", 1.0)  # the axis is linear: without friction its derivatives are constant
+    _, moving = axis_at_rest(
+        0.0, "exact", 1.0
+    )  # the axis is linear: without friction its derivatives are constant
     np.testing.assert_allclose(held.inputs, moving.inputs, rtol=1e-12)
     np.testing.assert_allclose(held.start, moving.start, rtol=1e-12)
 
@@ -259,7 +274,10 @@ def test_slopes_of_the_damping_formulas(function, slope, z):
         return result[0, 0]
 
     step = 1e-4
-    values = [compiled(function.__name__, z + k * step) for k in ((-2, -1, 1, 2) if z or function is ramp else (0, 1))]
+    values = [
+        compiled(function.__name__, z + k * step)
+        for k in ((-2, -1, 1, 2) if z or function is ramp else (0, 1))
+    ]
     if len(values) == 4:
         expected = (values[0] - 8.0 * values[1] + 8.0 * values[2] - values[3]) / (12.0 * step)
         assert compiled(slope.__name__, z) == pytest.approx(expected, rel=1e-8)
@@ -269,7 +287,10 @@ def test_slopes_of_the_damping_formulas(function, slope, z):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"period": 0.0}, "must be positive"), ({"friction": "smooth"}, "choose one of exact, smoothed, sliding")],
+    [
+        ({"period": 0.0}, "must be positive"),
+        ({"friction": "smooth"}, "choose one of exact, smoothed, sliding"),
+    ],
 )
 def test_wrong_options_are_refused(options, message):
     with pytest.raises(InputError, match=message):

@@ -115,7 +115,9 @@ def test_effect_forces_broadcast_over_variants(hframe: Machine) -> None:
     np.testing.assert_allclose(force[..., [0, 2, 3]], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["presliding", "electrical_lag", "eccentric_pulley", "belt_damping", "belt_play"])
+@pytest.mark.parametrize(
+    "name", ["presliding", "electrical_lag", "eccentric_pulley", "belt_damping", "belt_play"]
+)
 def test_effect_explains_its_part_of_the_force(name: str, hframe: Machine) -> None:
     """The model with the effect explains the motion; the model without it does not."""
     machine = hframe.with_effects(CASES[name].effect)
@@ -142,7 +144,9 @@ def test_sensor_readings_agree_with_the_kernel(name: str, hframe: Machine) -> No
     time_s, inputs = history(2, seconds=0.2)
     machine = hframe.with_effects(CASES[name].effect)
     motion = simulate(machine, time_s, inputs, rest_state(machine, START))
-    np.testing.assert_allclose(sensor_readings(machine, motion.positions), motion.outputs, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(
+        sensor_readings(machine, motion.positions), motion.outputs, rtol=1e-12, atol=1e-15
+    )
 
 
 def test_tied_parameter_follows_its_owner(hframe: Machine) -> None:
@@ -182,7 +186,9 @@ def test_effects_act_in_the_order_of_the_signal(
     time_s = np.arange(200) * 1e-3
     inputs = np.stack([7.0 * np.sin(60.0 * time_s), 5.0 * np.cos(40.0 * time_s)], axis=1)
     applied = [EFFECTS[name].at(site, **values) for name, values in (first, second)]
-    simulated = [hframe.with_effects(*order).simulate(time_s, inputs).outputs for order in (applied, applied[::-1])]
+    simulated = [
+        hframe.with_effects(*order).simulate(time_s, inputs).outputs for order in (applied, applied[::-1])
+    ]
     np.testing.assert_array_equal(*simulated)
     without_second = hframe.with_effects(applied[0]).simulate(time_s, inputs).outputs
     assert np.abs(simulated[0] - without_second).max() > 1e-5

@@ -123,10 +123,16 @@ def test_flow_without_compilation(viscous: float) -> None:
     expected = np.array([exact(v[i], f[i], coulomb, viscous, mass, h) for i in range(len(v))]).T
     np.testing.assert_allclose(np.where(stopped, turned, after), expected[0], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(travel[:-1], expected[1, :-1], rtol=1e-7, atol=1e-13)
-    assert travel[-1] == pytest.approx(expected[1, -1], rel=1e-5)  # the stop's series ends where damping is strongest
+    assert travel[-1] == pytest.approx(
+        expected[1, -1], rel=1e-5
+    )  # the stop's series ends where damping is strongest
     # After a reversal the coefficient of the new direction acts for the rest of the step.
     lane = 2
-    stop = mass / viscous * np.log1p(viscous * v[lane] / (coulomb - f[lane])) if viscous else v[lane] * mass / 8.0
+    stop = (
+        mass / viscous * np.log1p(viscous * v[lane] / (coulomb - f[lane]))
+        if viscous
+        else v[lane] * mass / 8.0
+    )
     _, other = friction.stop_or_reverse(*arguments, 5.0 * np.ones_like(v), mass, 1.0 / mass, h)
     to_rest = exact(v[lane], f[lane], coulomb, viscous, mass, stop)[1]
     away = exact(0.0, f[lane], coulomb, 5.0, mass, h - stop)[1]

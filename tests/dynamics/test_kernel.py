@@ -66,7 +66,9 @@ def test_absent_effect_costs_nothing(name: str, site: str, trace: str, hframe: M
     assert trace not in step(hframe)
 
 
-def test_compiled_code_is_kept_on_disk(hframe: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_code_is_kept_on_disk(
+    hframe: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A second process loads it; another shape, and external forces, need other code."""
     monkeypatch.setenv("HFRAME_CACHE", str(tmp_path))
     monkeypatch.setattr(machine_code, "_LOADED", {})

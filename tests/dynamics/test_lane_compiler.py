@@ -85,7 +85,15 @@ def test_arithmetic_agrees_with_numpy(first: list[float], second: list[float]) -
 
 def test_minimum_and_maximum_with_nan_and_negative_zero() -> None:
     """If a value is NaN, or both are zero, the second one is returned."""
-    special = [(1.0, np.nan), (np.nan, 1.0), (0.0, -0.0), (-0.0, 0.0), (np.inf, np.nan), (2.0, 3.0), (3.0, 2.0)]
+    special = [
+        (1.0, np.nan),
+        (np.nan, 1.0),
+        (0.0, -0.0),
+        (-0.0, 0.0),
+        (np.inf, np.nan),
+        (2.0, 3.0),
+        (3.0, 2.0),
+    ]
     a, b = np.array([special[k % len(special)] for k in range(LANES)]).T
     out = np.empty((2, LANES))
     text = """
@@ -127,7 +135,9 @@ def f(A, out, n: int):
 def test_elementary_functions_are_accurate_to_a_few_ulp() -> None:
     """Compare exp, sin and cos with NumPy over small and large arguments."""
     rng = np.random.default_rng(0)
-    A = np.concatenate([rng.uniform(-5, 5, (200, LANES)), rng.uniform(-600, 600, (200, LANES)), np.zeros((1, LANES))])
+    A = np.concatenate(
+        [rng.uniform(-5, 5, (200, LANES)), rng.uniform(-600, 600, (200, LANES)), np.zeros((1, LANES))]
+    )
     out = np.empty((3 * len(A), LANES))
     run(ELEMENTARY, A, out, len(A))
     np.testing.assert_allclose(out[0::3], np.exp(A), rtol=1e-15)
@@ -256,7 +266,9 @@ def test_every_register_width_gives_the_same_bits(
 
     def bits(**variables: str) -> list[str]:
         environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("numba"))} | variables
-        run = subprocess.run([sys.executable, "-c", _BITS], capture_output=True, text=True, env=environment, check=True)
+        run = subprocess.run(
+            [sys.executable, "-c", _BITS], capture_output=True, text=True, env=environment, check=True
+        )
         return run.stdout.split()
 
     forced = bits(NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES=features)

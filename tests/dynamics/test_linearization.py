@@ -42,7 +42,9 @@ def test_derivatives_equal_the_formulas(name: str) -> None:
     np.testing.assert_allclose(model.B, np.vstack([0 * gains, gains / mass[:, None]]), rtol=1e-12)
     np.testing.assert_allclose(model.C[:, :n], machine.sensor_matrix, rtol=1e-12)
     squared = np.sort(np.linalg.eigvals(K / mass[:, None]).real)
-    np.testing.assert_allclose((2 * np.pi * mode_frequencies(machine, position)) ** 2, squared, rtol=1e-9, atol=1e-2)
+    np.testing.assert_allclose(
+        (2 * np.pi * mode_frequencies(machine, position)) ** 2, squared, rtol=1e-9, atol=1e-2
+    )
 
 
 def test_stiffness_at_several_positions_at_once(hframe: Machine) -> None:
@@ -79,7 +81,9 @@ def test_state_space_matrices_equal_equations_21_and_22() -> None:
     A[5, [0, 2, 4, 5, 6]] = (
         np.array([-(k_l + 2 * k_b) * r, -k_l * r, -(k_l + k_b) * r**2, -(B_M + emf), k_b * r**2]) / J
     )
-    A[7, [0, 2, 4, 6, 7]] = np.array([(k_r + 2 * k_b) * r, -k_r * r, k_b * r**2, -(k_r + k_b) * r**2, -(B_M + emf)]) / J
+    A[7, [0, 2, 4, 6, 7]] = (
+        np.array([(k_r + 2 * k_b) * r, -k_r * r, k_b * r**2, -(k_r + k_b) * r**2, -(B_M + emf)]) / J
+    )
     order = [0, 4, 1, 5, 2, 6, 3, 7]
     model = linearize(machine)
     np.testing.assert_allclose(model.A[np.ix_(order, order)], A, rtol=1e-12, atol=1e-9)
@@ -106,6 +110,8 @@ def test_simulation_of_linear_machines_equals_scipy() -> None:
 
 def test_the_integration_step_resolves_stiff_belts(hframe: Machine) -> None:
     assert resolved_step(hframe, 0.5e-3) == 0.5e-3
-    stiff = hframe.replace({name: 100.0 * value for name, value in hframe.parameters.items() if name.endswith(".EA")})
+    stiff = hframe.replace(
+        {name: 100.0 * value for name, value in hframe.parameters.items() if name.endswith(".EA")}
+    )
     step = resolved_step(stiff, 0.5e-3)
     assert 2 * np.pi * mode_frequencies(stiff).max() * step == pytest.approx(0.75)

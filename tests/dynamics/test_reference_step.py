@@ -56,4 +56,6 @@ def test_machine(name: str) -> None:
 def test_machine_with_effect(case: Case, hframe: Machine) -> None:
     """Each effect of the library."""
     # Over one step a bristle moves by a small difference of large exponents.
-    assert largest_difference(hframe.with_effects(case.effect)) < (1e-10 if case.name == "presliding" else 1e-12)
+    assert largest_difference(hframe.with_effects(case.effect)) < (
+        1e-10 if case.name == "presliding" else 1e-12
+    )

@@ -16,7 +16,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hframe_gym.dynamics import kernel_source_text, linearize, mode_frequencies, net_forces, sensor_readings, simulate
+from hframe_gym.dynamics import (
+    kernel_source_text,
+    linearize,
+    mode_frequencies,
+    net_forces,
+    sensor_readings,
+    simulate,
+)
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.envs import HFrameEnv
@@ -28,7 +35,11 @@ from tests.effects.one_of_each import CASES, history
 pytestmark = pytest.mark.unit
 
 TABLE = {f"k{i:02d}": 0.01 * i for i in range(KNOTS)} | {f"f{i:02d}": 0.1 * i for i in range(KNOTS)}
-ADDED = {"yaw", "frame", *(f"phi{i}" for i in range(3, 9))}  # coordinates that structural effects name themselves
+ADDED = {
+    "yaw",
+    "frame",
+    *(f"phi{i}" for i in range(3, 9)),
+}  # coordinates that structural effects name themselves
 # Each with effects at sites of every kind, on single components and on all at once, and with each structural effect.
 EFFECTS_OF_MACHINES: dict[str, tuple[str, Sequence[tuple[str, str, Mapping[str, float]]]]] = {
     "many effects": (
@@ -61,7 +72,9 @@ def with_effects(machine: Machine, name: str, new: Mapping[str, str]) -> Machine
     for effect, site, parameters in EFFECTS_OF_MACHINES[name][1]:
         variable, of, coordinate = effect.removesuffix("]").partition(" of ")
         effects.append(
-            get_effect(f"{variable} of {new[coordinate]}]" if of else effect).at(new.get(site, site), **parameters)
+            get_effect(f"{variable} of {new[coordinate]}]" if of else effect).at(
+                new.get(site, site), **parameters
+            )
         )
     return machine.with_effects(*effects)
 
@@ -96,7 +109,9 @@ def relabeled(machine: Machine, new: Mapping[str, str], reverse_rows: bool = Fal
             dataclasses.replace(d, name=new[d.name], channel=new[d.channel], coordinate=new[d.coordinate])
             for d in machine.drives
         ),
-        sensors=tuple(dataclasses.replace(s, channel=new[s.channel], row=row(s.row)) for s in machine.sensors),
+        sensors=tuple(
+            dataclasses.replace(s, channel=new[s.channel], row=row(s.row)) for s in machine.sensors
+        ),
     )
 
 
@@ -159,7 +174,9 @@ COLLISIONS = [line.split() for line in _COLLISIONS.split("\n") if line]
 @pytest.mark.parametrize("name", MACHINES)
 @settings(max_examples=15, deadline=None)
 @given(names=NEW_NAMES, reverse_rows=st.booleans())
-def test_no_name_reaches_the_kernel_or_the_linear_model(name: str, names: list[str], reverse_rows: bool) -> None:
+def test_no_name_reaches_the_kernel_or_the_linear_model(
+    name: str, names: list[str], reverse_rows: bool
+) -> None:
     """The generated source is equal for all names and with it every bit of a simulation; so are the parameters."""
     machine, text = original(name)
     other = renamed(name, names, reverse_rows)
@@ -192,7 +209,9 @@ def check_simulation(name: str, names: Sequence[str]) -> None:
     expected, actual = (simulate(m, time_s, inputs) for m in (machine, other))
     np.testing.assert_array_equal(actual.outputs, expected.outputs)
     np.testing.assert_array_equal(actual.velocities, expected.velocities)
-    forces = [net_forces(m, time_s, expected.positions, expected.velocities, inputs) for m in (machine, other)]
+    forces = [
+        net_forces(m, time_s, expected.positions, expected.velocities, inputs) for m in (machine, other)
+    ]
     np.testing.assert_array_equal(forces[1], forces[0])
 
 
@@ -206,7 +225,10 @@ def test_environment_steps_are_equal_to_the_bit(name: str, names: list[str]) -> 
 
 @pytest.mark.parametrize("names", COLLISIONS)
 def test_environment_with_effects_does_not_depend_on_names(names: list[str]) -> None:
-    machines = original("many effects")[0], renamed("many effects", [*names, *(f"other_{i}" for i in range(COUNT))])
+    machines = (
+        original("many effects")[0],
+        renamed("many effects", [*names, *(f"other_{i}" for i in range(COUNT))]),
+    )
     expected, actual = (steps(machine) for machine in machines)
     np.testing.assert_array_equal(actual, expected)
 
@@ -262,7 +284,9 @@ def test_a_file_whose_effect_lacks_its_coordinate_is_refused(tmp_path: Path) -> 
     path = tmp_path / "machine.json"
     save_machine(original("yaw")[0], path)
     path.write_text(re.sub(r"(?<!bridge_)\byaw\b", "psi", path.read_text()))
-    with pytest.raises(InputError, match=r"effects.bridge_yaw: the effect needs a coordinate that is called 'yaw'"):
+    with pytest.raises(
+        InputError, match=r"effects.bridge_yaw: the effect needs a coordinate that is called 'yaw'"
+    ):
         load_machine(path)
 
 
@@ -284,5 +308,7 @@ def test_axes_in_an_unusual_order_are_pointed_out(tmp_path: Path) -> None:
     machine = original("corexy")[0]
     first, second, *rest = machine.coordinates
     save_machine(dataclasses.replace(machine, coordinates=(second, first, *rest)), tmp_path / "machine.json")
-    with pytest.warns(UserWarning, match="y comes before x, so it is the first axis of the tool: list x first"):
+    with pytest.warns(
+        UserWarning, match="y comes before x, so it is the first axis of the tool: list x first"
+    ):
         load_machine(tmp_path / "machine.json")

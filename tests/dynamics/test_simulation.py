@@ -95,7 +95,9 @@ def test_machine_at_rest_stays_at_rest(hframe: Machine) -> None:
 
 @UNIT
 @pytest.mark.parametrize("batch", [1, 7, 4096])
-def test_bits_do_not_depend_on_batch_or_threads(batch: int, hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bits_do_not_depend_on_batch_or_threads(
+    batch: int, hframe: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The last machine of a batch moves exactly as it does alone."""
     time, inputs = TIME[:51], history(5)[:51]
     alone = rollout(hframe, time, inputs, velocities=True)[0]
@@ -113,7 +115,9 @@ def test_integrator_is_of_second_order(hframe: Machine) -> None:
     exact, _ = reference.simulate(Rig(), TIME, inputs, START)
     start = rest_state(hframe, START)
     errors = [
-        np.sqrt(np.mean((simulate(hframe, TIME, inputs, start, longest_step=h).positions - exact)[:, :2] ** 2))
+        np.sqrt(
+            np.mean((simulate(hframe, TIME, inputs, start, longest_step=h).positions - exact)[:, :2] ** 2)
+        )
         for h in (1e-3, 0.25e-3)
     ]
     assert errors[0] / errors[1] > 8
@@ -150,7 +154,9 @@ def test_energy_is_conserved_without_friction_and_drives(hframe: Machine) -> Non
         ([0.0, 1e-3], np.array([[0, 0], [0, np.nan]]), "row 1, v2_V is nan"),
     ],
 )
-def test_invalid_input_is_refused(time: list[float], inputs: np.ndarray, message: str, hframe: Machine) -> None:
+def test_invalid_input_is_refused(
+    time: list[float], inputs: np.ndarray, message: str, hframe: Machine
+) -> None:
     """The message names the fault."""
     with pytest.raises(ValueError, match=message):
         simulate(hframe, time, inputs)
@@ -188,7 +194,9 @@ def test_axis_reaches_its_steady_speed() -> None:
 @pytest.mark.parametrize("delay", [0.4e-3, 3.3e-3])
 def test_a_sensor_delay_is_exact_at_uneven_sampling(delay: float, hframe: Machine) -> None:
     """Delayed readings are those of the motion at the delayed times, also at the second sample."""
-    time = np.concatenate([[0.0, 1e-3], 1e-3 + np.cumsum(np.random.default_rng(0).uniform(0.1e-3, 1.5e-3, 200))])
+    time = np.concatenate(
+        [[0.0, 1e-3], 1e-3 + np.cumsum(np.random.default_rng(0).uniform(0.1e-3, 1.5e-3, 200))]
+    )
     delayed_times = np.maximum(time - delay, 0.0)
     every_time = np.unique(np.concatenate([time, delayed_times]))
     volts, start = [3.0, 2.0], rest_state(hframe, START)

@@ -19,7 +19,10 @@ def run(trace: Trace, **arguments: Any) -> list[float]:
     names = ("absolute", "any_of", "copysign", "exp", "fma", "maximum", "minimum", "sin", "where")
     scope: dict[str, Any] = {name: getattr(elementwise, name) for name in names}
     stored: dict[int, float] = {}
-    scope |= {"load": lambda array, row: array[row], "store": lambda array, row, value: stored.update({row: value})}
+    scope |= {
+        "load": lambda array, row: array[row],
+        "store": lambda array, row, value: stored.update({row: value}),
+    }
     exec(function_source(trace), scope)
     scope[trace.signature.partition("(")[0]](**arguments)
     return [stored[row] for row in sorted(stored)]

@@ -12,7 +12,15 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, unregister_effect
-from hframe_gym.effects.formulas import Curve, Formula, FormulaEffect, Term, fit_formulas, terms_of, write_effect_file
+from hframe_gym.effects.formulas import (
+    Curve,
+    Formula,
+    FormulaEffect,
+    Term,
+    fit_formulas,
+    terms_of,
+    write_effect_file,
+)
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
@@ -77,7 +85,9 @@ def formula_of(*terms: Term) -> Formula:
     return Formula(terms, tuple(1.0 + i for i in range(count)), shapes, 0.1)
 
 
-EVERY_TERM = {t.name: (v, t) for v in ("position", "velocity", "path", "time") for t in terms_of(v, force=True)}
+EVERY_TERM = {
+    t.name: (v, t) for v in ("position", "velocity", "path", "time") for t in terms_of(v, force=True)
+}
 
 
 @pytest.mark.parametrize("name", EVERY_TERM)

@@ -56,7 +56,9 @@ def test_definition_is_complete(effect: Effect, hframe: Machine) -> None:
 @EVERY_EFFECT
 def test_hooks_use_known_arguments_and_every_parameter(effect: Effect) -> None:
     """An argument is a quantity or a parameter, and no parameter is without use."""
-    arguments = {name for hook in HOOKS if getattr(effect, hook) for name in argument_names(getattr(effect, hook))}
+    arguments = {
+        name for hook in HOOKS if getattr(effect, hook) for name in argument_names(getattr(effect, hook))
+    }
     names = {p.name for p in effect.parameters}
     assert arguments - names <= QUANTITIES
     if not effect.structure:  # parameters of a structure enter through ties
@@ -81,22 +83,36 @@ def test_zero_amplitude_changes_nothing(case: Case, hframe: Machine) -> None:
     time_s, inputs = history(0, seconds=0.3)
     [amplitude] = EFFECTS[case.name].amplitudes
     effect = case.effect.with_parameters(case.parameters | {amplitude: 0.0})
-    difference = hframe.with_effects(effect).simulate(time_s, inputs).outputs - hframe.simulate(time_s, inputs).outputs
+    difference = (
+        hframe.with_effects(effect).simulate(time_s, inputs).outputs - hframe.simulate(time_s, inputs).outputs
+    )
     # A step evaluates nonlinear belts twice and linear ones once, which changes the error of the integrator.
-    assert np.abs(difference).max() < (1e-6 if case.site == "belts" or case.name == "eccentric_pulley" else 1e-12)
+    assert np.abs(difference).max() < (
+        1e-6 if case.site == "belts" or case.name == "eccentric_pulley" else 1e-12
+    )
 
 
 def test_effect_that_does_not_fit_has_no_site() -> None:
     """An axis without belts and with one sensor."""
     axis = BUILTIN_MACHINES["axis"]()
-    for name in ("belt_play", "eccentric_pulley", "bridge_yaw", "idler_inertia", "sensor_skew", "sensor_scale"):
+    for name in (
+        "belt_play",
+        "eccentric_pulley",
+        "bridge_yaw",
+        "idler_inertia",
+        "sensor_skew",
+        "sensor_scale",
+    ):
         assert effect_sites(EFFECTS[name], axis) == ()
 
 
 @pytest.mark.parametrize("belt", ["left", "right", "bottom"])
 def test_idlers_need_the_belts_of_an_h_frame(belt: str, hframe: Machine) -> None:
     """One belt with another factor, one belt too few, and a name in use."""
-    other = [dataclasses.replace(b, extension=b.extension | {"x": 3.0}) if b.name == belt else b for b in hframe.belts]
+    other = [
+        dataclasses.replace(b, extension=b.extension | {"x": 3.0}) if b.name == belt else b
+        for b in hframe.belts
+    ]
     fewer = [b for b in hframe.belts if b.name != belt]
     taken = [dataclasses.replace(b, name="left_rail") if b.name == "right" else b for b in hframe.belts]
     for belts in (other, fewer, taken):

@@ -47,7 +47,9 @@ STATE_SIZES = {"presliding": 1e-4, "bouc_wen_hysteresis": 0.5, "dahl_hysteresis"
 WIDE = {"belt_play": 2e-4, "belt_hardening": 2e-3}  # m, belt extension at which the effect is large
 
 
-def random_points(machine: Machine, case: Case) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, float, float]]:
+def random_points(
+    machine: Machine, case: Case
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, float, float]]:
     """Return positions, velocities, voltages, time and the effect's state at random points in motion."""
     rng, count = np.random.default_rng(8), len(machine.coordinates)
     stretch = WIDE.get(case.name, 5e-4)
@@ -68,7 +70,9 @@ def random_points(machine: Machine, case: Case) -> list[tuple[np.ndarray, np.nda
     return points
 
 
-def oracle_rates(case: Case, q: np.ndarray, v: np.ndarray, volts: np.ndarray, t: float, state: float) -> np.ndarray:
+def oracle_rates(
+    case: Case, q: np.ndarray, v: np.ndarray, volts: np.ndarray, t: float, state: float
+) -> np.ndarray:
     """Return the derivative of the simulator's state, with every coordinate sliding."""
     arrays, _ = parameter_arrays(dataclasses.replace(Rig(), **case.rig))
     count = len(arrays.coordinates)
@@ -98,7 +102,9 @@ def own_rates(machine: Machine, case: Case, *point: np.ndarray) -> tuple[np.ndar
     belts = equations.belt_forces(motion, equations.belt_states(motion))
     balance = equations.force_balance(motion, voltages, equations.add_drive_forces(belts, voltages))
     (k,), dt = equations.states, 1e-7
-    after = equations.next_state(k, state, balance.arguments.get(k, {}), list(v * scale * dt), list(v * scale), dt)
+    after = equations.next_state(
+        k, state, balance.arguments.get(k, {}), list(v * scale * dt), list(v * scale), dt
+    )
     return accelerations, float(after - state) / dt
 
 
@@ -140,7 +146,9 @@ def test_readings_agree(name: str, hframe: Machine) -> None:
     case = CASES[name]
     machine = hframe.with_effects(case.effect)
     rng = np.random.default_rng(1)
-    positions = np.column_stack([rng.uniform(0.07, 0.09, 30), rng.uniform(-0.1, 0.1, 30), *rng.normal(size=(2, 30))])
+    positions = np.column_stack(
+        [rng.uniform(0.07, 0.09, 30), rng.uniform(-0.1, 0.1, 30), *rng.normal(size=(2, 30))]
+    )
     expected = Sensors(**case.sensors).ideal(np.arange(30.0), positions, np.zeros_like(positions))
     readings = Equations(machine).sensor_readings(list(positions.T))
     np.testing.assert_allclose(np.array(readings).T, expected, rtol=1e-12)
@@ -177,11 +185,15 @@ def test_an_eccentric_pulley_at_rest_has_drawn_as_much_belt_as_a_round_one() -> 
     for q in np.linspace(-3.0, 3.0, 13):
         angle = q - float(case.effect("rest_angle_offset", q=q, per_radius=1.0 / radius))
         assert radius * angle + e * np.sin(angle + p) == pytest.approx(radius * q, abs=1.01 * e**2 / radius)
-    turned = case.effect("lever_arm", q=1.0, z=1.0 + p, per_radius=1.0 / radius)  # started where the lag is zero
+    turned = case.effect(
+        "lever_arm", q=1.0, z=1.0 + p, per_radius=1.0 / radius
+    )  # started where the lag is zero
     assert turned == pytest.approx(e * np.cos(1.0 + p))
     # Started at q = 0 instead, where the pulley lags: the arm is that of the lagging eccentricity.
     lag = e * np.sin(p) / radius
-    assert case.effect("lever_arm", q=1.0, z=1.0, per_radius=1.0 / radius) == pytest.approx(e * np.cos(1.0 + p - lag))
+    assert case.effect("lever_arm", q=1.0, z=1.0, per_radius=1.0 / radius) == pytest.approx(
+        e * np.cos(1.0 + p - lag)
+    )
     travel = e * (np.sin(1.0 + p - lag) - np.sin(p - lag))
     assert case.effect("belt_travel", q=1.0, z=1.0, per_radius=1.0 / radius) == pytest.approx(travel)
 
@@ -226,7 +238,9 @@ def test_forces_behind_a_branch_add_to_the_others(hframe: Machine) -> None:
         Effect(name=f"wall{i}", parameters=(limit, stiffness), force=_wall, active_region=_beyond, **fields)
         for i in range(2)
     ]
-    push = Effect(name="push", parameters=(EffectParameter("F", "force", 0.0, 9.0, scale=1.0),), force=_push, **fields)
+    push = Effect(
+        name="push", parameters=(EffectParameter("F", "force", 0.0, 9.0, scale=1.0),), force=_push, **fields
+    )
     machine = hframe.with_effects(
         walls[0].at("x", limit=0.01, k=100.0),
         walls[1].at("x", limit=0.03, k=1000.0),
@@ -247,7 +261,10 @@ def test_reactions_take_mass_net_force_and_friction_of_the_site(hframe: Machine,
     """In the units of a rotary coordinate too: the inertia, the net torque and the torque of friction."""
     fields = {"family": "test", "site": "coordinate", "formula": "", "source": ""}
     reaction = Effect(
-        name="reaction", parameters=(EffectParameter("r", "1", -9.0, 9.0, scale=1.0),), force=_inertial, **fields
+        name="reaction",
+        parameters=(EffectParameter("r", "1", -9.0, 9.0, scale=1.0),),
+        force=_inertial,
+        **fields,
     )
     machine = hframe.with_effects(reaction.at("phi1", r=0.5))
     q, v = np.zeros((1, 4)), np.array([[0.0, 0.0, speed / 0.0194, 0.0]])
@@ -300,11 +317,14 @@ def test_a_belt_of_constant_stiffness_and_one_with_two_effects(hframe: Machine) 
     play, hardening = CASES["belt_play"].effect, CASES["belt_hardening"].effect
     q = np.array([2e-3, 1e-3, 0.02, 0.03])
     plain, first, second, both = (
-        belt_states(hframe.with_effects(*effects), q) for effects in ((), (play,), (hardening,), (play, hardening))
+        belt_states(hframe.with_effects(*effects), q)
+        for effects in ((), (play,), (hardening,), (play, hardening))
     )
     for a, b, c, d in zip(plain, first, second, both, strict=True):
         assert d.tension == pytest.approx(b.tension + c.tension - a.tension, rel=1e-12)
-        assert d.stiffness_force == pytest.approx(b.stiffness_force + c.stiffness_force - a.stiffness_force, rel=1e-9)
+        assert d.stiffness_force == pytest.approx(
+            b.stiffness_force + c.stiffness_force - a.stiffness_force, rel=1e-9
+        )
         assert d.net_tension == pytest.approx(d.tension - d.stiffness_force, rel=1e-12)
         assert a.net_tension == pytest.approx(a.tension - a.stiffness_force, rel=1e-12)
     constant = BUILTIN_MACHINES["hframe-linear"]()

@@ -20,7 +20,9 @@ from tests.reference_simulator.sensors import noisy
 pytestmark = pytest.mark.oracle
 
 SEEDS = (21, 22, 23)
-POORLY_DETERMINED = {("frame_resonance", "s"): 0.1}  # tolerance; friction is a small part of the force on the frame
+POORLY_DETERMINED = {
+    ("frame_resonance", "s"): 0.1
+}  # tolerance; friction is a small part of the force on the frame
 
 
 def near(case: Case) -> dict[str, float]:
@@ -30,7 +32,9 @@ def near(case: Case) -> dict[str, float]:
     values = {}
     for p in case.effect.definition.parameters:
         value = case.parameters[p.name]
-        values[f"{case.effect.label}.{p.name}"] = value + 0.3 if p.role == "phase" else factors[p.role] * value
+        values[f"{case.effect.label}.{p.name}"] = (
+            value + 0.3 if p.role == "phase" else factors[p.role] * value
+        )
     return values
 
 

@@ -83,7 +83,9 @@ def test_library_cannot_be_changed_by_assignment() -> None:
 def with_force(force: Callable[..., Any]) -> Machine:
     """Return the axis with an effect of a given force, which is not registered."""
     axis = BUILTIN_MACHINES["axis"]()
-    return axis.with_effects(dataclasses.replace(TOY, name=f"toy_{force.__name__}", force=force).at("x", c=0.8))
+    return axis.with_effects(
+        dataclasses.replace(TOY, name=f"toy_{force.__name__}", force=force).at("x", c=0.8)
+    )
 
 
 def smooth_friction(v, c):  # type: ignore[no-untyped-def]
@@ -158,7 +160,9 @@ def test_a_formula_that_cannot_be_compiled_is_named(force: Callable[..., Any], m
     line = force.__code__.co_firstlineno + 2
     with pytest.raises(TypeError) as caught:
         simulate(with_force(force), np.arange(10) * 1e-3, np.zeros((10, 1)))
-    assert str(caught.value) == f"toy_{force.__name__}@x, force: test_register_effect.py, line {line}: {message}"
+    assert (
+        str(caught.value) == f"toy_{force.__name__}@x, force: test_register_effect.py, line {line}: {message}"
+    )
 
 
 def test_a_function_of_numbers_fails_with_advice_on_arrays_as_well() -> None:

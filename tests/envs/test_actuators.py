@@ -30,7 +30,9 @@ def test_converter_rounds_to_its_levels():
 
 
 def test_voltage_range_clips():
-    np.testing.assert_array_equal(run([(1.0, -1.0)] * 5, drives=Actuators(range_V=6.0)), run([(0.5, -0.5)] * 5))
+    np.testing.assert_array_equal(
+        run([(1.0, -1.0)] * 5, drives=Actuators(range_V=6.0)), run([(0.5, -0.5)] * 5)
+    )
 
 
 def test_declared_converters_act_on_request():
@@ -46,7 +48,9 @@ def test_declared_converters_act_on_request():
 def frictionless():
     """Return the machine without friction."""
     machine = BUILTIN_MACHINES["hframe"]()
-    return machine.replace({f"{c.name}.{key}": 0.0 for c in machine.coordinates for key in ("viscous", "coulomb")})
+    return machine.replace(
+        {f"{c.name}.{key}": 0.0 for c in machine.coordinates for key in ("viscous", "coulomb")}
+    )
 
 
 def test_limited_current_at_standstill():

@@ -18,7 +18,9 @@ def delayed_machine(delay):
 @pytest.mark.parametrize("delay", [0.0, 0.0031, 0.01, 0.0234])
 def test_dead_time_equals_the_simulation(delay):
     machine = delayed_machine(delay)
-    env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP)
+    env = HFrameEnv(
+        machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP
+    )
     env.reset(seed=0)
     volts = np.random.default_rng(1).uniform(-12, 12, (20, 2))
     for row in volts:

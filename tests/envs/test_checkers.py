@@ -30,7 +30,14 @@ SOME = [
     {"machine": "hframe-order20", "privileged": True},
     {"machine": "hframe-literal"},
     {"normalize": True},
-    {"normalize": True, "flat": True, "task": "track", "randomize": "wide", "sensors": "rig", "privileged": True},
+    {
+        "normalize": True,
+        "flat": True,
+        "task": "track",
+        "randomize": "wide",
+        "sensors": "rig",
+        "privileged": True,
+    },
 ]
 
 

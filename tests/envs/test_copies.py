@@ -46,7 +46,9 @@ def assert_equal(first, second):
     else:
         first, second = np.asarray(first), np.asarray(second)
         assert first.dtype == second.dtype
-        if first.shape != second.shape or first.tobytes() != second.tobytes():  # takes a tenth of the next line's time
+        if (
+            first.shape != second.shape or first.tobytes() != second.tobytes()
+        ):  # takes a tenth of the next line's time
             np.testing.assert_array_equal(first, second)
 
 
@@ -127,7 +129,9 @@ def test_original_and_copy_do_not_share_memory(name):
 def test_copy_with_delayed_sensors_and_drives_continues_bit_equal(duplicate, hframe):
     effects = [EFFECTS["sensor_delay"].at("x_m", d=0.013), EFFECTS["input_delay"].at("drives", d=0.007)]
     machine = hframe.with_effects(*effects)
-    envs = gym.make_vec("HFrame-v0", num_envs=9, machine=machine, sensors="machine", drives="machine").unwrapped
+    envs = gym.make_vec(
+        "HFrame-v0", num_envs=9, machine=machine, sensors="machine", drives="machine"
+    ).unwrapped
     envs.reset(seed=3)
     for action in changing_actions(5, (9, 2), seed=0):
         envs.step(action)

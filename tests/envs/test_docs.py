@@ -59,7 +59,9 @@ def test_the_table_of_info_lists_its_keys(reward, task, randomize):
         "only with the reward `progress`, the default with `normalize=True`": reward == "progress",
         "only with the reward `progress` and a goal that moves": reward == "progress" and task == "track",
     }
-    documented = {key.strip("`") for key, _, when in table("key of `info` | value | present") if conditions[when]}
+    documented = {
+        key.strip("`") for key, _, when in table("key of `info` | value | present") if conditions[when]
+    }
     env = HFrameEnv(task=task, reward=reward, randomize=randomize)
     _, info = env.reset(seed=0)
     assert set(info) == documented
@@ -73,7 +75,9 @@ BELT = Machine(
         Coordinate("phi", mass=2e-4, viscous=1e-3, coulomb=0.01, kind="rotary", radius=0.012),
     ),
     belts=(Belt("belt", 2e4, 0.5, {"x": 1.0, "phi": -1.0}),),
-    drives=(Drive("motor", "u_V", "phi", Kt=0.08, Ke=0.08, resistance=1.0, gear_ratio=2.0, rated_voltage=24.0),),
+    drives=(
+        Drive("motor", "u_V", "phi", Kt=0.08, Ke=0.08, resistance=1.0, gear_ratio=2.0, rated_voltage=24.0),
+    ),
     sensors=(Sensor("phi_rad", {"phi": 1.0}, resolution=1e-3, kind="encoder"),),
 )
 

@@ -44,7 +44,9 @@ def test_a_rule_can_be_a_mapping():
         as_rules([{"parametre": "x.mass"}], NAMES)
 
 
-@pytest.mark.parametrize(("how", "expected"), [("scale", [4.0, 6.0]), ("add", [4.0, 5.0]), ("set", [2.0, 3.0])])
+@pytest.mark.parametrize(
+    ("how", "expected"), [("scale", [4.0, 6.0]), ("add", [4.0, 5.0]), ("set", [2.0, 3.0])]
+)
 def test_apply(how, expected):
     rule = RandomizeParameter("x.mass", Uniform(1, 2), how=how)
     np.testing.assert_array_equal(rule.apply(np.full(2, 2.0), np.array([2.0, 3.0])), expected)
@@ -53,11 +55,17 @@ def test_apply(how, expected):
 @pytest.mark.parametrize(
     ("rules", "message"),
     [
-        ([RandomizeParameter("z.mass", Uniform(1, 2))], "no parameter 'z.mass'; names are, for example, .*x.mass"),
+        (
+            [RandomizeParameter("z.mass", Uniform(1, 2))],
+            "no parameter 'z.mass'; names are, for example, .*x.mass",
+        ),
         ([RandomizeParameter("x.mass", Uniform(-1, 1))], "x.mass = -4.07"),
         ([RandomizeParameter("x.mass", Uniform(1, 2), how="times")], "times"),
         ([RandomizeParameter("x.mass", Uniform(1, 2), when="never")], "never"),
-        ([{"parameter": "x.mass", "distribution": "uniform"}], r"of 'x.mass' is 'uniform'; .* \['uniform', 0.9, 1.1\]"),
+        (
+            [{"parameter": "x.mass", "distribution": "uniform"}],
+            r"of 'x.mass' is 'uniform'; .* \['uniform', 0.9, 1.1\]",
+        ),
         ([{"parameter": 5, "distribution": ["uniform", 1, 2]}], "parameter is 5, it must be the name"),
         (["x.mass"], "neither"),
     ],
@@ -95,7 +103,9 @@ def test_a_sensor_range_cannot_be_reversed_by_rules(pattern, distribution, refus
     if not refused:
         HFrameEnv(sensors="rig", randomize=[rule]).reset(seed=0)
         return
-    with pytest.raises(InputError, match=r"can yield sensor_range@x_m.high = .*, below sensor_range@x_m.low = "):
+    with pytest.raises(
+        InputError, match=r"can yield sensor_range@x_m.high = .*, below sensor_range@x_m.low = "
+    ):
         HFrameEnv(sensors="rig", randomize=[rule])
 
 

@@ -40,7 +40,9 @@ def machine_with(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_motion_equals_the_simulation(name):
     machine = machine_with(name)
-    env = HFrameEnv(machine=machine, task=Reach(start=(0.02, 0.01), target=(0.1, 0.0)), longest_step=LONGEST_STEP)
+    env = HFrameEnv(
+        machine=machine, task=Reach(start=(0.02, 0.01), target=(0.1, 0.0)), longest_step=LONGEST_STEP
+    )
     volts = np.random.default_rng(1).uniform(-12, 12, (15, 2))
     volts[:REST] = 0.0
     run = simulate(machine, np.arange(16) * 0.01, np.concatenate([volts, volts[-1:]]), env_start(env))
@@ -63,7 +65,9 @@ def env_start(env):
     """Return the state in which the environment begins, in the coordinates' units, shape (2 n,)."""
     env.reset(seed=0)
     machine = env.batch.machine
-    return env.batch.simulator.state[0, : 2 * len(machine.coordinates), 0] / np.tile(machine.travel_per_unit, 2)
+    return env.batch.simulator.state[0, : 2 * len(machine.coordinates), 0] / np.tile(
+        machine.travel_per_unit, 2
+    )
 
 
 @pytest.mark.parametrize("name", ["bridge_yaw", "idler_inertia"])

@@ -126,7 +126,9 @@ def test_a_machine_at_rest_stays_at_rest():
 
 def test_motion_equals_the_machine_s_simulation():
     machine = BUILTIN_MACHINES["hframe"]()
-    env = HFrameEnv(machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP)
+    env = HFrameEnv(
+        machine=machine, task=Reach(start=(0.0, 0.0), target=(0.1, 0.0)), longest_step=LONGEST_STEP
+    )
     env.reset(seed=0)
     time = np.arange(11) * 0.01
     volts = np.random.default_rng(0).uniform(-12, 12, (11, 2))
@@ -213,7 +215,9 @@ def test_invalid_options_are_refused_by_name(settings, message):
 
 @pytest.mark.parametrize("make", [HFrameEnv, HFrameVectorEnv])
 def test_an_unknown_keyword_is_refused_with_the_list_of_keywords(make):
-    with pytest.raises(TypeError, match=f"{make.__name__} got .* 'sensor'. Did you mean 'sensors'.* machine, task, .*"):
+    with pytest.raises(
+        TypeError, match=f"{make.__name__} got .* 'sensor'. Did you mean 'sensors'.* machine, task, .*"
+    ):
         make(sensor="rig")
     with pytest.raises(TypeError, match="render_mode"):
         make(color="blue")
@@ -239,14 +243,18 @@ def test_step_before_reset_is_refused(make):
 
 @pytest.mark.parametrize("task", ["reach", Reach()], ids=["name", "object"])
 def test_the_track_environment_refuses_a_task_without_a_path(task):
-    with pytest.raises(InputError, match="HFrameTrack-v0 needs a task with a path, not 'reach'; use HFrame-v0"):
+    with pytest.raises(
+        InputError, match="HFrameTrack-v0 needs a task with a path, not 'reach'; use HFrame-v0"
+    ):
         gym.make("HFrameTrack-v0", task=task)
     with pytest.raises(InputError, match="needs a task with a path"):
         gym.make_vec("HFrameTrack-v0", num_envs=2, task=task)
     assert gym.make("HFrameTrack-v0", task=Track(path="square")).unwrapped.batch.task.path == "square"
 
 
-@pytest.mark.parametrize("options", [{"randomize": "default"}, {}, {"task": "track", "randomize": "wide"}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{"randomize": "default"}, {}, {"task": "track", "randomize": "wide"}], ids=str
+)
 def test_the_keys_of_info_are_always_the_same(options):
     env = HFrameEnv(**options)
     _, first = env.reset(seed=0)
@@ -263,7 +271,9 @@ def test_spec_makes_the_same_environment_again(options):
     np.testing.assert_array_equal(episode(env, seed=1), episode(again, seed=1))
 
 
-@pytest.mark.parametrize("options", [{}, {"randomize": "default"}, {"normalize": True}, {"task": "track"}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{}, {"randomize": "default"}, {"normalize": True}, {"task": "track"}], ids=str
+)
 def test_infos_of_reset_and_step_have_the_same_keys(options):
     env = HFrameEnv(**options)
     _, at_reset = env.reset(seed=0)

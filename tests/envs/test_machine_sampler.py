@@ -75,7 +75,9 @@ def test_negative_friction_and_noise_become_zero(name):
 
 
 def test_a_negative_mass_is_refused_when_it_is_sampled():
-    with pytest.raises(InputError, match=r"Normal\(mean=1.0, std=2.0\).* yielded y.mass = -.*bounded distribution"):
+    with pytest.raises(
+        InputError, match=r"Normal\(mean=1.0, std=2.0\).* yielded y.mass = -.*bounded distribution"
+    ):
         sample([RandomizeParameter("y.mass", Normal(1.0, 2.0))])
 
 
@@ -90,7 +92,9 @@ def test_rules_on_one_parameter_are_checked_together():
 
 def test_a_belt_keeps_a_length_wherever_the_carriage_is():
     # The bottom belt is 1.28 m long at x = 0 and 0.56 m shorter at x = 0.28 m.
-    with pytest.raises(InputError, match=r"Uniform\(low=0.4, high=1.0\).* can yield bottom.rest_length = 0.513"):
+    with pytest.raises(
+        InputError, match=r"Uniform\(low=0.4, high=1.0\).* can yield bottom.rest_length = 0.513"
+    ):
         HFrameEnv(randomize=[RandomizeParameter("*.rest_length", Uniform(0.4, 1.0))])
 
 
@@ -105,11 +109,15 @@ def test_limits_follow_from_the_sign_of_the_nominal_value():
 
 
 def test_the_range_of_a_rotary_coordinate_limits_a_belt_by_its_travel():
-    coordinates = [dataclasses.replace(c, range=(-10.0, 10.0)) if c.name == "phi1" else c for c in MACHINE.coordinates]
+    coordinates = [
+        dataclasses.replace(c, range=(-10.0, 10.0)) if c.name == "phi1" else c for c in MACHINE.coordinates
+    ]
     belts = [dataclasses.replace(b, length={"phi1": 1.0}) if b.name == "left" else b for b in MACHINE.belts]
     space = ParameterSpace.of(MACHINE.replace(coordinates=tuple(coordinates), belts=tuple(belts)))
     rest_length, radius = MACHINE.parameters["left.rest_length"], MACHINE.parameters["phi1.radius"]
-    assert space.lower[space.names.index("left.rest_length")] == pytest.approx(0.05 * rest_length + 10.0 * radius)
+    assert space.lower[space.names.index("left.rest_length")] == pytest.approx(
+        0.05 * rest_length + 10.0 * radius
+    )
 
 
 def test_rules_are_applied_in_their_order():

@@ -24,7 +24,9 @@ BELT_AXIS = Machine(
         Belt("short", 2e4, 0.3, {"carriage": 1.0, "pulley": -1.0}, length={"carriage": 1.0}),
         Belt("long", 2e4, 1.0, {"carriage": -1.0, "pulley": 1.0}, length={"carriage": -1.0}),
     ),
-    drives=(Drive("motor", "u_V", "pulley", Kt=0.08, Ke=0.08, resistance=1.0, gear_ratio=2.0, rated_voltage=24.0),),
+    drives=(
+        Drive("motor", "u_V", "pulley", Kt=0.08, Ke=0.08, resistance=1.0, gear_ratio=2.0, rated_voltage=24.0),
+    ),
     sensors=(Sensor("encoder_rad", {"pulley": 1.0}, resolution=1e-3, kind="encoder"),),
 )
 OPTIONS = [
@@ -92,9 +94,18 @@ def test_pictures_show_the_axis():
     ("options", "message"),
     [
         ({"machine": AXIS, "task": "track"}, "task track needs a machine that moves along x and y"),
-        ({"machine": AXIS, "sensors": "rig"}, "encoder and laser would both measure x; choose sensors='machine'"),
-        ({"machine": AXIS.replace(coordinates=(Coordinate("x", 1.0, 5.0, 1.0),))}, "'x' has no range.*Add \"range\""),
-        ({"machine": AXIS.replace(drives=())}, "has 0 drives; to move its tool along x the environment needs 1"),
+        (
+            {"machine": AXIS, "sensors": "rig"},
+            "encoder and laser would both measure x; choose sensors='machine'",
+        ),
+        (
+            {"machine": AXIS.replace(coordinates=(Coordinate("x", 1.0, 5.0, 1.0),))},
+            "'x' has no range.*Add \"range\"",
+        ),
+        (
+            {"machine": AXIS.replace(drives=())},
+            "has 0 drives; to move its tool along x the environment needs 1",
+        ),
     ],
 )
 def test_what_cannot_work_is_refused_with_a_remedy(options, message):

@@ -199,7 +199,10 @@ def test_a_task_can_declare_that_its_goals_do_not_move():
         ({"begin": lambda *_: (np.zeros(2), np.zeros(2))}, r"begin must return starts of shape \(16, 2\)"),
         ({"begin": lambda *_: (np.zeros((16, 3)), np.zeros((16, 2)))}, "these are of shape"),
         ({"begin": lambda *_: (np.full((16, 2), np.nan), np.zeros((16, 2)))}, "these are not finite"),
-        ({"begin": lambda *_: (np.full((16, 2), 5.0), np.zeros((16, 2)))}, "starts that begin returns must be"),
+        (
+            {"begin": lambda *_: (np.full((16, 2), 5.0), np.zeros((16, 2)))},
+            "starts that begin returns must be",
+        ),
         ({"begin": lambda *_: (np.zeros((16, 2)), np.zeros(16))}, "begin must return plans"),
         ({"begin": lambda *_: (np.zeros((16, 2)), np.full((16, 2), 5.0))}, "goals must be"),
         ({"goal": lambda self, plan, elapsed_s: plan[0]}, r"for times of shape \(16,\)"),

@@ -133,6 +133,8 @@ def test_a_video_is_recorded(tmp_path):
 def test_a_window_without_a_display_is_refused_with_a_remedy():
     code = "import gymnasium as gym, hframe_gym; gym.make('HFrame-v0', render_mode='human').reset()"
     environment = {**os.environ, "SDL_VIDEODRIVER": "no-such-driver"}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
     assert "InputError: render_mode='human' needs a display" in done.stderr
     assert "use render_mode='rgb_array'" in done.stderr

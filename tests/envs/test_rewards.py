@@ -119,7 +119,9 @@ def test_a_function_of_another_shape_is_refused():
 @pytest.mark.parametrize("reward", ["dense", "sparse", "progress"])
 @pytest.mark.parametrize("task", ["reach", "track"])
 def test_the_compiled_rewards_equal_those_from_goals_as_observed(reward, normalize, task):
-    envs = HFrameVectorEnv(19, reward=reward, normalize=normalize, task=task, sensors="rig", max_episode_steps=11)
+    envs = HFrameVectorEnv(
+        19, reward=reward, normalize=normalize, task=task, sensors="rig", max_episode_steps=11
+    )
     envs.reset(seed=2)
     rng = np.random.default_rng(0)
     compared = 0

@@ -24,14 +24,24 @@ IDS = ("HFrame-v0", "HFrameTrack-v0")
 CHOICES: dict[str, tuple[Any, ...]] = {
     "sensors": ("state", "rig"),
     "drives": ("ideal", "rig", Actuators(bits=12, current_limit=5.0, delay=0.004)),
-    "form": ({}, {"normalize": True}, {"ends": "terminate", "privileged": True}, {"flat": True, "reward": "sparse"}),
+    "form": (
+        {},
+        {"normalize": True},
+        {"ends": "terminate", "privileged": True},
+        {"flat": True, "reward": "sparse"},
+    ),
 }
 PRESETS = [dict(zip(CHOICES, values, strict=True)) for values in itertools.product(*CHOICES.values())]
 
 
 def options_of(preset: dict[str, Any]) -> dict[str, Any]:
     """Return the keywords of an environment."""
-    return {"sensors": preset["sensors"], "drives": preset["drives"], "randomize": "default", **preset["form"]}
+    return {
+        "sensors": preset["sensors"],
+        "drives": preset["drives"],
+        "randomize": "default",
+        **preset["form"],
+    }
 
 
 def with_memory() -> Any:
@@ -46,7 +56,9 @@ def with_memory() -> Any:
 
 @pytest.mark.parametrize("preset", PRESETS, ids=lambda p: "-".join(map(str, p.values())))
 @pytest.mark.parametrize("name", IDS)
-def test_a_single_environment_continues_from_a_saved_state_to_the_bit(name: str, preset: dict[str, Any]) -> None:
+def test_a_single_environment_continues_from_a_saved_state_to_the_bit(
+    name: str, preset: dict[str, Any]
+) -> None:
     env = gym.make(name, **options_of(preset)).unwrapped
     env.reset(seed=3)
     for action in changing_actions(STEPS, (2,), seed=0):
@@ -71,7 +83,9 @@ def test_a_single_environment_continues_from_a_saved_state_to_the_bit(name: str,
 def test_a_vector_continues_from_a_saved_state_to_the_bit(name: str, preset: dict[str, Any]) -> None:
     """Episodes end and begin in the steps after the saved state."""
     count = 9
-    envs, other = (gym.make_vec(name, num_envs=count, max_episode_steps=70, **options_of(preset)) for _ in range(2))
+    envs, other = (
+        gym.make_vec(name, num_envs=count, max_episode_steps=70, **options_of(preset)) for _ in range(2)
+    )
     envs.reset(seed=3)
     for action in changing_actions(STEPS, (count, 2), seed=0):
         envs.step(action)
@@ -129,7 +143,10 @@ def test_a_state_of_other_environments_is_refused() -> None:
 def test_parameters_at_reset_are_those_of_a_machine_with_them() -> None:
     """Oracle: an environment whose machine has these parameters."""
     machine = BUILTIN_MACHINES["hframe"]()
-    values = {"x.mass": 1.3 * machine.parameters["x.mass"], "phi1.radius": 1.1 * machine.parameters["phi1.radius"]}
+    values = {
+        "x.mass": 1.3 * machine.parameters["x.mass"],
+        "phi1.radius": 1.1 * machine.parameters["phi1.radius"],
+    }
     option = {"start": (0.1, 0.05), "target": (0.0, 0.0)}
     expected = gym.make("HFrame-v0", machine=machine.replace(values))
     given = gym.make("HFrame-v0")
@@ -150,7 +167,9 @@ def test_parameters_at_reset_leave_the_other_random_numbers_as_they_are() -> Non
     _, info = given.reset(seed=5, options={"parameters": {"x.mass": masses}})
     column = list(given.machine.parameters).index("x.mass")
     np.testing.assert_array_equal(given.parameters[:, column], masses)
-    np.testing.assert_array_equal(np.delete(given.parameters, column, 1), np.delete(plain.parameters, column, 1))
+    np.testing.assert_array_equal(
+        np.delete(given.parameters, column, 1), np.delete(plain.parameters, column, 1)
+    )
     np.testing.assert_array_equal(info["parameters"]["x.mass"], masses)
     for envs in (plain, given):
         envs.reset()
@@ -190,7 +209,10 @@ def test_a_state_at_reset_is_where_the_motion_begins() -> None:
     ("options", "message"),
     [
         ({"parameters": {"x.mas": 1.0}}, r"unknown parameter 'x\.mas'; names are, for example, x\.mass"),
-        ({"parameters": {"x.mass": [1.0, 2.0]}}, r"\['x\.mass'\] has shape \(2,\), it must be a number or 3 numbers"),
+        (
+            {"parameters": {"x.mass": [1.0, 2.0]}},
+            r"\['x\.mass'\] has shape \(2,\), it must be a number or 3 numbers",
+        ),
         ({"parameters": {"x.mass": np.nan}}, r"\['x\.mass'\] has the value nan, it must be finite"),
         ({"parameters": {"x.mass": "heavy"}}, r"\['x\.mass'\] is 'heavy', it must be a number"),
         ({"parameters": {"x.mass": -1.0}}, r"\['x\.mass'\] is -1, it must be from"),

@@ -88,7 +88,9 @@ def test_lasers_alone():
 
 
 def test_info_holds_the_truth():
-    env = HFrameEnv(sensors=Sensors(lasers=Lasers(noise=1e-2)), task=Reach(start=(0.0, 0.0), target=(0.0, 0.0)))
+    env = HFrameEnv(
+        sensors=Sensors(lasers=Lasers(noise=1e-2)), task=Reach(start=(0.0, 0.0), target=(0.0, 0.0))
+    )
     _, info = env.reset(seed=0)
     assert info["distance_m"] == 0.0
     observation, reward, *_, info = env.step(np.zeros(2))
@@ -125,7 +127,9 @@ def machine_with(*effects):
 
 @pytest.mark.parametrize("sensors", ["machine", EXACT])
 def test_an_identified_skew_shows_in_the_observations(sensors):
-    machine = machine_with(EFFECTS["sensor_skew"].at("x_m", a=0.05), EFFECTS["sensor_scale"].at("y_m", g=0.02))
+    machine = machine_with(
+        EFFECTS["sensor_skew"].at("x_m", a=0.05), EFFECTS["sensor_scale"].at("y_m", g=0.02)
+    )
     _, observed = run(sensors, machine=machine)
     x, y = observed["privileged"][:, :2].T
     np.testing.assert_allclose(observed["observation"][:, 0], x + 0.05 * y, atol=1e-7)
@@ -136,7 +140,9 @@ def test_an_identified_skew_shows_in_the_observations(sensors):
 
 @pytest.mark.parametrize("delay", [0.0017, 0.01, 0.0234])
 def test_an_identified_delay_shows_in_the_observations(delay):
-    machine = machine_with(EFFECTS["sensor_delay"].at("x_m", d=delay), EFFECTS["sensor_skew"].at("x_m", a=0.05))
+    machine = machine_with(
+        EFFECTS["sensor_delay"].at("x_m", d=delay), EFFECTS["sensor_skew"].at("x_m", a=0.05)
+    )
     env, observed = run("machine", steps=20, machine=machine)
     # The same readings by the machine's simulation at every step of the integrator.
     steps = env.batch.simulator.steps
@@ -146,13 +152,17 @@ def test_an_identified_delay_shows_in_the_observations(delay):
     step = env.batch.simulator.h
     outputs = simulate(machine, time_s, np.vstack([volts, volts[-1:]]), start, longest_step=step).outputs
     columns = [machine.output_channels.index(c) for c in ("x_m", "y_m", "phi1_rad", "phi2_rad")]
-    np.testing.assert_allclose(observed["observation"][:, :4], outputs[::steps, columns], rtol=2e-6, atol=1e-8)
+    np.testing.assert_allclose(
+        observed["observation"][:, :4], outputs[::steps, columns], rtol=2e-6, atol=1e-8
+    )
     assert np.abs(observed["observation"][:, 0] - observed["privileged"][:, 0]).max() > 1e-3
 
 
 def test_delays_do_not_change_the_motion():
     machine = machine_with()
-    delayed = machine_with(EFFECTS["sensor_delay"].at("x_m", d=0.004), EFFECTS["input_delay"].at("drives", d=0.0023))
+    delayed = machine_with(
+        EFFECTS["sensor_delay"].at("x_m", d=0.004), EFFECTS["input_delay"].at("drives", d=0.0023)
+    )
     prompt = machine.with_effects(EFFECTS["input_delay"].at("drives", d=0.0023))
     states = [run("machine", machine=m)[1]["privileged"] for m in (delayed, prompt)]
     np.testing.assert_allclose(*states, rtol=1e-6, atol=1e-9)
@@ -230,7 +240,9 @@ class Coarse(SensorKind):
 
 def test_a_sensor_kind_of_another_file():
     machine = BUILTIN_MACHINES["hframe"]()
-    sensors = [dataclasses.replace(s, kind="coarse-test") if s.channel == "y_m" else s for s in machine.sensors]
+    sensors = [
+        dataclasses.replace(s, kind="coarse-test") if s.channel == "y_m" else s for s in machine.sensors
+    ]
     machine = machine.replace(sensors=tuple(sensors))
     envs = HFrameVectorEnv(4000, machine=machine, sensors="machine", privileged=True, task=OFF_CENTER)
     observation, _ = envs.reset(seed=0)

@@ -72,7 +72,9 @@ def test_normalized_rewards_are_those_in_si_units():
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-@pytest.mark.parametrize("options", [{"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}], ids=str)
+@pytest.mark.parametrize(
+    "options", [{"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}], ids=str
+)
 def test_vector_environments_have_the_bits_of_single_ones(options, mode):
     envs = HFrameVectorEnv(3, max_episode_steps=8, autoreset_mode=mode, randomize="default", **options)
     singles = [gym.make("HFrame-v0", max_episode_steps=8, randomize="default", **options) for _ in range(3)]
@@ -117,7 +119,11 @@ def test_flat_ids_are_the_dict_ids_flattened(name):
         np.testing.assert_array_equal(flat.step(action)[0], wrapped.step(action)[0])
     envs = gym.make_vec(f"{name}Flat-v0", num_envs=2)
     assert isinstance(envs, HFrameVectorEnv)
-    assert envs.reset(seed=0)[0].shape == envs.observation_space.shape == (2, *envs.single_observation_space.shape)
+    assert (
+        envs.reset(seed=0)[0].shape
+        == envs.observation_space.shape
+        == (2, *envs.single_observation_space.shape)
+    )
 
 
 def test_every_entry_of_a_flat_observation_has_its_own_name():

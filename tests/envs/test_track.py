@@ -81,7 +81,9 @@ def test_an_open_path_ends_at_rest(length):
     way = distances(t, length)
     assert np.all(np.diff(way) >= 0.0)
     assert way[-1] == length
-    assert np.abs(np.diff(way, 2)).max() < 2.3e-6 * 1.1  # no jump of the speed anywhere: 1.5 v / lead_s at most
+    assert (
+        np.abs(np.diff(way, 2)).max() < 2.3e-6 * 1.1
+    )  # no jump of the speed anywhere: 1.5 v / lead_s at most
 
 
 @pytest.mark.parametrize("path", SHAPE_NAMES)
@@ -109,7 +111,9 @@ def test_goals_of_an_observation_are_those_of_goal(path, kind, tmp_path):
     task, count = kind(path=path), 19
     _, plan = plans(task, count)
     elapsed_s, ahead_s = np.linspace(0.0, 2.0, 2 * count)[::2], np.array(task.ahead_s)
-    written, expected = ([np.empty((count, 2), np.float32), np.empty((count, 10, 2), np.float32)] for _ in range(2))
+    written, expected = (
+        [np.empty((count, 2), np.float32), np.empty((count, 10, 2), np.float32)] for _ in range(2)
+    )
     task.write_goals(plan, elapsed_s, ahead_s, *written)
     Task.write_goals(task, plan, elapsed_s, ahead_s, *expected)
     for goals, goals_of_default in zip(written, expected, strict=True):

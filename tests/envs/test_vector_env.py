@@ -208,8 +208,14 @@ def test_a_refused_reset_changes_no_random_numbers():
             ({"num_envs": n}, f"num_envs is {n!r}, it must be an integer, at least 1")
             for n in (2.5, 2.0, "2", None, True)
         ),
-        *(({"max_episode_steps": n}, f"max_episode_steps is {n!r}, it must be an integer") for n in (2.5, "5", 0)),
-        *(({"autoreset_mode": m}, f"is {m!r}; choose one of NextStep, SameStep, Disabled") for m in ("same", 5, None)),
+        *(
+            ({"max_episode_steps": n}, f"max_episode_steps is {n!r}, it must be an integer")
+            for n in (2.5, "5", 0)
+        ),
+        *(
+            ({"autoreset_mode": m}, f"is {m!r}; choose one of NextStep, SameStep, Disabled")
+            for m in ("same", 5, None)
+        ),
     ],
 )
 def test_keywords_of_a_wrong_type_are_refused(keywords, message):

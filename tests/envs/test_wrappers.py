@@ -47,7 +47,9 @@ def test_quantities_describe_the_step():
     for action in actions(30):
         observation, *_, info = wrapped.step(action)
         simulator, limited = env.batch.simulator, np.clip(action, -1.0, 1.0).astype(float)
-        assert info["quantity_belt_force"] == pytest.approx(max(map(abs, simulator.tensions(0).values())), rel=1e-12)
+        assert info["quantity_belt_force"] == pytest.approx(
+            max(map(abs, simulator.tensions(0).values())), rel=1e-12
+        )
         assert info["quantity_action"] == pytest.approx((limited**2).sum())
         assert info["quantity_action_change"] == pytest.approx(((limited - last) ** 2).sum())
         assert info["quantity_saturation"] == (np.abs(action) >= 1.0).mean()
@@ -59,7 +61,9 @@ def test_quantities_describe_the_step():
             volts = limited[j] * drive.rated_voltage
             power += volts * (volts - emf * gear * speeds[j]) / ohm
         assert info["quantity_energy"] == pytest.approx(power * 0.01, rel=1e-9)
-        assert info["quantity_velocity"] == pytest.approx(np.linalg.norm(observation["observation"][4:6]), rel=1e-5)
+        assert info["quantity_velocity"] == pytest.approx(
+            np.linalg.norm(observation["observation"][4:6]), rel=1e-5
+        )
         last = limited
 
 
@@ -120,8 +124,12 @@ def test_vector_wrappers_give_the_same_as_single_ones():
         _, reward, cost, _, _, info = vector.step(row)
         results = [env.step(action) for env, action in zip(singles, row, strict=True)]
         np.testing.assert_array_equal(cost, [result[-1]["cost"] for result in results])
-        np.testing.assert_allclose(info["quantity_energy"], [r[-1]["quantity_energy"] for r in results], rtol=1e-12)
-        np.testing.assert_allclose(reward, [r[1] for r in results] - 2.0 * info["quantity_velocity"], rtol=1e-12)
+        np.testing.assert_allclose(
+            info["quantity_energy"], [r[-1]["quantity_energy"] for r in results], rtol=1e-12
+        )
+        np.testing.assert_allclose(
+            reward, [r[1] for r in results] - 2.0 * info["quantity_velocity"], rtol=1e-12
+        )
     assert cost.any()
 
 
@@ -159,7 +167,10 @@ def test_a_registered_quantity_works_by_its_name():
         (lambda: PenaltyWrapper(HFrameEnv(), {"energy": float("nan")}), "the weight of 'energy' is nan"),
         (lambda: CostWrapper(HFrameEnv(), {}), "name at least one quantity of action"),
         (lambda: CostWrapper(gym.make("CartPole-v1"), {"energy": 1.0}), "no environment of this package"),
-        (lambda: VectorCostWrapper(HFrameVectorEnv(2, autoreset_mode="SameStep"), {"energy": 1.0}), "NextStep"),
+        (
+            lambda: VectorCostWrapper(HFrameVectorEnv(2, autoreset_mode="SameStep"), {"energy": 1.0}),
+            "NextStep",
+        ),
         (lambda: DisturbanceWrapper(HFrameEnv(), "white"), r"machine=machine_for_disturbances\(machine\)"),
         (lambda: disturbed("brown"), "brown"),
         (lambda: disturbed("white", std=-1.0), "std is -1"),
@@ -228,7 +239,9 @@ def test_processes_have_their_size_and_correlation(name, options, std, correlati
 def test_vector_environments_draw_one_force_each():
     machine = machine_for_disturbances(MACHINE.with_effects(EFFECTS["constant_force"].at("x", size=1.0)))
     assert [e.label for e in machine.effects] == ["constant_force@x", "constant_force@y"]
-    env = VectorDisturbanceWrapper(HFrameVectorEnv(20, machine=machine, max_episode_steps=4), "pulses", rate=1e6)
+    env = VectorDisturbanceWrapper(
+        HFrameVectorEnv(20, machine=machine, max_episode_steps=4), "pulses", rate=1e6
+    )
     env.reset(seed=1)
     for step in range(8):
         info = env.step(np.zeros((20, 2), np.float32))[-1]

@@ -132,7 +132,12 @@ FIELDS = (
 ) = range(len(FIELDS))
 
 # State: positions, velocities, bristles, hystereses (5 each), currents (2), position and velocity of the frame.
-BRISTLE, HYSTERESIS, CURRENT, FRAME = 2 * COORDINATES, 3 * COORDINATES, 4 * COORDINATES, 4 * COORDINATES + DRIVES
+BRISTLE, HYSTERESIS, CURRENT, FRAME = (
+    2 * COORDINATES,
+    3 * COORDINATES,
+    4 * COORDINATES,
+    4 * COORDINATES + DRIVES,
+)
 STATE = FRAME + 2
 
 
@@ -141,9 +146,13 @@ def friction_level(i: int, q: float, v: float, t: float, p: Array) -> float:  # 
     """Return the level of dry friction of a coordinate, N or Nm."""
     level = p[COULOMB, i] + p[FRICTION_SLOPE, i] * q
     if p[STRIBECK_FORCE, i] != 0.0:
-        level += p[STRIBECK_FORCE, i] * math.exp(-(math.fabs(v / p[STRIBECK_VELOCITY, i]) ** p[STRIBECK_EXPONENT, i]))
+        level += p[STRIBECK_FORCE, i] * math.exp(
+            -(math.fabs(v / p[STRIBECK_VELOCITY, i]) ** p[STRIBECK_EXPONENT, i])
+        )
     if p[FRICTION_WAVE, i] != 0.0:
-        level += p[FRICTION_WAVE, i] * math.sin(2.0 * math.pi * q / p[FRICTION_WAVELENGTH, i] + p[FRICTION_PHASE, i])
+        level += p[FRICTION_WAVE, i] * math.sin(
+            2.0 * math.pi * q / p[FRICTION_WAVELENGTH, i] + p[FRICTION_PHASE, i]
+        )
     if p[FRICTION_COLD, i] != 0.0:
         level += level * p[FRICTION_COLD, i] * math.exp(-t / p[WARM_UP_S, 0])
     return level if level > 0.0 else 0.0
@@ -161,7 +170,9 @@ def applied_force(i: int, q: float, v: float, p: Array) -> float:  # pragma: no 
     force -= p[SPRING_STIFFNESS, i] * (q - p[SPRING_REST, i])
     if p[WAVE_FORCE, i] != 0.0:
         angle = p[WAVE_NUMBER, i] * q
-        force += p[WAVE_FORCE, i] * (math.sin(angle + p[WAVE_PHASE, i]) + p[WAVE_SECOND, i] * math.sin(2.0 * angle))
+        force += p[WAVE_FORCE, i] * (
+            math.sin(angle + p[WAVE_PHASE, i]) + p[WAVE_SECOND, i] * math.sin(2.0 * angle)
+        )
     if p[CATCH_FORCE, i] != 0.0:
         u = (q - p[CATCH_POSITION, i]) / p[CATCH_WIDTH, i]
         force -= p[CATCH_FORCE, i] * u * math.exp(0.5 * (1.0 - u * u))
@@ -210,7 +221,9 @@ def add_belts(state: Array, p: Array, force: Array) -> None:  # pragma: no cover
     rate1, rate2 = arm1 * state[7], arm2 * state[8]
     lengths = p[BELT_LENGTH_M, 0] + x + y, p[BELT_LENGTH_M, 1] + x - y, p[BELT_LENGTH_M, 2] - 2.0 * x
     left, push_left = belt_forces(0, travel1 + x + w * theta + y, rate1 + vx + w * omega + vy, lengths[0], p)
-    right, push_right = belt_forces(1, -travel2 + x - w * theta - y, -rate2 + vx - w * omega - vy, lengths[1], p)
+    right, push_right = belt_forces(
+        1, -travel2 + x - w * theta - y, -rate2 + vx - w * omega - vy, lengths[1], p
+    )
     bottom, push_bottom = belt_forces(2, travel2 - travel1 - 2.0 * x, rate2 - rate1 - 2.0 * vx, lengths[2], p)
     force[0] += -left - right + 2.0 * bottom + push_left + push_right - 2.0 * push_bottom
     force[1] += -left + right + push_left - push_right

@@ -27,7 +27,10 @@ MORE = {
     "unequal damping": Rig(belt_damping_s=1e-3, belt_damping_factor=(1.15, 0.85, 1.0)),
     "second harmonic": Rig(wave_force=(0.5, 0.0, 0.03, 0.0), wave_second=(0.2, 0.0, 0.15, 0.0)),
 }
-LACKING = ("idler_inertia", "frame_resonance")  # structures that the Euler simulator lacks or has in another form
+LACKING = (
+    "idler_inertia",
+    "frame_resonance",
+)  # structures that the Euler simulator lacks or has in another form
 ONE_OF_EACH = {n: dataclasses.replace(Rig(), **c.rig) for n, c in CASES.items() if c.rig and n not in LACKING}
 
 
@@ -75,7 +78,9 @@ def test_each_effect_agrees_with_the_reference_simulator(name):
 def test_error_is_of_first_order():
     time_s, inputs = _history(7, 0.5, 6.0)
     expected, _ = reference.simulate(Rig(), time_s, inputs, START, rtol=1e-9, atol=1e-12)
-    fine, coarse = (np.abs((_positions(Rig(), time_s, inputs, h) - expected) * TRAVEL).max() for h in (10e-6, 80e-6))
+    fine, coarse = (
+        np.abs((_positions(Rig(), time_s, inputs, h) - expected) * TRAVEL).max() for h in (10e-6, 80e-6)
+    )
     assert 4.0 < coarse / fine < 16.0
 
 

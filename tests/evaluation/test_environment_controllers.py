@@ -28,7 +28,9 @@ def final_distances(controller: Controller, envs: HFrameVectorEnv) -> Any:
 @pytest.mark.parametrize("options", FORMATS[1:])
 @pytest.mark.parametrize("sensors", ["state", "rig"])
 @pytest.mark.parametrize("name", ["pid", "ppo"])
-def test_controllers_work_on_every_form_of_observation(name: str, sensors: str, options: dict[str, bool]) -> None:
+def test_controllers_work_on_every_form_of_observation(
+    name: str, sensors: str, options: dict[str, bool]
+) -> None:
     """The rounding of float32 is far below a micrometer, and a learned policy amplifies it little."""
     if name == "ppo" and sensors == "rig":
         pytest.skip("no agent of the package was trained on sensors")
@@ -66,7 +68,9 @@ def test_the_adapter_of_stable_baselines3_is_an_environment_too() -> None:
         make_controller("pid", sb3.VecNormalize(envs))
 
 
-@pytest.mark.parametrize("name", ["pid", "textbook-pid", "adaptive-pid", "predictive", "ppo", "sac", "residual"])
+@pytest.mark.parametrize(
+    "name", ["pid", "textbook-pid", "adaptive-pid", "predictive", "ppo", "sac", "residual"]
+)
 def test_a_controller_that_does_not_know_the_environment_refuses_normalized_observations(name: str) -> None:
     """Each start away from the center is recognized; one near it is recognized when the tool moves."""
     controller = make_controller(name)
@@ -114,13 +118,20 @@ def test_a_wrapper_that_changes_observations_is_refused() -> None:
 
 def test_a_preview_at_other_times_is_refused() -> None:
     env = gym.make("HFrameTrack-v0", task=Track(preview_s=0.02))
-    with pytest.raises(InputError, match=r"one goal per control period of 0\.01 s; make the environment with task="):
+    with pytest.raises(
+        InputError, match=r"one goal per control period of 0\.01 s; make the environment with task="
+    ):
         make_controller("pid", env)
-    assert isinstance(make_controller("pid", gym.make("HFrameTrack-v0", normalize=True)), EnvironmentController)
+    assert isinstance(
+        make_controller("pid", gym.make("HFrameTrack-v0", normalize=True)), EnvironmentController
+    )
 
 
 def test_a_controller_that_was_made_for_an_environment_is_evaluated_as_the_one_inside_it() -> None:
-    made = {"made": make_controller("pid", gym.make("HFrame-v0", normalize=True)), "pid": make_controller("pid")}
+    made = {
+        "made": make_controller("pid", gym.make("HFrame-v0", normalize=True)),
+        "pid": make_controller("pid"),
+    }
     scores = evaluate(made, episodes=4).scores["controllers"]
     assert scores["made"] == scores["pid"]
 

@@ -85,7 +85,9 @@ def test_episodes_of_pid_and_agent_replay_to_the_bit(datasets: Path, monkeypatch
 
 
 def test_a_path_of_a_track_replays_to_the_bit(datasets: Path) -> None:
-    written = export_dataset("pid", Scenario(task="track", randomize="wide", episodes=2, duration_s=0.3), datasets)
+    written = export_dataset(
+        "pid", Scenario(task="track", randomize="wide", episodes=2, duration_s=0.3), datasets
+    )
     dataset = minari.load_dataset("hframe/track/pid-v0")
     assert written.folder == datasets / "hframe" / "track" / "pid-v0"
     assert dataset.env_spec.id == "HFrameTrack-v0"
@@ -116,7 +118,9 @@ def test_normalized_and_flat_observations_replay_to_the_bit(flat: bool, datasets
     np.testing.assert_array_equal(dataset[1].actions, in_si[1].actions)
 
 
-def test_the_machine_of_a_file_travels_with_the_data_set(datasets: Path, tmp_path: Path, hframe: Machine) -> None:
+def test_the_machine_of_a_file_travels_with_the_data_set(
+    datasets: Path, tmp_path: Path, hframe: Machine
+) -> None:
     file = tmp_path / "mine.json"
     mine = hframe.replace({"x.mass": 5.0}, name="my stage")
     save_machine(mine, file)
@@ -142,7 +146,11 @@ def test_metadata_name_algorithm_machine_seed_and_version(datasets: Path) -> Non
     assert metadata["requirements"] == [f"hframe_gym=={hframe_gym.__version__}"]
     assert "hframe export" in metadata["description"]
     about = metadata["hframe"]
-    assert (about["version"], about["seed"], about["controller_class"]) == (hframe_gym.__version__, 7, "Agent")
+    assert (about["version"], about["seed"], about["controller_class"]) == (
+        hframe_gym.__version__,
+        7,
+        "Agent",
+    )
     assert about["agent"] == json.loads((folder / "agent.json").read_text("utf-8"))
     file = datasets / "declared.json"
     file.write_text(json.dumps(about["machine"]))
@@ -167,7 +175,9 @@ def test_what_cannot_be_exported_is_refused_and_nothing_is_written(
     name: str, options: dict[str, Any], part: str, datasets: Path
 ) -> None:
     with pytest.raises(InputError, match=part):
-        export_dataset(name, Scenario(episodes=1, duration_s=0.1, **{"randomize": "none", **options}), datasets)
+        export_dataset(
+            name, Scenario(episodes=1, duration_s=0.1, **{"randomize": "none", **options}), datasets
+        )
     assert not datasets.exists() or not list(datasets.iterdir())
 
 
@@ -175,7 +185,9 @@ def test_reference_scores_normalize_returns(datasets: Path) -> None:
     scenario = Scenario(randomize="none", episodes=8, seed=3)
     for name in ("random", "textbook-pid", "predictive"):
         export_dataset(name, scenario, datasets, reference=True)
-    sets = [minari.load_dataset(f"hframe/reach/{name}-v0") for name in ("random", "textbook-pid", "predictive")]
+    sets = [
+        minari.load_dataset(f"hframe/reach/{name}-v0") for name in ("random", "textbook-pid", "predictive")
+    ]
     assert len({dataset.storage.metadata["ref_min_score"] for dataset in sets}) == 1
     scores = [
         float(np.mean(minari.get_normalized_score(dataset, np.array([e.rewards.sum() for e in dataset]))))
@@ -204,7 +216,17 @@ def test_the_command_names_the_data_sets_and_the_extra(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "hframe" / "reach" / "pid-v0" / "data" / "metadata.json").is_file()
     assert "wrote hframe/reach/pid-v0: 2 episodes, 300 steps" in done.stdout
     hide = "import sys; sys.modules['h5py'] = None; from hframe_gym.cli import main; main()"
-    missing = [sys.executable, "-c", hide, "export", "pid", "--episodes", "2", "--out", str(tmp_path / "none")]
+    missing = [
+        sys.executable,
+        "-c",
+        hide,
+        "export",
+        "pid",
+        "--episodes",
+        "2",
+        "--out",
+        str(tmp_path / "none"),
+    ]
     done = subprocess.run(missing, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.strip() == "hframe: data sets need minari and h5py: pip install 'hframe_gym[minari]'"

@@ -31,7 +31,9 @@ def game_of(**options: Any) -> Any:
     from hframe_gym.envs import Reach
     from hframe_gym.evaluation.play import Game
 
-    return Game(Scenario(task=Reach(start=START, target=TARGET), randomize="none"), **({"speed": 0.5} | options))
+    return Game(
+        Scenario(task=Reach(start=START, target=TARGET), randomize="none"), **({"speed": 0.5} | options)
+    )
 
 
 def press(key: int, *, down: bool = True) -> None:
@@ -42,7 +44,9 @@ def press(key: int, *, down: bool = True) -> None:
     ("key", "direction"),
     [(pygame.K_RIGHT, (1, 0)), (pygame.K_LEFT, (-1, 0)), (pygame.K_UP, (0, 1)), (pygame.K_DOWN, (0, -1))],
 )
-def test_an_arrow_key_pushes_the_tool_in_its_direction_while_it_is_held(key: int, direction: tuple[int, int]) -> None:
+def test_an_arrow_key_pushes_the_tool_in_its_direction_while_it_is_held(
+    key: int, direction: tuple[int, int]
+) -> None:
     game = game_of()
     press(key)
     game.run(frames=12)
@@ -111,7 +115,9 @@ def test_pause_new_episode_target_and_quit() -> None:
     press(pygame.K_RIGHT)
     game.run(frames=20)
     before = game.stages[0].position
-    pygame.event.post(pygame.event.Event(pygame.MOUSEBUTTONDOWN, button=3, pos=game.stages[0].view._pixel((0.0, 0.0))))
+    pygame.event.post(
+        pygame.event.Event(pygame.MOUSEBUTTONDOWN, button=3, pos=game.stages[0].view._pixel((0.0, 0.0)))
+    )
     press(pygame.K_RIGHT, down=False)
     game.run(frames=1)
     assert game.stages[0].position == pytest.approx(before, abs=1e-6)

@@ -145,7 +145,9 @@ def test_acting_effects_move_as_the_environment() -> None:
     for action in actions:
         env.step(action)
     draw = next(
-        b for b, row in enumerate(conditions.parameters) if len(acting_effects(conditions.machine, row).effects) > 2
+        b
+        for b, row in enumerate(conditions.parameters)
+        if len(acting_effects(conditions.machine, row).effects) > 2
     )
     single = HFrameVectorEnv(
         1, machine=acting_effects(conditions.machine, conditions.parameters[draw]), drives="machine"
@@ -198,7 +200,9 @@ def test_controllers_of_the_full_state_get_estimates_in_hard() -> None:
     protocol = dataclasses.replace(
         small("hard-v1", draws=2, duration_s=0.02), parts={"reach": PROTOCOLS["hard-v1"].parts["reach"]}
     )
-    entry, _ = run_protocol("first-measurement", dataclasses.replace(protocol, digest=protocol.compute_digest()))
+    entry, _ = run_protocol(
+        "first-measurement", dataclasses.replace(protocol, digest=protocol.compute_digest())
+    )
     assert entry.kind == "controller"
     assert len(_FirstMeasurement.widths) == 2
     assert len(_FirstMeasurement.widths[0]) == 8  # positions and velocities of x, y and both motors
@@ -231,16 +235,24 @@ ERRORS: list[float | None] = [0.01, 0.02, 3.0, 0.01]  # mm, of draws of which th
 def content(short: Protocol, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return the content of a valid result file of the short protocol."""
     for module in ("hframe_gym.evaluation.protocol_results", "tools.leaderboard"):
-        monkeypatch.setattr(f"{module}.protocol_bounds", lambda name: {})  # the stored ones are of other draws
+        monkeypatch.setattr(
+            f"{module}.protocol_bounds", lambda name: {}
+        )  # the stored ones are of other draws
     times: list[float | None] = [0.1, 0.2, None, 0.3]
-    values: dict[str, list[float | None]] = {f"settling_s.{band}": times for band in ("1mm", "0.2mm", "0.05mm")}
-    return result_content(short, Entry("mine", "agent", "a" * 64), {"reach": values | {"final_error_mm": ERRORS}})
+    values: dict[str, list[float | None]] = {
+        f"settling_s.{band}": times for band in ("1mm", "0.2mm", "0.05mm")
+    }
+    return result_content(
+        short, Entry("mine", "agent", "a" * 64), {"reach": values | {"final_error_mm": ERRORS}}
+    )
 
 
 def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -> None:
     score = content["scores"]["reach"]["settling_s.0.2mm"]
     assert score["success"] == 0.75
-    assert score["mean"] == pytest.approx((0.1 + 0.2 + 0.3 + 0.3) / 4)  # a failure counts the length of the episode
+    assert score["mean"] == pytest.approx(
+        (0.1 + 0.2 + 0.3 + 0.3) / 4
+    )  # a failure counts the length of the episode
     result = read_result(write_result(tmp_path, content))
     assert result.entry.name == "mine"
     assert fill_unsettled(result.draws["reach"]["settling_s.0.2mm"], 0.3).tolist() == [0.1, 0.2, 0.3, 0.3]
@@ -249,7 +261,10 @@ def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c["scores"]["reach"]["settling_s.0.2mm"].update(mean=0.05), "do not follow from the draws"),
+        (
+            lambda c: c["scores"]["reach"]["settling_s.0.2mm"].update(mean=0.05),
+            "do not follow from the draws",
+        ),
         (lambda c: c["draws"]["reach"]["settling_s.1mm"].pop(), "must hold 4 values"),
         (lambda c: c["draws"]["reach"].pop("final_error_mm"), "not settling_s.1mm"),
         (lambda c: c.update(digest="0" * 16), "other draws"),
@@ -257,9 +272,18 @@ def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -
         (lambda c: c.update(rank=1), "rank: Extra inputs"),
         (lambda c: c["entry"].update(sha256="abc"), "entry.sha256"),
         (lambda c: c["draws"]["reach"].update(final_error_mm=[None] * 4), "null only for a settling time"),
-        (lambda c: c["draws"]["reach"]["settling_s.1mm"].__setitem__(1, 0.2003), "draw 1 is impossible.*no sample"),
-        (lambda c: c["draws"]["reach"]["settling_s.1mm"].__setitem__(3, 0.4), "draw 3 is impossible.*no sample"),
-        (lambda c: c["draws"]["reach"]["settling_s.0.05mm"].__setitem__(0, 0.09), "draw 0 is impossible: it settles"),
+        (
+            lambda c: c["draws"]["reach"]["settling_s.1mm"].__setitem__(1, 0.2003),
+            "draw 1 is impossible.*no sample",
+        ),
+        (
+            lambda c: c["draws"]["reach"]["settling_s.1mm"].__setitem__(3, 0.4),
+            "draw 3 is impossible.*no sample",
+        ),
+        (
+            lambda c: c["draws"]["reach"]["settling_s.0.05mm"].__setitem__(0, 0.09),
+            "draw 0 is impossible: it settles",
+        ),
         (
             lambda c: c["draws"]["reach"]["settling_s.0.05mm"].__setitem__(2, 0.1),
             "draw 2.*the error at the end is 3 mm",
@@ -279,7 +303,9 @@ def test_a_file_that_is_not_valid_is_refused_by_name(
     assert "\n" not in str(error.value)
 
 
-def test_an_error_that_is_rounded_to_the_edge_of_a_band_is_possible(content: dict[str, Any], tmp_path: Path) -> None:
+def test_an_error_that_is_rounded_to_the_edge_of_a_band_is_possible(
+    content: dict[str, Any], tmp_path: Path
+) -> None:
     content = json.loads(json.dumps(content))  # whose bands share one list
     for settled in (0.2, None):
         content["draws"]["reach"]["settling_s.0.05mm"][1] = settled
@@ -310,11 +336,15 @@ def test_draws_below_their_stored_bound_are_refused(tmp_path: Path) -> None:
     """A file with 0.2 s for every draw was ranked first, at 0.779 of the bound."""
     protocol_bounds.cache_clear()
     protocol = PROTOCOLS["reach-v1"]
-    values: dict[str, list[float | None]] = {f"settling_s.{band}": [0.2] * 512 for band in ("1mm", "0.2mm", "0.05mm")}
+    values: dict[str, list[float | None]] = {
+        f"settling_s.{band}": [0.2] * 512 for band in ("1mm", "0.2mm", "0.05mm")
+    }
     whole = result_content(
         protocol, Entry("fast", "controller", "a" * 64), {"reach": values | {"final_error_mm": [0.0] * 512}}
     )
-    with pytest.raises(InputError, match=r"draw \d+ is impossible: .* 0\.2 s is less than the shortest possible time"):
+    with pytest.raises(
+        InputError, match=r"draw \d+ is impossible: .* 0\.2 s is less than the shortest possible time"
+    ):
         read_result(write_result(tmp_path, whole))
 
 
@@ -337,7 +367,9 @@ def test_a_submission_is_run_again(short: Protocol, content: dict[str, Any], tmp
     assert "NOT reproduced: 12 of 16 values are equal; largest difference: reach, draw 1, " in text
 
 
-def test_a_repeated_run_may_differ_by_rounding_only(short: Protocol, content: dict[str, Any], tmp_path: Path) -> None:
+def test_a_repeated_run_may_differ_by_rounding_only(
+    short: Protocol, content: dict[str, Any], tmp_path: Path
+) -> None:
     result = read_result(write_result(tmp_path, content))
     again = json.loads(json.dumps(content["draws"]))
     again["reach"]["settling_s.0.2mm"][0] = 0.102
@@ -383,7 +415,9 @@ class _Network(Controller):
 NETWORK_SEED = [0]
 
 
-def test_weights_of_a_controller_are_part_of_its_hash(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_weights_of_a_controller_are_part_of_its_hash(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Two agents behind one adapter had one hash, as a controller that is not learned."""
     pytest.importorskip("torch")
     CONTROLLERS.register("network")(_Network)
@@ -408,7 +442,9 @@ def _make_with_seed(seed: int, protocol: Protocol) -> Entry:
     return protocols.make_entry("network", protocol, "reach")[0]
 
 
-def test_swapped_weights_are_found_by_a_repeated_run(short: Protocol, content: dict[str, Any], tmp_path: Path) -> None:
+def test_swapped_weights_are_found_by_a_repeated_run(
+    short: Protocol, content: dict[str, Any], tmp_path: Path
+) -> None:
     pytest.importorskip("stable_baselines3")
     entry = protocols.make_entry("ppo-seed0", short, "reach")[0]
     file = write_result(tmp_path, result_content(short, entry, content["draws"]))
@@ -421,7 +457,12 @@ def test_entries_state_what_they_know_and_cost() -> None:
     pytest.importorskip("stable_baselines3")
     reach, hard = small("reach-v1"), PROTOCOLS["hard-v1"]
     ppo = protocols.make_entry("ppo", reach, "reach")[0]
-    assert (ppo.algorithm, ppo.observes, ppo.model, ppo.training_steps) == ("ppo", "state", "belt geometry", 1503232)
+    assert (ppo.algorithm, ppo.observes, ppo.model, ppo.training_steps) == (
+        "ppo",
+        "state",
+        "belt geometry",
+        1503232,
+    )
     plan = protocols.make_entry("apg_plan", reach, "reach")[0]
     assert (plan.model, plan.training_cpu_s) == ("feedback laws, plans, estimates parameters", 192.6)
     with pytest.warns(UserWarning, match="with other parameters"):  # the declared machine has current limits
@@ -429,8 +470,12 @@ def test_entries_state_what_they_know_and_cost() -> None:
     assert protocols.make_entry("pid", reach, "reach")[0].model == "feedback laws"
 
 
-def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(content: dict[str, Any], tmp_path: Path) -> None:
-    slower = json.loads(json.dumps(content)) | {"entry": {"name": "pid", "kind": "controller", "sha256": "b" * 64}}
+def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(
+    content: dict[str, Any], tmp_path: Path
+) -> None:
+    slower = json.loads(json.dumps(content)) | {
+        "entry": {"name": "pid", "kind": "controller", "sha256": "b" * 64}
+    }
     content["entry"] |= {
         "algorithm": "ppo",
         "training_steps": 1500000,
@@ -439,7 +484,9 @@ def test_the_leaderboard_ranks_entries_and_compares_them_draw_by_draw(content: d
     }
     entries = []
     for entry, factor in ((slower, 0.75), (content, 0.5)):
-        values = {m: [None if v is None else factor * v for v in c] for m, c in entry["draws"]["reach"].items()}
+        values = {
+            m: [None if v is None else factor * v for v in c] for m, c in entry["draws"]["reach"].items()
+        }
         whole = result_content(PROTOCOLS["reach-v1"], Entry(**entry["entry"]), {"reach": values})
         entries.append(read_result(write_result(tmp_path, whole)))
     text = protocol_section("reach-v1", entries)

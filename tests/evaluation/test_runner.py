@@ -143,7 +143,9 @@ def test_previewed_goals_are_one_control_period_apart() -> None:
 
 
 def test_evaluation_by_names_and_keywords() -> None:
-    scores, episodes = evaluate(["textbook-pid", "textbook-pid", "pid"], HFRAME, episodes=3, seed=7, duration_s=0.2)
+    scores, episodes = evaluate(
+        ["textbook-pid", "textbook-pid", "pid"], HFRAME, episodes=3, seed=7, duration_s=0.2
+    )
     assert list(scores["controllers"]) == list(episodes) == ["textbook-pid", "pid"]
     assert (scores["episodes"], scores["seed"], scores["machine"]) == (3, 7, "hframe")
     np.testing.assert_array_equal(

@@ -109,7 +109,11 @@ def test_pid_settles_from_rig_sensors() -> None:
 @pytest.mark.parametrize(
     ("name", "scenario", "message"),
     [
-        ("nobody", Scenario(), "controller 'nobody' is unknown; choose pid, adaptive-pid, predictive, textbook-pid"),
+        (
+            "nobody",
+            Scenario(),
+            "controller 'nobody' is unknown; choose pid, adaptive-pid, predictive, textbook-pid",
+        ),
         ("no_such_module:p", Scenario(), "cannot import 'no_such_module'"),
         ("textbook-pid", Scenario(sensors="rig"), "needs the full state"),
         ("adaptive-pid", Scenario(sensors="rig"), "needs the full state"),
@@ -146,7 +150,9 @@ def test_a_source_makes_controllers_that_are_not_registered(monkeypatch: pytest.
         @staticmethod
         def make(name: str, scenario: Scenario) -> Controller | None:
             return (
-                TextbookPID(scenario.declared_machine, scenario.period) if name == f"{scenario.task_name}-x" else None
+                TextbookPID(scenario.declared_machine, scenario.period)
+                if name == f"{scenario.task_name}-x"
+                else None
             )
 
         @staticmethod
@@ -167,7 +173,9 @@ def test_episodes_do_not_depend_on_the_sensors() -> None:
 
 
 def test_a_period_too_long_for_the_belts_is_told_once_and_another_suggested() -> None:
-    with pytest.warns(UserWarning, match="slowest belt mode, 37 Hz, is above half the control rate of 50 Hz") as told:
+    with pytest.warns(
+        UserWarning, match="slowest belt mode, 37 Hz, is above half the control rate of 50 Hz"
+    ) as told:
         evaluate(["pid", "textbook-pid"], episodes=2, duration_s=0.1, period=0.02)
     assert len(told) == 1
     assert "--period 0.005" in str(told[0].message)

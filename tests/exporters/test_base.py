@@ -56,7 +56,9 @@ def test_a_file_or_a_folder_is_written(tmp_path: Path) -> None:
     names = {p.name for p in (tmp_path / "folder").iterdir()}
     assert names == {"state_space.json", "state_space.mat", "state_space.csv", "modes.csv"}
     exporter.write(tmp_path / "alone" / "model.mat")
-    assert (tmp_path / "alone" / "model.mat").read_bytes() == (tmp_path / "folder" / "state_space.mat").read_bytes()
+    assert (tmp_path / "alone" / "model.mat").read_bytes() == (
+        tmp_path / "folder" / "state_space.mat"
+    ).read_bytes()
     assert len(list((tmp_path / "alone").iterdir())) == 1
     with pytest.raises(InputError, match=r"model.csv: the export state-space has the files .*modes.csv"):
         exporter.write(tmp_path / "model.csv")  # two files have this suffix
@@ -95,7 +97,10 @@ def test_the_command_writes_what_the_library_does(tmp_path: Path, capsys: pytest
         ),
         (["nobody", "--out", "x"], "kind of export 'nobody' is unknown"),
         (["klipper", "--shaper", "best", "--out", "x"], "'best' is not one of 'zv', 'mzv', 'ei'"),
-        (["state-space", "--at", "z=1", "--out", "x"], "--at z=1: write AXIS=METERS with one of the axes x, y"),
+        (
+            ["state-space", "--at", "z=1", "--out", "x"],
+            "--at z=1: write AXIS=METERS with one of the axes x, y",
+        ),
         (["state-space", "--at", "x=left", "--out", "x"], "'left' is not a number"),
         (["c", "--prefix", "1st", "--out", "x"], "--prefix 1st: must be a letter"),
         (["c", "--period", "1e-9", "--out", "x"], "period"),
@@ -103,7 +108,11 @@ def test_the_command_writes_what_the_library_does(tmp_path: Path, capsys: pytest
     ],
 )
 def test_wrong_words_give_one_line(
-    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     code, _, errors = run(capsys, *words)
@@ -130,7 +139,10 @@ def test_an_exporter_of_a_plugin_is_a_command(tmp_path: Path, capsys: pytest.Cap
 
     try:
         assert (
-            run(capsys, "masses", "--machine", "axis", "--unit", "kilograms", "--out", str(tmp_path / "m.txt"))[0] == 0
+            run(
+                capsys, "masses", "--machine", "axis", "--unit", "kilograms", "--out", str(tmp_path / "m.txt")
+            )[0]
+            == 0
         )
         assert (tmp_path / "m.txt").read_text().split()[2] == "kilograms"
         assert issubclass(EXPORTERS.get("masses"), Exporter)
@@ -139,11 +151,15 @@ def test_an_exporter_of_a_plugin_is_a_command(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_names_of_a_machine_file_end_no_comment(tmp_path: Path, hframe: Machine) -> None:
-    machine = hframe.replace(name="*/ int evil; /* *) evil; (* --> <evil/> <!-- ü \n#define X", description="\\\n")
+    machine = hframe.replace(
+        name="*/ int evil; /* *) evil; (* --> <evil/> <!-- ü \n#define X", description="\\\n"
+    )
     for kind in KINDS:
         exporter = EXPORTERS.get(kind)(machine=machine)  # type: ignore[call-arg]
         for name, text in exporter.files(machine).items():  # type: ignore[attr-defined]
-            if isinstance(text, str) and name.endswith((".c", ".h", ".st", ".xml", ".urdf", ".cfg", ".gcode", ".csv")):
+            if isinstance(text, str) and name.endswith(
+                (".c", ".h", ".st", ".xml", ".urdf", ".cfg", ".gcode", ".csv")
+            ):
                 head = text[: text.index("SHA-256")]
                 assert "\n#define X" not in head
                 assert not any(sign in head for sign in ("*/", "*)")), name

@@ -28,7 +28,14 @@ from tests.effects.one_of_each import CASES
 
 # Effects that the formulas contain: forces, dry and viscous friction, amplifiers, and structures.
 CONTAINED = (
-    *("stribeck_friction", "tustin_friction", "constant_force", "asymmetric_viscous", "quadratic_drag", "cable_spring"),
+    *(
+        "stribeck_friction",
+        "tustin_friction",
+        "constant_force",
+        "asymmetric_viscous",
+        "quadratic_drag",
+        "cable_spring",
+    ),
     *(
         "position_friction",
         "friction_slope",
@@ -53,7 +60,10 @@ def compiler() -> str:
 def identified(machine: Machine) -> Machine:
     """Return a machine with many effects of different kinds, as an identification may find them."""
     return machine.with_effects(
-        *(CASES[name].effect for name in ("stribeck_friction", "cogging", "asymmetric_viscous", "friction_warm_up")),
+        *(
+            CASES[name].effect
+            for name in ("stribeck_friction", "cogging", "asymmetric_viscous", "friction_warm_up")
+        ),
         EFFECTS["gain_mismatch"].at("motor1", g=0.1),
         EFFECTS["dead_band"].at("motor1", Vd=0.3, drop=1.0),
         EFFECTS["voltage_offset"].at("motor1", V0=0.2),
@@ -62,7 +72,9 @@ def identified(machine: Machine) -> Machine:
 
 @pytest.mark.filterwarnings("ignore:textbook-pid is unstable")
 @pytest.mark.parametrize("name", ["hframe", "axis", "corexy", "hframe-order20", "identified"])
-def test_the_test_bench_compiles_without_a_warning_and_agrees(name: str, compiler: str, tmp_path: Path) -> None:
+def test_the_test_bench_compiles_without_a_warning_and_agrees(
+    name: str, compiler: str, tmp_path: Path
+) -> None:
     machine = identified(load_machine("hframe")) if name == "identified" else load_machine(name)
     EXPORTERS.get("c")(machine=machine, prefix="my_stage").write(tmp_path)  # type: ignore[call-arg]
     options = ["-Wall", "-Wextra", "-Werror", "-std=c99"]
@@ -79,12 +91,16 @@ def test_the_test_bench_notices_a_wrong_parameter(compiler: str, tmp_path: Path,
     EXPORTERS.get("c")(machine=hframe).write(tmp_path)  # type: ignore[call-arg]
     source = tmp_path / "stage.c"
     source.write_text(source.read_text().replace("p_x_mass = 4.07;", "p_x_mass = 4.0700001;"))
-    subprocess.run([compiler, "-std=c99", "stage.c", "stage_test.c", "-o", "bench", "-lm"], cwd=tmp_path, check=True)
+    subprocess.run(
+        [compiler, "-std=c99", "stage.c", "stage_test.c", "-o", "bench", "-lm"], cwd=tmp_path, check=True
+    )
     assert subprocess.run([tmp_path / "bench"], capture_output=True).returncode == 1
 
 
 @pytest.mark.parametrize("name", CONTAINED)
-def test_the_feedforward_gives_the_acceleration_in_the_equations_of_motion(name: str, hframe: Machine) -> None:
+def test_the_feedforward_gives_the_acceleration_in_the_equations_of_motion(
+    name: str, hframe: Machine
+) -> None:
     """Newton's law with the commanded voltages, projected on the axes: the belts' forces cancel."""
     machine = hframe.with_effects(CASES[name].effect)
     dynamics = InverseDynamics(machine)
@@ -114,7 +130,11 @@ def test_the_simulated_tool_follows_the_feedforward(effects: tuple[str, ...], hf
 
     def plan(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         s = t / seconds
-        shape = 10 * s**3 - 15 * s**4 + 6 * s**5, 30 * s**2 - 60 * s**3 + 30 * s**4, 60 * s - 180 * s**2 + 120 * s**3
+        shape = (
+            10 * s**3 - 15 * s**4 + 6 * s**5,
+            30 * s**2 - 60 * s**3 + 30 * s**4,
+            60 * s - 180 * s**2 + 120 * s**3,
+        )
         way = np.array([0.15, -0.1])
         return tuple(np.outer(u / seconds**k, way) for k, u in enumerate(shape))  # type: ignore[return-value]
 
@@ -205,7 +225,12 @@ def interpreter(text: str) -> dict[str, Callable[..., Any]]:
             line = re.sub(r"^FOR (\w+) := (\d+) TO (\d+) DO$", r"for \1 in range(\2, \3 + 1):", line)
             line = re.sub(r"^IF (.*) THEN$", r"if \1:", line).replace("ELSE", "else:")
             line = re.sub(r"(?<![:<>=])=(?!=)", "==", line) if ":=" in line else line
-            line = line.replace("<>", "!=").replace(" AND ", " and ").replace(" OR ", " or ").replace(":==", ":=")
+            line = (
+                line.replace("<>", "!=")
+                .replace(" AND ", " and ")
+                .replace(" OR ", " or ")
+                .replace(":==", ":=")
+            )
             line = re.sub(rf"^{name} := ", "return ", line).replace(" := ", " = ").rstrip(";")
             lines.append("    " * depth + line)
             depth += line.endswith(":")

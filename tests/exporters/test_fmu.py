@@ -67,7 +67,9 @@ def outputs_of_library(library: ctypes.CDLL, machine: Machine, token: str, start
     nothing = [None] * 4
     create = library.fmi3InstantiateCoSimulation
     assert create(b"a", b"another machine", None, 0, 0, 0, 0, None, ctypes.c_size_t(0), *nothing[:3]) is None
-    stage = ctypes.c_void_p(create(b"a", token.encode(), None, 0, 0, 0, 0, None, ctypes.c_size_t(0), *nothing[:3]))
+    stage = ctypes.c_void_p(
+        create(b"a", token.encode(), None, 0, 0, 0, 0, None, ctypes.c_size_t(0), *nothing[:3])
+    )
     double = ctypes.c_double
 
     def exchange(function: str, first: int, values: list[float]) -> list[float]:

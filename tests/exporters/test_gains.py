@@ -53,14 +53,18 @@ def test_the_state_feedback_is_that_near_the_goal(hframe: Machine) -> None:
     travel = deviation * np.tile(hframe.travel_per_unit, 2)
     actions = controller.act_on_state(travel[None], np.zeros((1, 1, 2)))[0]
     for drive, action in zip(hframe.drives, actions, strict=True):
-        of_drive = {g["input"]: float(str(g["value"])) for g in gains if g["output"] == f"voltage of {drive.name}"}
+        of_drive = {
+            g["input"]: float(str(g["value"])) for g in gains if g["output"] == f"voltage of {drive.name}"
+        }
         volts = -sum(of_drive[name] * d for name, d in zip(names, deviation, strict=True))
         assert action * drive.rated_voltage == pytest.approx(volts, rel=0.02)
 
 
 def test_an_unstable_period_is_stated() -> None:
     machine = load_machine("corexy")
-    with pytest.warns(UserWarning, match="textbook-pid is unstable on machine 'corexy' at a control period of 0.01 s"):
+    with pytest.warns(
+        UserWarning, match="textbook-pid is unstable on machine 'corexy' at a control period of 0.01 s"
+    ):
         files = EXPORTERS.get("gains")(machine=machine).files(machine)  # type: ignore[call-arg, attr-defined]
     assert "# Warning: textbook-pid is unstable" in files["gains.csv"]
 

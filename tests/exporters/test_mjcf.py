@@ -78,10 +78,14 @@ def test_a_urdf_has_masses_and_limits(name: str) -> None:
     for joint in root.iter("joint"):
         axis, limit = str(joint.get("name")), joint.find("limit")
         assert limit is not None
-        assert (float(str(limit.get("lower"))), float(str(limit.get("upper")))) == machine.coordinate(axis).range
+        assert (float(str(limit.get("lower"))), float(str(limit.get("upper")))) == machine.coordinate(
+            axis
+        ).range
         assert float(str(limit.get("velocity"))) == pytest.approx(motion_limits(machine)[axis].speed)
         friction = sum(
-            c.coulomb / (c.radius if c.kind == "rotary" else 1.0) for c in machine.coordinates if c.kind == "rotary"
+            c.coulomb / (c.radius if c.kind == "rotary" else 1.0)
+            for c in machine.coordinates
+            if c.kind == "rotary"
         )
         friction += machine.coordinate(axis).coulomb
         assert float(str(limit.get("effort"))) == pytest.approx(motion_limits(machine)[axis].force + friction)
@@ -92,7 +96,9 @@ def test_a_urdf_has_masses_and_limits(name: str) -> None:
 def test_other_machines_are_refused_by_name(hframe: Machine) -> None:
     resonance = EFFECTS["frame_resonance"].at("x", f0=20.0, zeta=0.1, r=0.1, s=0.0)
     for kind in ("mjcf", "urdf"):
-        with pytest.raises(InputError, match=r"only a tool with one or two axes and pulleys .* it also has frame"):
+        with pytest.raises(
+            InputError, match=r"only a tool with one or two axes and pulleys .* it also has frame"
+        ):
             exported(kind, hframe.with_effects(resonance))
     unlimited = dataclasses.replace(
         hframe, coordinates=tuple(dataclasses.replace(c, range=None) for c in hframe.coordinates)

@@ -101,7 +101,10 @@ def test_without_onnx_a_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("agent", "reason"),
     [
-        ("residual", "its actions need the actions of another controller and estimates of the machine's parameters"),
+        (
+            "residual",
+            "its actions need the actions of another controller and estimates of the machine's parameters",
+        ),
         ("apg", "its actions need estimates of the machine's parameters, which"),
         ("sac", "planned transfers to the goal"),
     ],

@@ -43,7 +43,8 @@ def test_it_is_the_linearization_where_a_machine_has_no_effects(hframe: Machine)
 
 
 @pytest.mark.parametrize(
-    "name", ["belt_damping", "cable_spring", "gain_mismatch", "bridge_yaw", "frame_resonance", "idler_inertia"]
+    "name",
+    ["belt_damping", "cable_spring", "gain_mismatch", "bridge_yaw", "frame_resonance", "idler_inertia"],
 )
 def test_the_simulator_moves_like_the_linear_model_with_effects(name: str) -> None:
     machine = load_machine("hframe-linear").with_effects(CASES[name].effect)
@@ -54,7 +55,9 @@ def test_the_simulator_moves_like_the_linear_model_with_effects(name: str) -> No
         assert np.abs(model.A - without.A).max() + np.abs(model.B - without.B).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["stribeck_friction", "presliding", "dead_band", "belt_play", "electrical_lag"])
+@pytest.mark.parametrize(
+    "name", ["stribeck_friction", "presliding", "dead_band", "belt_play", "electrical_lag"]
+)
 def test_effects_without_a_linear_model_are_named(name: str, hframe: Machine) -> None:
     effect = CASES[name].effect
     text = json.loads(files(hframe.with_effects(effect))["state_space.json"])
@@ -93,7 +96,9 @@ def test_frequencies_are_those_of_the_undamped_machine() -> None:
 def test_held_motors_leave_the_carriage_on_its_belts(hframe: Machine) -> None:
     found = axis_modes(hframe, np.zeros(4))
     k_left, k_right, k_bottom = (b.EA / b.rest_length for b in hframe.belts)
-    stiffness = np.array([[k_left + k_right + 4.0 * k_bottom, k_left - k_right], [k_left - k_right, k_left + k_right]])
+    stiffness = np.array(
+        [[k_left + k_right + 4.0 * k_bottom, k_left - k_right], [k_left - k_right, k_left + k_right]]
+    )
     squared = np.linalg.eigvals(np.diag([1.0 / 4.07, 1.0 / 1.0412]) @ stiffness)
     expected = np.sort(np.sqrt(squared)) / (2.0 * np.pi)
     assert sorted(mode.frequency for mode in found.values()) == pytest.approx(expected, rel=1e-6)

@@ -74,7 +74,9 @@ class Scripted:
             "fit_with_model_error": lambda fitted, data: fitted,
             "with_probable_starts": lambda current, data, criteria: (current, data),
             "narrower_observer": lambda fitted, data: fitted,
-            "continue_fit": lambda fitted, data, bandwidth: fit_with(chi2=self.simulated, bandwidth=bandwidth),
+            "continue_fit": lambda fitted, data, bandwidth: fit_with(
+                chi2=self.simulated, bandwidth=bandwidth
+            ),
             "likelihood_deficit": lambda fitted, reference, data: math.inf,
             "converge": lambda fitted, data, thorough: fitted,
             "trial_fits": lambda current, data, enough, criteria: self.trials.pop(0) if self.trials else [],

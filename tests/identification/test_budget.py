@@ -117,13 +117,19 @@ def test_a_budget_that_does_not_end_changes_nothing_and_one_that_ends_keeps_what
     """The clock counts the steps of the search, so that the test does not depend on the processor."""
     runs = limited_runs([3.0, 3.0, 9.0, 9.0, 3.0])
     clock, steps = Clock(), []
-    complete = identify(runs, AXIS, budget=Budget(1e9, clock=clock, progress=lambda *step: steps.append(step)))
+    complete = identify(
+        runs, AXIS, budget=Budget(1e9, clock=clock, progress=lambda *step: steps.append(step))
+    )
     unlimited = identify(runs, AXIS, budget=math.inf)
     assert complete.unfinished is None
     assert complete.as_json() | {"seconds": 0} == unlimited.as_json() | {"seconds": 0}
     assert [s.effect.label for s in complete.effects] == ["current_limit@motor"]
-    last = next(step for step in steps if step[0] in ("comparing rivals", "testing each effect beside the others"))
-    early = identify(runs, AXIS, budget=Budget((last[1] + 0.5) / 0.8, clock=Clock(), progress=lambda *step: None))
+    last = next(
+        step for step in steps if step[0] in ("comparing rivals", "testing each effect beside the others")
+    )
+    early = identify(
+        runs, AXIS, budget=Budget((last[1] + 0.5) / 0.8, clock=Clock(), progress=lambda *step: None)
+    )
     assert early.unfinished is not None
     assert [s.effect.label for s in early.effects] == ["current_limit@motor"]
     assert early.verdict == "effect_found"

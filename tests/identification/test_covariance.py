@@ -28,7 +28,9 @@ def axis() -> Machine:
     return BUILTIN_MACHINES["axis"]()
 
 
-def with_standard_deviations(machine: Machine, relative_std: dict[str, float], correlation: float = 0.0) -> Machine:
+def with_standard_deviations(
+    machine: Machine, relative_std: dict[str, float], correlation: float = 0.0
+) -> Machine:
     """Attach relative standard deviations by parameter name; the first two parameters are correlated."""
     std = np.array([relative * machine.parameters[name] for name, relative in relative_std.items()])
     correlations = np.eye(len(std))
@@ -114,14 +116,16 @@ def test_three_parameters_of_one_undetermined_direction(axis: Machine) -> None:
     )
     names = ("constant_force@x.size", "voltage_offset@motor.V0", "x.mass")
     direction = np.array([0.5, 1.0, -0.4]) * [1.0, 1.0, axis.parameters["x.mass"]]
-    machine = machine.replace(uncertainty=Uncertainty(names, np.outer(direction, direction) + 1e-10 * np.eye(3)))
+    machine = machine.replace(
+        uncertainty=Uncertainty(names, np.outer(direction, direction) + 1e-10 * np.eye(3))
+    )
     (group,) = inseparable_parameters(machine, axis)
     assert set(group.names) == set(names)
     assert len(group.combinations) == 2
     for weights in group.combinations:
-        assert sum(weight * direction[names.index(name)] for name, weight in weights.items()) == pytest.approx(
-            0.0, abs=1e-6
-        )
+        assert sum(
+            weight * direction[names.index(name)] for name, weight in weights.items()
+        ) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_separable_parameters_are_in_no_group(axis: Machine) -> None:
@@ -155,18 +159,25 @@ def test_large_deviation_is_attributed_to_the_prior_or_to_the_data(axis: Machine
 def test_parameter_at_a_bound_is_reported(axis: Machine) -> None:
     machine = axis.with_effects(EFFECTS["dead_band"].at("motor", Vd=0.4, drop=1.0))
     machine = with_standard_deviations(machine, {"dead_band@motor.Vd": 0.01, "dead_band@motor.drop": 0.01})
-    assert parameter_doubts(machine, axis) == {"dead_band@motor.Vd": [], "dead_band@motor.drop": ["at a bound"]}
+    assert parameter_doubts(machine, axis) == {
+        "dead_band@motor.Vd": [],
+        "dead_band@motor.drop": ["at a bound"],
+    }
 
 
 def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
     heavy = axis.replace({"x.mass": axis.parameters["x.mass"] * np.exp(4 * 0.3)})
     (text,) = parameters_at_limit(heavy, axis).values()
-    assert text.startswith("x.mass ends at the limit of the fit, 3.3 times its declared value: check the machine file")
+    assert text.startswith(
+        "x.mass ends at the limit of the fit, 3.3 times its declared value: check the machine file"
+    )
     doubts = parameter_doubts(with_standard_deviations(heavy, {"x.mass": 0.01, "x.coulomb": 0.01}), axis)
     assert doubts == {"x.mass": ["at the limit of the fit"], "x.coulomb": []}
     uncertain = with_standard_deviations(heavy, {"x.mass": 0.5, "x.coulomb": 0.01})
     (text,) = parameters_at_limit(uncertain, axis).values()
-    assert text.startswith("the recordings do not determine x.mass: the fit ends at 3.3 +- 1.7 times its declared")
+    assert text.startswith(
+        "the recordings do not determine x.mass: the fit ends at 3.3 +- 1.7 times its declared"
+    )
     assert parameters_at_limit(axis.replace({"x.mass": 3.2 * axis.parameters["x.mass"]}), axis) == {}
 
 

@@ -47,7 +47,9 @@ def test_the_quantum_is_that_of_the_moving_runs(hframe: Machine) -> None:
 
 
 @pytest.mark.parametrize("encoders", [True, False])
-def test_lasers_show_the_jitter_of_the_clock_where_no_encoder_measured(hframe: Machine, encoders: bool) -> None:
+def test_lasers_show_the_jitter_of_the_clock_where_no_encoder_measured(
+    hframe: Machine, encoders: bool
+) -> None:
     """The stage moves fast; the times of the samples err by 0.2 ms. The encoders are blank or show none."""
     rng = np.random.default_rng(3)
     time_s = np.arange(2000) * 1e-3

@@ -24,13 +24,19 @@ TRUE = Axis(bandwidth_hz=BANDWIDTH, limit_A=LIMIT)
 ENCODER = Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 20000, "encoder")
 
 
-def motor(kind: str, inertia: float, viscous: float, coulomb: float, bandwidth: float, limit: float | None) -> Machine:
+def motor(
+    kind: str, inertia: float, viscous: float, coulomb: float, bandwidth: float, limit: float | None
+) -> Machine:
     shaft = Coordinate("shaft", inertia, viscous, coulomb, "rotary", 0.01)
     Kt, rated = (0.03, 3.0) if kind == "current" else (1.0, 0.09)
     drive = Drive("motor", "command", "shaft", Kt, 0.0, 1.0, 1.0, rated, kind=kind)
     machine = Machine("motor", (shaft,), (), (drive,), (ENCODER,))
-    machine = machine.with_effects(get_effect("electrical_lag").at("motor", tau=1.0 / (2.0 * np.pi * bandwidth)))
-    return machine if limit is None else machine.with_effects(get_effect("current_limit").at("motor", I=limit))
+    machine = machine.with_effects(
+        get_effect("electrical_lag").at("motor", tau=1.0 / (2.0 * np.pi * bandwidth))
+    )
+    return (
+        machine if limit is None else machine.with_effects(get_effect("current_limit").at("motor", I=limit))
+    )
 
 
 def runs(kind: str) -> list[Recording]:
@@ -41,7 +47,9 @@ def runs(kind: str) -> list[Recording]:
         signs = held_levels(run, ROWS, 10, 2.0)
         motion = record(TRUE, signs, ROWS, PERIOD)
         angle = np.rint(motion.position / ENCODER.resolution) * ENCODER.resolution
-        recordings.append(Recording(f"run_{run}", motion.time_s, scale * motion.command[:, None], angle[:, None]))
+        recordings.append(
+            Recording(f"run_{run}", motion.time_s, scale * motion.command[:, None], angle[:, None])
+        )
     return recordings
 
 
@@ -83,7 +91,9 @@ def test_the_file_declares_the_bandwidth_and_refuses_what_the_kind_lacks(tmp_pat
     assert load_machine(path).parameters["electrical_lag@motor.tau"] == pytest.approx(1.0 / (80.0 * np.pi))
     content["drives"][0]["resistance"] = {"value": 1.0, "unit": "ohm"}
     path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"drives\.motor\.resistance: a drive of the kind 'current' has none"):
+    with pytest.raises(
+        InputError, match=r"drives\.motor\.resistance: a drive of the kind 'current' has none"
+    ):
         load_machine(path)
 
 
@@ -93,7 +103,9 @@ def duty_motor(supply: str = "vbus_V") -> Machine:
     return Machine("motor", (shaft,), (), (drive,), (ENCODER,))
 
 
-def duty_log(path: Path, run: int, header: str = "time_s,duty_pu,vbus_V,phi_rad", full: float = 1.0) -> Record:
+def duty_log(
+    path: Path, run: int, header: str = "time_s,duty_pu,vbus_V,phi_rad", full: float = 1.0
+) -> Record:
     """Write a run of the independent simulator whose supply sags slowly and with the duty cycle."""
     levels = held_levels(run, ROWS, 40, 0.7)
     duty = np.array([levels(row) for row in range(ROWS)])
@@ -119,7 +131,9 @@ def test_a_duty_cycle_is_multiplied_by_the_measured_supply(tmp_path) -> None:
     assert found["shaft.mass"] == pytest.approx(2e-4, rel=1e-3)
     assert found["shaft.coulomb"] == pytest.approx(0.004, rel=5e-3)
     # Without the measurement, the sag of the supply remains as an error.
-    constant = [dataclasses.replace(r, inputs=12.0 * r.inputs / s[:, None]) for r, s in _with_supplies(recordings)]
+    constant = [
+        dataclasses.replace(r, inputs=12.0 * r.inputs / s[:, None]) for r, s in _with_supplies(recordings)
+    ]
     assert identify(constant, machine).before.held_out.channels["phi_rad"].noise_ratio > 10.0
 
 
@@ -143,7 +157,9 @@ def test_files_have_the_duty_cycle_and_refuse_a_voltage(tmp_path) -> None:
     again = load_recording(tmp_path / "written.csv", machine)
     np.testing.assert_allclose(again.inputs, recording.inputs, rtol=1e-15)
     duty_log(tmp_path / "volts.csv", 0, full=12.0)
-    with pytest.raises(InputError, match=r"volts\.csv, row \d+, column duty_pu: .*is no duty cycle from -1 to 1"):
+    with pytest.raises(
+        InputError, match=r"volts\.csv, row \d+, column duty_pu: .*is no duty cycle from -1 to 1"
+    ):
         load_recording(tmp_path / "volts.csv", machine)
 
 
@@ -153,7 +169,9 @@ def test_import_maps_duty_cycle_and_supply(tmp_path) -> None:
     motion = duty_log(tmp_path / "log.csv", 0, "Time [s],Duty [%],Battery [V],phi [rad]", 100.0)
     arguments = ["import", "log.csv", "--machine", "motor.json", "--out", str(out)]
     arguments += ["--map", "duty_pu=Duty [%]", "--map", "vbus_V=Battery [V]"]
-    run = subprocess.run([sys.executable, "-m", "hframe_gym", *arguments], cwd=tmp_path, capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-m", "hframe_gym", *arguments], cwd=tmp_path, capture_output=True, text=True
+    )
     assert run.returncode == 0, run.stdout + run.stderr
     (written,) = out.glob("*.csv*")
     recording = load_recording(written, machine)
@@ -200,7 +218,9 @@ def test_a_controller_reaches_the_goal_by_currents() -> None:
 def test_an_agent_trains_by_currents() -> None:
     ppo = pytest.importorskip("stable_baselines3").PPO
     env = gym.make("HFrame-v0", machine=stage(), normalize=True)
-    model = ppo("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(256)
+    model = ppo("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(
+        256
+    )
     observation, _ = env.reset(seed=0)
     action, _ = model.predict(observation, deterministic=True)
     assert np.all(np.isfinite(action))

@@ -58,7 +58,9 @@ def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Data
     tight = [dataclasses.replace(f, prior=1e-9) for f in default_free_parameters(hframe)]
     fitted = fit(hframe, tight, data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
     for parameter in tight:
-        assert fitted.values[parameter.name] == pytest.approx(hframe.parameters[parameter.name], rel=1e-6, abs=1e-9)
+        assert fitted.values[parameter.name] == pytest.approx(
+            hframe.parameters[parameter.name], rel=1e-6, abs=1e-9
+        )
     np.testing.assert_allclose(fitted.theta, 0.0, atol=1e-8)
 
 
@@ -68,7 +70,9 @@ def test_a_linear_parameter_may_exceed_its_typical_size_by_far(hframe: Machine, 
     free = FreeParameter("x.mass", 0.5 * mass, prior=10.0, scale=mass / 100)
     fitted = fit(hframe, [free], data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
     assert fitted.theta[0] > 40.0  # four standard deviations
-    near = fit(hframe, [dataclasses.replace(free, scale=mass)], data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
+    near = fit(
+        hframe, [dataclasses.replace(free, scale=mass)], data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH
+    )
     assert fitted.values["x.mass"] == pytest.approx(near.values["x.mass"], rel=0.01)
 
 
@@ -115,14 +119,18 @@ def test_a_step_keeps_linear_parameters_within_their_bounds() -> None:
 
 @pytest.mark.unit
 @pytest.mark.parametrize(("viscous", "back_emf"), [(0.1, 0.6), (0.15, 0.7)])
-def test_parameters_that_act_alike_converge_to_the_most_probable_values(viscous: float, back_emf: float) -> None:
+def test_parameters_that_act_alike_converge_to_the_most_probable_values(
+    viscous: float, back_emf: float
+) -> None:
     """The data determine the sum of viscous friction and back-EMF; the prior determines the difference.
 
     The expected decrease of the cost by a further step is that of a tenth of a standard deviation at most.
     """
     axis = BUILTIN_MACHINES["axis"]()
     values = axis.parameters
-    machine = axis.replace({"x.viscous": viscous * values["x.viscous"], "motor.Ke": back_emf * values["motor.Ke"]})
+    machine = axis.replace(
+        {"x.viscous": viscous * values["x.viscous"], "motor.Ke": back_emf * values["motor.Ke"]}
+    )
     data = prepare(list(_recordings(machine)), axis)
     free = default_free_parameters(axis)
     fitted = polish(fit(axis, free, data, SIMULATION), data)
@@ -138,7 +146,9 @@ def _recordings(machine: Machine) -> Iterator[Recording]:
     rng = np.random.default_rng(1)
     for k in range(4):
         time_s = np.arange(2000) * 1e-3
-        inputs = 0.8 * machine.drives[0].rated_voltage * np.repeat(rng.uniform(-1.0, 1.0, (40, 1)), 50, axis=0)
+        inputs = (
+            0.8 * machine.drives[0].rated_voltage * np.repeat(rng.uniform(-1.0, 1.0, (40, 1)), 50, axis=0)
+        )
         inputs[:100] = 0.0
         outputs = simulate(machine, time_s, inputs).outputs
         noise = rng.normal(0.0, 1.0, outputs.shape) * [sensor.noise or 1e-6 for sensor in machine.sensors]

@@ -64,9 +64,9 @@ def simulated_output(machine: Machine, experiment: ExperimentDesign) -> np.ndarr
 
 
 def test_design_separates_the_machines_as_predicted(experiment: ExperimentDesign, data: Dataset) -> None:
-    difference = (simulated_output(CONSTANT_FORCE, experiment) - simulated_output(ASYMMETRIC, experiment)) / data.noise[
-        0
-    ]
+    difference = (
+        simulated_output(CONSTANT_FORCE, experiment) - simulated_output(ASYMMETRIC, experiment)
+    ) / data.noise[0]
     assert experiment.sigma == pytest.approx(np.linalg.norm(difference), rel=1e-3)
     assert experiment.sigma > 100 * MINIMUM_SIGMA
     assert experiment.channel == "x_m"
@@ -100,7 +100,9 @@ def test_difference_that_uncertain_parameters_absorb_does_not_count(
 def test_no_design_for_two_equivalent_machines(data: Dataset) -> None:
     gain = AXIS.drives[0].gain
     offset = AXIS.with_effects(EFFECTS["voltage_offset"].at("motor", V0=0.15 / gain))
-    assert separate_machines(CONSTANT_FORCE, offset, ("constant_force@x", "voltage_offset@motor"), data) is None
+    assert (
+        separate_machines(CONSTANT_FORCE, offset, ("constant_force@x", "voltage_offset@motor"), data) is None
+    )
 
 
 def test_rival_of_a_fit_is_fitted_and_separated() -> None:
@@ -128,7 +130,9 @@ def test_written_file_is_an_input_of_simulate(experiment: ExperimentDesign, tmp_
     reloaded = load_recording(path, AXIS, outputs_needed=False)
     np.testing.assert_allclose(reloaded.inputs, experiment.inputs, rtol=1e-8)
     result = CliRunner().invoke(
-        app, ["simulate", "--machine", "axis", "--inputs", str(path), "--out", str(out)], catch_exceptions=False
+        app,
+        ["simulate", "--machine", "axis", "--inputs", str(path), "--out", str(out)],
+        catch_exceptions=False,
     )
     assert result.exit_code == 0
     assert len(load_recording(out, AXIS).time_s) == len(experiment.time_s)
@@ -149,7 +153,9 @@ def test_design_for_two_drives_stays_inside_the_workspace() -> None:
         assert moved[:, i].max() < c.range[1]
 
 
-def test_a_machine_that_may_be_unstable_raises_no_error(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_machine_that_may_be_unstable_raises_no_error(
+    data: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two combinations of parameters with the same, enormous influence make the normal equations singular."""
     root = experiment_design._covariance_root
 

@@ -87,7 +87,9 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
         unregister_effect("rail_catch")
 
 
-def test_the_formula_is_as_good_as_the_table(result: IdentificationResult, comparison: TableComparison) -> None:
+def test_the_formula_is_as_good_as_the_table(
+    result: IdentificationResult, comparison: TableComparison
+) -> None:
     [chosen] = [formula for formula in comparison.formulas if formula.recommended]
     assert comparison.table == tables_of(result.after.machine)[0]
     assert chosen.effect.formula.name == "magnetic catch"
@@ -101,7 +103,9 @@ def test_the_report_lists_table_and_formulas(folder: Path, comparison: TableComp
     [entry] = json.loads((folder / "report.json").read_text())["proposed_formulas"]
     assert entry["table"] == comparison.table.label
     assert entry["complexity"] == KNOTS
-    assert [f["complexity"] for f in entry["formulas"]] == [f.effect.formula.complexity for f in comparison.formulas]
+    assert [f["complexity"] for f in entry["formulas"]] == [
+        f.effect.formula.complexity for f in comparison.formulas
+    ]
     assert comparison.formulas[0].effect.text in build_report(folder).read_text()
 
 
@@ -138,7 +142,9 @@ def test_a_written_effect_is_used_by_the_commands(
     np.testing.assert_allclose(loaded.effects[0]("force", q=q), chosen.effect.formula(q), rtol=1e-9)
 
 
-def test_a_folder_without_compared_formulas_serves_as_well(result: IdentificationResult, tmp_path: Path) -> None:
+def test_a_folder_without_compared_formulas_serves_as_well(
+    result: IdentificationResult, tmp_path: Path
+) -> None:
     write_result(result, tmp_path)
     formulas = formulas_of_folder(tmp_path, "rail_catch")
     [chosen] = [formula for formula in formulas if formula.recommended]
@@ -149,7 +155,11 @@ def test_a_folder_without_compared_formulas_serves_as_well(result: Identificatio
 
 @pytest.mark.parametrize(
     ("name", "table", "message"),
-    [("Cable", "", "effect name"), ("cogging", "", "exists"), ("cable", "smooth_force[time]@x", "no such table")],
+    [
+        ("Cable", "", "effect name"),
+        ("cogging", "", "exists"),
+        ("cable", "smooth_force[time]@x", "no such table"),
+    ],
 )
 def test_what_cannot_be_written_is_refused(name: str, table: str, message: str, folder: Path) -> None:
     with pytest.raises(InputError, match=message):

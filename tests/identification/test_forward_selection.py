@@ -92,7 +92,9 @@ def test_structural_effects_are_tried_again_beside_each_further_effect(scripted:
     assert [s.effect for s in effects] == [PUSH, FRAME]
 
 
-@pytest.mark.parametrize(("chi2", "residue", "found"), [(10.0, 0.1, True), (10.0, 2.0, False), (1.49, 0.1, False)])
+@pytest.mark.parametrize(
+    ("chi2", "residue", "found"), [(10.0, 0.1, True), (10.0, 2.0, False), (1.49, 0.1, False)]
+)
 def test_two_effects_that_hide_each_other_are_selected_together(
     scripted: Scripted, chi2: float, residue: float, found: bool
 ) -> None:
@@ -147,4 +149,7 @@ def test_an_effect_on_which_another_rests_is_kept(scripted: Scripted) -> None:
 def test_an_effect_that_raises_the_error_is_not_said_to_reduce_it() -> None:
     before, better, worse = fit_with(chi2=500.5), fit_with(PUSH, chi2=99.0), fit_with(PUSH, chi2=533.5)
     assert describe_gain(before, better) == "reduces chi-squared per sample from 500.5 to 99 (simulation)"
-    assert describe_gain(before, worse) == "does not reduce chi-squared per sample (500.5, with it 533.5, simulation)"
+    assert (
+        describe_gain(before, worse)
+        == "does not reduce chi-squared per sample (500.5, with it 533.5, simulation)"
+    )

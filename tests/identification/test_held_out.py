@@ -33,11 +33,14 @@ def voltages(kind: str, seed: int, rate: float = 1000.0, duration: float = 2.0) 
         return 5.0 * np.sin(2 * np.pi * 0.8 * time_s) * rng.choice([-1.0, 1.0])
     if kind == "multisine":
         return sum(
-            1.5 * np.sin(2 * np.pi * f * time_s + p) for f, p in zip(np.geomspace(1, 40, 12), phases, strict=True)
+            1.5 * np.sin(2 * np.pi * f * time_s + p)
+            for f, p in zip(np.geomspace(1, 40, 12), phases, strict=True)
         )
     if kind == "chirp":
         return 5.0 * np.sin(2 * np.pi * (time_s + 40.0 / 2 / duration * time_s**2) + phases[0])
-    return 5.0 * np.repeat([-1.0, 1.0] * 12, round(0.2 * rate))[: len(time_s)] * rng.choice([-1.0, 1.0])  # steps
+    return (
+        5.0 * np.repeat([-1.0, 1.0] * 12, round(0.2 * rate))[: len(time_s)] * rng.choice([-1.0, 1.0])
+    )  # steps
 
 
 def recorded(kinds: Sequence[str], rate: float = 1000.0) -> list[Recording]:
@@ -45,7 +48,9 @@ def recorded(kinds: Sequence[str], rate: float = 1000.0) -> list[Recording]:
     runs = []
     for i, kind in enumerate(kinds):
         inputs = voltages(kind, i, rate)[:, None]
-        runs.append(Recording(f"r{i:02d}_{kind}", np.arange(len(inputs)) / rate, inputs, np.zeros_like(inputs)))
+        runs.append(
+            Recording(f"r{i:02d}_{kind}", np.arange(len(inputs)) / rate, inputs, np.zeros_like(inputs))
+        )
     return runs
 
 
@@ -56,7 +61,8 @@ def kinds_of(names: Sequence[str]) -> list[str]:
 
 @pytest.mark.parametrize("kind", ["sine", "chirp", "multisine", "steps"])
 @pytest.mark.parametrize(
-    ("count", "expected"), [(2, [1]), (3, [2]), (4, [3]), (7, [3]), (8, [3, 7]), (11, [3, 7]), (12, [3, 7, 11])]
+    ("count", "expected"),
+    [(2, [1]), (3, [2]), (4, [3]), (7, [3]), (8, [3, 7]), (11, [3, 7]), (12, [3, 7, 11])],
 )
 def test_every_fourth_run_is_held_out_if_all_are_alike(kind: str, count: int, expected: list[int]) -> None:
     recordings = recorded([kind] * count)
@@ -87,7 +93,9 @@ KINDS = ("steps", "sine", "multisine", "chirp")
 
 @pytest.mark.parametrize("order", list(itertools.permutations(KINDS)))
 @pytest.mark.parametrize("repetitions", [2, 3, 4, 5])
-def test_a_protocol_that_repeats_four_kinds_holds_out_several(order: tuple[str, ...], repetitions: int) -> None:
+def test_a_protocol_that_repeats_four_kinds_holds_out_several(
+    order: tuple[str, ...], repetitions: int
+) -> None:
     """Every fourth run would be of one kind."""
     names = [r.name for r in recorded(order * repetitions)]
     chosen = hold_out(recorded(order * repetitions))
@@ -134,7 +142,9 @@ def test_noise_of_the_voltages_does_not_change_the_choice(seed: int) -> None:
     """The voltages of a controller contain the noise of the sensors."""
     recordings = recorded(KINDS * 2)
     rng = np.random.default_rng(seed)
-    noisy = [dataclasses.replace(r, inputs=r.inputs + rng.normal(0.0, 0.1, r.inputs.shape)) for r in recordings]
+    noisy = [
+        dataclasses.replace(r, inputs=r.inputs + rng.normal(0.0, 0.1, r.inputs.shape)) for r in recordings
+    ]
     assert hold_out(noisy) == hold_out(recordings)
 
 

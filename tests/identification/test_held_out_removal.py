@@ -16,7 +16,11 @@ from hframe_gym.identification import (
     fit,
     prepare,
 )
-from hframe_gym.identification.evidence.held_out import contradicting_held_out_runs, held_out_gain, worsens_simulation
+from hframe_gym.identification.evidence.held_out import (
+    contradicting_held_out_runs,
+    held_out_gain,
+    worsens_simulation,
+)
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
 from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
@@ -38,12 +42,16 @@ def recorded(machine: Machine, seed: int) -> Recording:
     """Return a noisy recording of a moving axis."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(1000) * 1e-3
-    inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + seed) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[:, None]
+    inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + seed) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[
+        :, None
+    ]
     noise = rng.normal(0.0, NOISE, (len(time_s), 1))
     return Recording(f"run_{seed}", time_s, inputs, machine.simulate(time_s, inputs).outputs + noise)
 
 
-def outcome_with_force(axis: Machine, data: Dataset, size: float, before_explains: bool) -> tuple[Fit, SearchOutcome]:
+def outcome_with_force(
+    axis: Machine, data: Dataset, size: float, before_explains: bool
+) -> tuple[Fit, SearchOutcome]:
     """Return the fit of the axis, and an outcome that selected a constant force, N."""
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
     machine = axis.with_effects(EFFECTS["constant_force"].at("x", size=size))
@@ -53,7 +61,9 @@ def outcome_with_force(axis: Machine, data: Dataset, size: float, before_explain
 
 
 @pytest.mark.parametrize(("before_explains", "verdict"), [(True, "no_effect"), (False, "unexplained")])
-def test_an_effect_that_held_out_runs_deny_is_removed(axis: Machine, before_explains: bool, verdict: str) -> None:
+def test_an_effect_that_held_out_runs_deny_is_removed(
+    axis: Machine, before_explains: bool, verdict: str
+) -> None:
     """Without the last effect the verdict says whether the refitted machine explains the data."""
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
     data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(axis, 1)], axis)
@@ -108,7 +118,9 @@ def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: M
     assert not worsens_simulation(after, before, validation)
     removed = without_unconfirmed(outcome, validation, lambda line: None)
     assert (removed.verdict, removed.selected) == ("unexplained", ())
-    reason = "reduces the error of the held-out runs, but they are simulated worse with it than without effects"
+    reason = (
+        "reduces the error of the held-out runs, but they are simulated worse with it than without effects"
+    )
     assert removed.considered[0].reason == reason
 
 
@@ -122,7 +134,8 @@ def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine
 def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first(axis: Machine) -> None:
     """An overtone of cogging is not identified without cogging; the held-out run shows neither."""
     cogging, overtone = (
-        EFFECTS[name].at("motor", A=0.1, n=rate, p=0.3) for name, rate in (("cogging", 4.0), ("second_cogging", 8.0))
+        EFFECTS[name].at("motor", A=0.1, n=rate, p=0.3)
+        for name, rate in (("cogging", 4.0), ("second_cogging", 8.0))
     )
     cogged = axis.with_effects(cogging, overtone)
     data, validation = prepare([recorded(cogged, 0)], axis), prepare([recorded(axis, 1)], axis)

@@ -62,7 +62,9 @@ def test_one_sine_cannot_tell_friction_over_speed_from_other_friction() -> None:
         ("quadratic_drag", "c", -np.inf, np.inf),
     ],
 )
-def test_runs_show_shapes_only_within_their_motion(name: str, parameter: str, low: float, high: float) -> None:
+def test_runs_show_shapes_only_within_their_motion(
+    name: str, parameter: str, low: float, high: float
+) -> None:
     scales = {"position": 0.2, "speed": 0.5, "session": 40.0}
     assert coverage(EFFECTS[name].parameter(parameter), scales) == pytest.approx((low, high))
 

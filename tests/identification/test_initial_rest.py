@@ -73,11 +73,16 @@ def test_all_rows_before_the_first_input_are_rest_if_only_noise_is_measured(axis
 
 def test_slow_noise_of_a_filtered_sensor_is_rest(axis: Machine) -> None:
     for seed in range(20):
-        slow = np.convolve(np.random.default_rng(seed).normal(0.0, 1.0, ROWS + 60), np.hanning(60), "same")[30:-30]
+        slow = np.convolve(np.random.default_rng(seed).normal(0.0, 1.0, ROWS + 60), np.hanning(60), "same")[
+            30:-30
+        ]
         recording = run(np.zeros(REST), seed)
         outputs = NOISE * slow[:, None] / slow.std()
         outputs[REST:, 0] += np.linspace(0.0, 0.3, ROWS - REST)
-        assert count_resting_rows(Recording("slow", recording.time_s, recording.inputs, outputs), axis) == REST + 1
+        assert (
+            count_resting_rows(Recording("slow", recording.time_s, recording.inputs, outputs), axis)
+            == REST + 1
+        )
 
 
 def test_a_swing_that_settles_before_the_first_input_is_not_used(axis: Machine) -> None:
@@ -143,7 +148,9 @@ def test_a_coast_by_several_counts_per_row_is_motion_however_few_rows_have_no_vo
 
 
 @pytest.mark.parametrize("free_rows", [1, 2, 5, 9, 14])
-def test_a_few_rows_in_which_an_encoder_toggles_between_counts_are_rest(axis: Machine, free_rows: int) -> None:
+def test_a_few_rows_in_which_an_encoder_toggles_between_counts_are_rest(
+    axis: Machine, free_rows: int
+) -> None:
     for seed in range(20):
         machine, recording = counted(axis, free_rows, speed=0.0, noise=COUNT / 2, seed=seed)
         assert count_resting_rows(recording, machine) == free_rows + 1

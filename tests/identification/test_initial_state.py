@@ -10,7 +10,13 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, InitialState, PreparedRecording, initial_state_of_recording, prepare
+from hframe_gym.identification import (
+    Dataset,
+    InitialState,
+    PreparedRecording,
+    initial_state_of_recording,
+    prepare,
+)
 from hframe_gym.identification.fit.residual import channel_errors
 from hframe_gym.machine import Machine, rest_state
 from hframe_gym.preparation.belt_stretch import static_equilibrium
@@ -94,8 +100,12 @@ def test_a_skewed_laser_is_inverted(hframe: Machine) -> None:
     measured = np.array([x, y + a * x])
     initial = initial_at(measured, rigid(measured), known=False)
     skewed = hframe.with_effects(EFFECTS["sensor_skew"].at("y_m", a=a))
-    np.testing.assert_allclose(model_initial_states(skewed, [initial])[0], rest_state(hframe, [x, y]), atol=1e-9)
-    np.testing.assert_allclose(model_initial_states(hframe, [initial])[0], rest_state(hframe, measured), atol=1e-9)
+    np.testing.assert_allclose(
+        model_initial_states(skewed, [initial])[0], rest_state(hframe, [x, y]), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        model_initial_states(hframe, [initial])[0], rest_state(hframe, measured), atol=1e-9
+    )
 
 
 def test_a_position_beyond_the_range_of_a_laser_is_kept(hframe: Machine) -> None:

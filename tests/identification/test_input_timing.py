@@ -99,7 +99,9 @@ def test_an_equally_good_lag_is_its_rival(script: Script) -> None:
         ({"held_out_gain": 0.0}, "held-out runs"),
     ],
 )
-def test_a_delay_that_fails_a_test_is_only_considered(script: Script, changes: dict[str, Any], reason: str) -> None:
+def test_a_delay_that_fails_a_test_is_only_considered(
+    script: Script, changes: dict[str, Any], reason: str
+) -> None:
     for name, value in changes.items():
         setattr(script, name, value)
     outcome = script.run()
@@ -116,7 +118,9 @@ def test_it_is_not_tried_where_nothing_is_hidden(script: Script) -> None:
         outcome._replace(explained=True),
         script.outcome(bandwidth=30.0),
         script.outcome(period=5e-3),
-        outcome._replace(after=dataclasses.replace(outcome.after, machine=outcome.after.machine.with_effects(LAG))),
+        outcome._replace(
+            after=dataclasses.replace(outcome.after, machine=outcome.after.machine.with_effects(LAG))
+        ),
     ):
         assert script.run(other) is other
     script.chi2[WIDE] = (100.0, 90.0)  # as likely as the observer of the search

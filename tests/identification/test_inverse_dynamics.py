@@ -51,7 +51,9 @@ def test_a_coarse_sensor_does_not_make_a_right_machine_wrong(step: float, larges
     force = -mass * rate**2 * np.sin(rate * middle) + viscous * rate * np.cos(rate * middle)
     position = np.round(np.sin(rate * time) / step) * step
     machine = axis(mass, viscous)
-    error = force_error(machine, prepare([Recording("r", time, force[:, None] / 2.0, position[:, None])], machine))
+    error = force_error(
+        machine, prepare([Recording("r", time, force[:, None] / 2.0, position[:, None])], machine)
+    )
     assert error is not None
     assert error < largest
 
@@ -124,7 +126,9 @@ def test_a_run_with_too_few_measured_rows_for_the_filter_has_no_force_error() ->
     position = 0.1 * np.sin(2.0 * time)[:, None]
     position[:1990] = np.nan
     machine = axis(3.0, 5.0)
-    assert force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine)) is None
+    assert (
+        force_error(machine, prepare([Recording("r", time, np.ones((2000, 1)), position)], machine)) is None
+    )
 
 
 def test_force_error_of_a_slow_log() -> None:
@@ -154,7 +158,9 @@ def two_sensors(*effects: AppliedEffect, swapped: bool = False, missing: int = 1
     machine = axis(3.0, 5.0)
     machine = Machine("axis", machine.coordinates, (), machine.drives, tuple(sensors[i] for i in order))
     outputs = np.column_stack([encoder, laser])[:, order]
-    return machine.with_effects(*effects), prepare([Recording("r", time, force[:, None] / 2.0, outputs)], machine)
+    return machine.with_effects(*effects), prepare(
+        [Recording("r", time, force[:, None] / 2.0, outputs)], machine
+    )
 
 
 @pytest.mark.parametrize("swapped", [False, True])

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics.simulation import Motion
-from hframe_gym.identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters, prepare
+from hframe_gym.identification import (
+    Dataset,
+    FreeParameter,
+    PreparedRecording,
+    default_free_parameters,
+    prepare,
+)
 from hframe_gym.identification.predict.free_parameters import parameter_table, prior_precision, values_at
 from hframe_gym.identification.predict.linearization import ResidualModel, forward_differences
 from hframe_gym.identification.predict.normal_equations import NormalEquations
@@ -22,7 +28,9 @@ pytestmark = pytest.mark.unit
 def cart() -> Machine:
     """Return an axis with viscous friction only, whose motion has a closed form."""
     axis = BUILTIN_MACHINES["axis"]()
-    return axis.replace(coordinates=(Coordinate("x", mass=2.0, viscous=5.0),)).replace({f"{axis.drives[0].name}.Ke": 0})
+    return axis.replace(coordinates=(Coordinate("x", mass=2.0, viscous=5.0),)).replace(
+        {f"{axis.drives[0].name}.Ke": 0}
+    )
 
 
 @pytest.fixture

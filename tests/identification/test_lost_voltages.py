@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify, prepare
 from hframe_gym.identification.fit import lost_voltages
-from hframe_gym.identification.fit.lost_voltages import _count_unknown_rows, estimate_lost_voltages, with_lost_voltages
+from hframe_gym.identification.fit.lost_voltages import (
+    _count_unknown_rows,
+    estimate_lost_voltages,
+    with_lost_voltages,
+)
 from hframe_gym.identification.predict import prediction
 from hframe_gym.identification.report.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -88,7 +92,8 @@ def test_a_wrong_machine_leaves_smooth_voltages_at_their_spline() -> None:
     data = prepare([without_rows(complete, rows)], AXIS)
     wrong = AXIS.replace({"x.mass": 0.5 * AXIS.coordinates[0].mass})
     errors = [
-        np.sqrt(np.mean((d.runs[0].inputs - inputs)[rows] ** 2)) for d in (data, estimate_lost_voltages(data, wrong))
+        np.sqrt(np.mean((d.runs[0].inputs - inputs)[rows] ** 2))
+        for d in (data, estimate_lost_voltages(data, wrong))
     ]
     assert errors[0] > 0.05
     assert errors[1] < 0.01
@@ -118,7 +123,9 @@ def test_a_simulation_over_a_recording_with_gaps_agrees_with_the_measurements() 
 
 
 def test_a_machine_that_lacks_nothing_is_recognized_despite_dropped_rows() -> None:
-    rig = AXIS.replace({"x.mass": 1.1 * AXIS.coordinates[0].mass, "x.coulomb": 0.8 * AXIS.coordinates[0].coulomb})
+    rig = AXIS.replace(
+        {"x.mass": 1.1 * AXIS.coordinates[0].mass, "x.coulomb": 0.8 * AXIS.coordinates[0].coulomb}
+    )
     runs = [without_rows(recorded(rig, random_steps(seed), seed), random_rows(seed)) for seed in range(4)]
     lines: list[str] = []
     result = identify(runs, AXIS, log=lines.append)
@@ -136,7 +143,8 @@ def jacobians(run: Recording, machine: Machine, bandwidth: float) -> tuple[Array
     rows = np.flatnonzero(data.runs[0].dropped)
     together, _ = lost_voltages._linearize(machine, data.runs[0], data, rows, bandwidth)
     alone = [
-        lost_voltages._linearize(machine, data.runs[0], data, rows[k : k + 1], bandwidth)[0] for k in range(len(rows))
+        lost_voltages._linearize(machine, data.runs[0], data, rows[k : k + 1], bandwidth)[0]
+        for k in range(len(rows))
     ]
     return together.toarray(), np.hstack([one.toarray() for one in alone])
 
@@ -202,7 +210,9 @@ def test_saturated_measurements_determine_no_voltages() -> None:
     saturated[:, x] = np.minimum(saturated[:, x], np.quantile(saturated[:, x], 0.9))
     gaps = without_rows(dataclasses.replace(complete, outputs=saturated), random_rows(3))
     difference = simulate_recording(HFRAME, gaps).outputs - without_rows(complete, random_rows(3)).outputs
-    assert np.sqrt(np.mean(difference[:, x] ** 2)) < 2.0 * NOISE  # 20 if the end of the range counts as a position
+    assert (
+        np.sqrt(np.mean(difference[:, x] ** 2)) < 2.0 * NOISE
+    )  # 20 if the end of the range counts as a position
 
 
 def test_delays_between_two_rows_are_resolved() -> None:

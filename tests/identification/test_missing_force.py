@@ -115,7 +115,9 @@ def test_the_noise_of_a_sensor_does_not_reduce_the_share_of_a_variable() -> None
     axis = BUILTIN_MACHINES["axis"]()
     time_s = np.arange(2000) * 1e-3
     inputs = np.where(time_s < 0.2, 0.0, 6.0 * np.sin(2 * np.pi * time_s))[:, None]
-    readings = simulate_batch(axis.with_effects(EFFECTS["quadratic_drag"].at("x", c=1.0)), time_s, inputs).readings[0]
+    readings = simulate_batch(
+        axis.with_effects(EFFECTS["quadratic_drag"].at("x", c=1.0)), time_s, inputs
+    ).readings[0]
     for noise in (1e-6, 0.03e-3):
         noisy = readings + np.random.default_rng(2).normal(0.0, noise, readings.shape)
         ranked = rank_dependences(axis, prepare([Recording("run", time_s, inputs, noisy)], axis))
@@ -174,12 +176,17 @@ def test_every_cause_has_a_variable_with_a_unit_that_the_report_can_draw(hframe:
     variables = dependence_variables(hframe, run.runs[0], run)
     assert all(values.shape == run.runs[0].time_s.shape for values in variables.values())
     units = {name: _with_unit(name, hframe).rpartition(", ")[2] for name in variables}
-    assert (units["current of motor1"], units["acceleration of x"], units["load of motor2"]) == ("A", "m/s^2", "Nm")
+    assert (units["current of motor1"], units["acceleration of x"], units["load of motor2"]) == (
+        "A",
+        "m/s^2",
+        "Nm",
+    )
     assert all(units[name] != name for name in variables if not name.startswith("v"))
 
 
 @pytest.mark.parametrize(
-    ("component", "variable"), [("motor1", "heat of motor1"), ("x", "position of y"), ("drives", "power of drives")]
+    ("component", "variable"),
+    [("motor1", "heat of motor1"), ("x", "position of y"), ("drives", "power of drives")],
 )
 def test_causes_outside_the_library_are_named_with_their_component(
     hframe: Machine, component: str, variable: str
@@ -198,7 +205,9 @@ def test_causes_outside_the_library_are_named_with_their_component(
         extra = np.zeros((1, len(run.time_s), 4))
         for coordinate, force in forces.items():
             extra[0, :, hframe.coordinate_names.index(coordinate)] = force
-        readings = simulate_batch(hframe, run.time_s, run.inputs, extra_force=extra, longest_step=0.125e-3).readings[0]
+        readings = simulate_batch(
+            hframe, run.time_s, run.inputs, extra_force=extra, longest_step=0.125e-3
+        ).readings[0]
         readings[:, 2:] += np.random.default_rng(1).normal(0.0, 20e-6, readings[:, 2:].shape)
         runs.append(dataclasses.replace(run, outputs=readings))
     strongest = rank_dependences(hframe, prepare(runs, hframe))[0]
@@ -219,8 +228,12 @@ def test_the_error_of_one_sensor_is_named_with_the_sensor(hframe: Machine) -> No
 
 
 def test_a_prediction_that_diverges_has_no_causes(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = prepare(excited_runs(hframe.with_effects(EFFECTS["quadratic_drag"].at("x", c=20.0)), count=1), hframe)
+    data = prepare(
+        excited_runs(hframe.with_effects(EFFECTS["quadratic_drag"].at("x", c=20.0)), count=1), hframe
+    )
     [motion] = missing_motions(hframe, data)
     diverged = motion._replace(correction=np.full_like(motion.correction, np.nan))
-    monkeypatch.setattr("hframe_gym.identification.propose.dependences.missing_motions", lambda *_: [diverged])
+    monkeypatch.setattr(
+        "hframe_gym.identification.propose.dependences.missing_motions", lambda *_: [diverged]
+    )
     assert rank_dependences(hframe, data) == []

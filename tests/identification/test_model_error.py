@@ -34,7 +34,9 @@ from tests.identification.scripted_fits import DATA, HFRAME, PUSH, fit_with, run
 
 pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
-TABLE = definition("smooth_friction[time]").at("x", **{f"{c}{i:02d}": float(i) for c in "kf" for i in range(KNOTS)})
+TABLE = definition("smooth_friction[time]").at(
+    "x", **{f"{c}{i:02d}": float(i) for c in "kf" for i in range(KNOTS)}
+)
 ROWS = 1500
 
 
@@ -63,11 +65,15 @@ def recordings(
     for k, (size, slow) in enumerate(zip(forces, residues, strict=True)):
         rng = np.random.default_rng(k)
         time_s = np.arange(ROWS) * 1e-3
-        inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + k) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[:, None]
+        inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + k) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[
+            :, None
+        ]
         force = slow * smoothed(rng.normal(size=ROWS), 200)
         force[:120] = 0.0
         machine = axis.with_effects(EFFECTS["constant_force"].at("x", size=size)) if size else axis
-        motion = simulate_batch(machine, time_s, inputs, extra_force=force[None, :, None], longest_step=0.125e-3)
+        motion = simulate_batch(
+            machine, time_s, inputs, extra_force=force[None, :, None], longest_step=0.125e-3
+        )
         noise = rng.normal(size=ROWS)
         noise = NOISE * (smoothed(noise, color_rows) if color_rows else noise)
         runs.append(Recording(f"run_{k}", time_s, inputs, motion.readings[0] + noise[:, None]))
@@ -99,8 +105,12 @@ def test_a_residue_requires_an_observer_and_its_size_is_estimated(axis: Machine)
 
 def test_colored_noise_has_a_large_long_run_variance(axis: Machine) -> None:
     white, colored = (recordings(axis, color_rows=rows) for rows in (0, 20))
-    fits = [fit_with_model_error(fitted_axis(axis, data, constant_force=True), data) for data in (white, colored)]
-    values = [long_run_variance(f, "constant_force@x", d) for f, d in zip(fits, (white, colored), strict=True)]
+    fits = [
+        fit_with_model_error(fitted_axis(axis, data, constant_force=True), data) for data in (white, colored)
+    ]
+    values = [
+        long_run_variance(f, "constant_force@x", d) for f, d in zip(fits, (white, colored), strict=True)
+    ]
     assert values[0] < 3.0
     assert values[1] > 2.0 * values[0]
 
@@ -139,7 +149,9 @@ def test_the_bandwidth_has_the_largest_likelihood(
 ) -> None:
     monkeypatch.setattr(model_error, "likelihood_loss", lambda fitted, data: losses[int(fitted.bandwidth)])
     monkeypatch.setattr(
-        model_error, "continue_fit", lambda fitted, data, bandwidth: dataclasses.replace(fitted, bandwidth=bandwidth)
+        model_error,
+        "continue_fit",
+        lambda fitted, data, bandwidth: dataclasses.replace(fitted, bandwidth=bandwidth),
     )
     assert model_error.fit_with_model_error(fit_with(chi2=2.0, bandwidth=60.0), DATA).bandwidth == expected
     simulated = fit_with(chi2=2.0, bandwidth=0.0)
@@ -154,7 +166,9 @@ def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
     assert loss == pytest.approx(1.3 / variance + np.log(variance))
     assert model_error.likelihood_loss(fit_with(chi2=1.3), data) == pytest.approx(1.3)
     slow: Any = SimpleNamespace(period=0.1, runs=data.runs)
-    assert model_error.likelihood_loss(fit_with(chi2=1.3, bandwidth=60.0), slow) == pytest.approx(0.13 + np.log(10.0))
+    assert model_error.likelihood_loss(fit_with(chi2=1.3, bandwidth=60.0), slow) == pytest.approx(
+        0.13 + np.log(10.0)
+    )
 
 
 def test_sensors_count_by_their_number_of_measurements() -> None:
@@ -186,7 +200,9 @@ class LinearModel:
 
 
 @pytest.mark.parametrize("names", ["abcde", "ab"])
-def test_cross_validation_are_those_of_fits_to_the_others(monkeypatch: pytest.MonkeyPatch, names: str) -> None:
+def test_cross_validation_are_those_of_fits_to_the_others(
+    monkeypatch: pytest.MonkeyPatch, names: str
+) -> None:
     """Compare with a least-squares solution for each part; two runs are divided into four parts each."""
     rng = np.random.default_rng(0)
     rows = {name: (rng.normal(size=(2, 80)), rng.normal(size=80)) for name in names}
@@ -228,7 +244,9 @@ def test_what_is_left_out_to_confirm_an_effect(
 ) -> None:
     """Some values of a table may depend on one run alone; without half of it, the other half determines them."""
     divided = []
-    monkeypatch.setattr(model_error, "left_out_costs", lambda fitted, data, pieces: divided.append(pieces) or [1.0])
+    monkeypatch.setattr(
+        model_error, "left_out_costs", lambda fitted, data, pieces: divided.append(pieces) or [1.0]
+    )
     leave_one_out_gain(fit_with(chi2=2.0), fit_with(effect, chi2=1.0), runs("abcd"[:count]))
     assert divided == [pieces, pieces]
 
@@ -302,7 +320,9 @@ def test_cross_validation_predicts_runs_that_were_not_fitted(axis: Machine) -> N
     ratios = []
     for data in (equal, other):
         fitted = fitted_axis(axis, data, constant_force=True)
-        ratios.append(model_error._cross_validated_cost(fitted, data) / prediction_cost(fitted.machine, data, 60.0))
+        ratios.append(
+            model_error._cross_validated_cost(fitted, data) / prediction_cost(fitted.machine, data, 60.0)
+        )
     assert ratios[0] < 1.05
     assert ratios[1] > 1.2
 

@@ -53,7 +53,9 @@ def runs_with_cable(axis: Machine, stiffness: float, offsets: tuple[float, ...])
 def test_a_table_may_have_values_that_a_single_run_determines(axis: Machine) -> None:
     """Only the last of five runs reaches large positions, so that no other run predicts the cable's force there."""
     fitted, data = runs_with_cable(axis, 40.0, (0.0, 0.3, -0.3, 0.2, 3.0))
-    with_table, tables = add_tables(fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None)
+    with_table, tables = add_tables(
+        fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None
+    )
     assert [s.effect.label for s in tables] == ["smooth_force[position of x]@x"]
     assert with_table.chi2 < 0.1 * fitted.chi2
 
@@ -65,18 +67,24 @@ def test_no_table_for_a_force_that_differs_between_runs(axis: Machine) -> None:
     recordings = []
     for k in range(6):
         rig = axis.with_effects(EFFECTS["constant_force"].at("x", size=float(random.choice([-1.0, 1.0]))))
-        inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + k) * time_s) + 0.7 * np.sin(31 * time_s + k), 0.0)[:, None]
+        inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + k) * time_s) + 0.7 * np.sin(31 * time_s + k), 0.0)[
+            :, None
+        ]
         measured = rig.simulate(time_s, inputs).outputs + random.normal(0.0, NOISE, (2000, 1))
         recordings.append(Recording(f"run_{k}", time_s, inputs, measured))
     data = prepare(recordings, axis)
     fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
     assert fitted.chi2 > 5.0
-    unchanged, tables = add_tables(fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None)
+    unchanged, tables = add_tables(
+        fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None
+    )
     assert tables == ()
     assert unchanged is fitted
 
 
-def test_force_and_friction_over_the_position_are_both_proposed(axis: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_force_and_friction_over_the_position_are_both_proposed(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Fitted friction hides a part of a force over the position, so that friction over it may rank higher."""
     fitted, data = runs_with_cable(axis, 40.0, (0.0, 0.3, -0.3))
     ranks = {"smooth_friction[position of x]": 0.2, "smooth_force[position of x]": 0.1}
@@ -106,7 +114,9 @@ def catch(q: np.ndarray) -> np.ndarray:
 def test_the_knots_of_a_table_move_to_a_narrow_bend(axis: Machine) -> None:
     """Evenly spaced knots are further apart than the catch is wide; moved ones describe it to a few percent."""
     dense = CENTER + WIDTH * np.linspace(-4.0, 4.0, KNOTS)
-    truth = {f"k{i:02d}": k for i, k in enumerate(dense)} | {f"f{i:02d}": f for i, f in enumerate(catch(dense))}
+    truth = {f"k{i:02d}": k for i, k in enumerate(dense)} | {
+        f"f{i:02d}": f for i, f in enumerate(catch(dense))
+    }
     rig = axis.with_effects(definition("smooth_force[position of x]").at("x", **truth))
     time_s = np.arange(2000) * 1e-3
     random = np.random.default_rng(0)
@@ -118,7 +128,9 @@ def test_the_knots_of_a_table_move_to_a_narrow_bend(axis: Machine) -> None:
         recordings.append(Recording(f"run_{k}", time_s, inputs, measured))
     data = prepare(recordings, axis)
     fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
-    with_table, tables = add_tables(fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None)
+    with_table, tables = add_tables(
+        fitted, (), data, criteria=SelectionCriteria(), max_tables=1, log=lambda line: None
+    )
     assert [s.effect.label for s in tables] == ["smooth_force[position of x]@x"]
     assert with_table.chi2 < 1.3
     p = tables[0].effect.parameters

@@ -14,7 +14,13 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.identification import IdentificationResult, SelectionCriteria, hold_out, identify, write_result
+from hframe_gym.identification import (
+    IdentificationResult,
+    SelectionCriteria,
+    hold_out,
+    identify,
+    write_result,
+)
 from hframe_gym.identification.report.page import build_report
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, load_machine, load_recordings
@@ -77,7 +83,9 @@ def test_the_twin_has_no_effect() -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize(("wrong", "warning"), [("run_03", "is not used"), ("run_04", "was held out and contradicts")])
+@pytest.mark.parametrize(
+    ("wrong", "warning"), [("run_03", "is not used"), ("run_04", "was held out and contradicts")]
+)
 def test_a_run_that_contradicts_the_others_is_left_out_and_named(wrong: str, warning: str) -> None:
     """In one run of the rig without effects, both drives had 20 % less gain than in the others."""
     machine = BUILTIN_MACHINES["hframe"]()
@@ -151,7 +159,10 @@ def test_one_of_four_runs_is_held_out_and_a_path_is_refused() -> None:
     runs = limited_runs([3.0] * 8)
     assert len(hold_out(runs)) == 2
     assert hold_out(runs, ["run_2"]) == ("run_2",)
-    short = [dataclasses.replace(r, time_s=r.time_s[:1], inputs=r.inputs[:1], outputs=r.outputs[:1]) for r in runs[:2]]
+    short = [
+        dataclasses.replace(r, time_s=r.time_s[:1], inputs=r.inputs[:1], outputs=r.outputs[:1])
+        for r in runs[:2]
+    ]
     with pytest.raises(InputError, match="run run_0: number of rows is 1, at least 20 are needed"):
         identify(short, AXIS)
     with pytest.raises(InputError, match=r"call load_recordings\('runs', machine\)"):

@@ -12,7 +12,13 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit.estimation import prediction_cost
-from hframe_gym.identification.fit.plain_fit import _excerpt, better_start, equally_weighted, outside_limits, plain_fit
+from hframe_gym.identification.fit.plain_fit import (
+    _excerpt,
+    better_start,
+    equally_weighted,
+    outside_limits,
+    plain_fit,
+)
 from hframe_gym.identification.search.description import describe_remainder
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -24,7 +30,9 @@ TRUE = {"x.mass": 3.0, "x.viscous": 15.0, "x.coulomb": 3.0, "motor.Ke": 0.03}
 def axis(values: Mapping[str, float] | None = None) -> Machine:
     machine = BUILTIN_MACHINES["axis"]()
     machine = machine.replace(effects=())
-    return machine.replace({name: value for name, value in (values or {}).items() if name in machine.parameters})
+    return machine.replace(
+        {name: value for name, value in (values or {}).items() if name in machine.parameters}
+    )
 
 
 def damping(machine: Machine) -> float:

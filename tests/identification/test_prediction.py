@@ -50,7 +50,9 @@ def test_observer_is_critically_damped(axis: Machine) -> None:
     """The error of a free mass decays by 6 % per sample (60 rad/s at 1 kHz), up to the discretization."""
     period = 1e-3
     position_gain, velocity_gain = observer_gains(axis, period)[:, 0]
-    transition = np.array([[1.0, period], [0.0, 1.0]]) @ (np.eye(2) - [[position_gain, 0.0], [velocity_gain, 0.0]])
+    transition = np.array([[1.0, period], [0.0, 1.0]]) @ (
+        np.eye(2) - [[position_gain, 0.0], [velocity_gain, 0.0]]
+    )
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(transition)), 0.94, atol=0.02)
 
 
@@ -64,7 +66,9 @@ def test_one_step_prediction_keeps_the_error_of_a_wrong_model_small(axis: Machin
     wrong = axis.replace({"x.mass": 1.2 * axis.parameters["x.mass"]})
     errors = [
         np.abs(
-            residuals(data.runs[0], data, predict(wrong, data.runs[0], bandwidth, period=data.period).readings)
+            residuals(
+                data.runs[0], data, predict(wrong, data.runs[0], bandwidth, period=data.period).readings
+            )
         ).max()
         for bandwidth in (SEARCH_BANDWIDTH, SIMULATION)
     ]
@@ -87,7 +91,9 @@ def test_prediction_error_is_relative_to_the_rows_at_rest(data: Dataset) -> None
     np.testing.assert_allclose(error[: run.initial.resting_rows], 0.0, atol=1e-12)
     np.testing.assert_allclose(error[run.initial.resting_rows :], 1e-3, atol=1e-12)
     quantized = dataclasses.replace(data, quantum=np.array([0.4e-3]))
-    np.testing.assert_allclose(prediction_error(run, quantized, run.outputs - shift)[0], error - 0.2e-3, atol=1e-12)
+    np.testing.assert_allclose(
+        prediction_error(run, quantized, run.outputs - shift)[0], error - 0.2e-3, atol=1e-12
+    )
 
 
 def test_values_that_were_not_measured_leave_no_residual(axis: Machine, data: Dataset) -> None:

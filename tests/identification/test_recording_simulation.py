@@ -41,7 +41,9 @@ STRETCH = np.array([[1.0, 0.5], [-1.0, 1.0], [0.5, -1.0], [0.0, 0.0], [-0.5, -0.
 STARTS = ((0.02, -0.05), (0.06, 0.03), (-0.05, -0.02), (0.0, 0.04), (0.04, -0.01))
 
 
-def record(machine: Machine, k: int, start: tuple[float, float] | None = None, zeros: np.ndarray = ZEROS) -> Recording:
+def record(
+    machine: Machine, k: int, start: tuple[float, float] | None = None, zeros: np.ndarray = ZEROS
+) -> Recording:
     """Return a noisy run of a machine that starts with belts that friction holds stretched."""
     rng = np.random.default_rng(k)
     time_s = np.arange(600) * 1e-3
@@ -51,7 +53,10 @@ def record(machine: Machine, k: int, start: tuple[float, float] | None = None, z
     ideal = simulate(machine, time_s, inputs, state).outputs
     encoders = np.round((ideal[:, :2] + zeros) / QUANTUM) * QUANTUM
     return Recording(
-        f"run_{k}", time_s, inputs, np.hstack([encoders, ideal[:, 2:] + rng.normal(0.0, 20e-6, (len(time_s), 2))])
+        f"run_{k}",
+        time_s,
+        inputs,
+        np.hstack([encoders, ideal[:, 2:] + rng.normal(0.0, 20e-6, (len(time_s), 2))]),
     )
 
 
@@ -83,7 +88,9 @@ def test_a_single_run_starts_with_its_true_stretch(
     for k, run in enumerate(session):
         true = rest_state(hframe, STARTS[k])[2:4] + STRETCH[k]
         for machine in (identified, hframe):
-            np.testing.assert_allclose(initial_state_of_recording(machine, run).state[2:4], true, atol=1.2 * QUANTUM)
+            np.testing.assert_allclose(
+                initial_state_of_recording(machine, run).state[2:4], true, atol=1.2 * QUANTUM
+            )
 
 
 def test_a_zero_that_the_lasers_contradict_is_not_used(hframe: Machine, identified: Machine) -> None:
@@ -211,7 +218,9 @@ def test_a_laser_that_measures_checks_the_zeros_where_another_one_does_not(
     assert initial.resolves_stretch.tolist() == [True, True, False, False]
     np.testing.assert_allclose(initial.state[:2], STARTS[0], atol=45e-6)
     # One of the encoders, it is unknown which, was switched on anew.
-    initial = initial_state_of_recording(identified, without_x(record(hframe, 0, zeros=ZEROS + np.array([0.0, 0.7]))))
+    initial = initial_state_of_recording(
+        identified, without_x(record(hframe, 0, zeros=ZEROS + np.array([0.0, 0.7])))
+    )
     assert not initial.resolves_stretch.any()
     assert not initial.position_known
     assert len(initial.warnings) == 2
@@ -255,7 +264,9 @@ def test_one_path_prepares_recordings_with_the_criteria_of_the_identification(
     assert np.isnan(prepared.data.runs[0].outputs[0, 2]) == bool(prepared.ranges) == blanked
     initial = initial_state_of_recording(hframe, run, criteria)
     np.testing.assert_array_equal(initial.state, simulate_recording(hframe, run, criteria).initial.state)
-    assert (abs(initial.position[0] - (begin - 0.5e-3)) > 50e-6) == blanked  # a saturated measurement is not believed
+    assert (
+        abs(initial.position[0] - (begin - 0.5e-3)) > 50e-6
+    ) == blanked  # a saturated measurement is not believed
 
 
 def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine) -> None:

@@ -37,10 +37,17 @@ from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axi
 
 pytestmark = pytest.mark.unit
 STRIBECK = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02))
-CURVE = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)} | {f"f{i:02d}": 0.1 * np.sin(i) for i in range(KNOTS)}
+CURVE = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)} | {
+    f"f{i:02d}": 0.1 * np.sin(i) for i in range(KNOTS)
+}
 TABLE = AXIS.with_effects(get_effect("smooth_force[position of x]").at("x", **CURVE))
 PLAN = ExperimentDesign(
-    ("stribeck_friction@x", "presliding@x"), np.arange(5) * 1e-3, np.zeros((5, 1)), sigma=40.0, rms=0.5, channel="x_m"
+    ("stribeck_friction@x", "presliding@x"),
+    np.arange(5) * 1e-3,
+    np.zeros((5, 1)),
+    sigma=40.0,
+    rms=0.5,
+    channel="x_m",
 )
 
 
@@ -120,7 +127,9 @@ def test_a_channel_that_was_not_measured_has_no_plot_over_time(data: Dataset) ->
     assert report_panels(result.as_json(), curves, AXIS)["error_over_time"] == []
 
 
-def test_the_page_states_that_no_recording_distinguishes_equivalent_causes(data: Dataset, tmp_path: Path) -> None:
+def test_the_page_states_that_no_recording_distinguishes_equivalent_causes(
+    data: Dataset, tmp_path: Path
+) -> None:
     result = result_of(data, "effect_found", AXIS.with_effects(EFFECTS["constant_force"].at("x", size=0.5)))
     equivalent, *others = [*EFFECTS["constant_force"].equivalent, "tilt@x"]
     sentence = f"No recording can distinguish constant force at x from {equivalent}."
@@ -136,7 +145,9 @@ def test_the_page_states_that_no_recording_distinguishes_equivalent_causes(data:
 
 
 def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -> None:
-    errors = {c: {"rmse": 1e-3, "noise_ratio": ratio} for c, ratio in (("x_m", 7.0), ("y_m", 1.0), ("z_m", None))}
+    errors = {
+        c: {"rmse": 1e-3, "noise_ratio": ratio} for c, ratio in (("x_m", 7.0), ("y_m", 1.0), ("z_m", None))
+    }
     report = {
         "verdict": "no_effect",
         "effects": [],
@@ -158,7 +169,9 @@ def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Data
     report, curves = result.as_json(), plot_data(result)
     noise = report["after"]["held_out"]["x_m"]["rmse"] / report["after"]["held_out"]["x_m"]["noise_ratio"]
     for name, factor in (("run_8", 1.0), ("run_9", 3.0)):  # two more runs, the second of which is the worst
-        curves |= {f"{name}/{key}": curves[f"run_2/{key}"] for key in ("time_s", "measured", "declared", "before")}
+        curves |= {
+            f"{name}/{key}": curves[f"run_2/{key}"] for key in ("time_s", "measured", "declared", "before")
+        }
         curves[f"{name}/after"] = factor * noise * np.ones((500, 1))
     report["runs"]["held_out"] = ["run_8", "run_9"]
     drawn = page_curves(report, curves, ["x_m"])
@@ -273,13 +286,18 @@ def test_a_user_without_a_name_can_write_a_result(data: Dataset, tmp_path: Path,
 @pytest.mark.parametrize(
     ("variable", "text"),
     [
-        ("velocity of x", "Record runs that isolate it, move x at six or more constant speeds in both directions"),
+        (
+            "velocity of x",
+            "Record runs that isolate it, move x at six or more constant speeds in both directions",
+        ),
         ("current of motor", "accelerate motor with voltages from small ones to the rated one"),
         ("time", "begin cold, and repeat the same motion"),
         ("v_V", "slow and fast, of one axis at a time and over the full travel"),
     ],
 )
-def test_the_run_to_record_follows_from_the_dependence(variable: str, text: str, data: Dataset, tmp_path: Path) -> None:
+def test_the_run_to_record_follows_from_the_dependence(
+    variable: str, text: str, data: Dataset, tmp_path: Path
+) -> None:
     write_result(result_of(data, "unexplained", AXIS), tmp_path)
     saved = load_result(tmp_path)
     saved.report["residual"]["depends_on"][0]["variable"] = variable
@@ -288,24 +306,35 @@ def test_the_run_to_record_follows_from_the_dependence(variable: str, text: str,
     assert step["command"].startswith("hframe identify RUNS --machine")
 
 
-def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(data: Dataset, tmp_path: Path) -> None:
+def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(
+    data: Dataset, tmp_path: Path
+) -> None:
     write_result(result_of(data, "no_effect", AXIS), tmp_path, ("advice: odd",))
     saved = load_result(tmp_path)
-    group = {"parameters": ["x.viscous", "motor.Ke"], "determined": [{"weights": {"x.viscous": 1.0, "motor.Ke": 5.0}}]}
+    group = {
+        "parameters": ["x.viscous", "motor.Ke"],
+        "determined": [{"weights": {"x.viscous": 1.0, "motor.Ke": 5.0}}],
+    }
     saved.report.update({"not_separable": [group], "left": 1.0})
     control, measure, findings = next_steps(saved, tmp_path, (), ["run_2"])
     assert "determine motor.Ke (take it from the data sheet of the motor, or turn" in measure["text"]
     assert "determine only x.viscous + 5 motor.Ke." in measure["text"]
-    assert "on the refitted machine, pid first, with a control period of 10 ms. A textbook PID" in control["text"]
+    assert (
+        "on the refitted machine, pid first, with a control period of 10 ms. A textbook PID"
+        in control["text"]
+    )
     assert control["command"].startswith("hframe evaluate pid")
     assert "Read the findings about the recordings (1)" in findings["text"]
     saved.report["left"] = 3205.0
     assert any(
-        "Look at run_2, the run with the largest error" in s["text"] for s in next_steps(saved, tmp_path, (), ["run_2"])
+        "Look at run_2, the run with the largest error" in s["text"]
+        for s in next_steps(saved, tmp_path, (), ["run_2"])
     )
 
 
-def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(data: Dataset, tmp_path: Path) -> None:
+def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(
+    data: Dataset, tmp_path: Path
+) -> None:
     stage = BUILTIN_MACHINES["hframe"]()
     periods = [p for p in (0.01, 0.005, 0.002, 0.001, 0.0005) if TextbookPID(stage, p).concern() is None]
     write_result(result_of(data, "no_effect", AXIS), tmp_path)
@@ -334,7 +363,9 @@ def test_the_plain_fit_stands_beside_the_other_machines(data: Dataset, tmp_path:
     result = result_of(data, "effect_found", STRIBECK)
     result = dataclasses.replace(result, plain=PlainResult(result.before, ("constant_force@x",)))
     page = page_of(result, tmp_path)
-    assert "The plain fit has inertia and friction from the recordings alone, with constant force at x" in page
+    assert (
+        "The plain fit has inertia and friction from the recordings alone, with constant force at x" in page
+    )
     assert '<th scope="col">plain fit</th>' in page
     assert '"label": "plain fit"' in page
 
@@ -383,7 +414,8 @@ def test_a_table_is_drawn_and_named_as_a_table(data: Dataset, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("verdict", "text"), [("no_effect", "No missing effect found"), ("unexplained", "no known effect explains it")]
+    ("verdict", "text"),
+    [("no_effect", "No missing effect found"), ("unexplained", "no known effect explains it")],
 )
 def test_the_page_without_an_effect(verdict: Verdict, text: str, data: Dataset, tmp_path: Path) -> None:
     page = page_of(result_of(data, verdict, AXIS), tmp_path)
@@ -433,7 +465,9 @@ def test_what_a_table_leaves_is_compared_with_the_formula(held_out: dict[str, fl
 
 def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machine() -> None:
     ratios = {"declared": 20.0, "before": 40.0, "after": 10.0}
-    stages = {stage: {"held_out": {"x_m": {"rmse": 1e-3, "noise_ratio": ratio}}} for stage, ratio in ratios.items()}
+    stages = {
+        stage: {"held_out": {"x_m": {"rmse": 1e-3, "noise_ratio": ratio}}} for stage, ratio in ratios.items()
+    }
     report = {"verdict": "effect_found", "effects": [{"name": "cogging", "site": "motor"}], **stages}
     assert "falls from 40 (with the declared parameters: 20) to 10 times" in verdict_sentence(report, ["x_m"])
 
@@ -459,24 +493,37 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
 def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: str) -> None:
     errors = {"held_out": {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}}
     report = {"verdict": verdict, "effects": [{"name": "cogging", "site": "motor"}], "left": 900.0}
-    shares = (("velocity of y", "y", 0.26), ("velocity of x", "x", 0.31))  # in the order of the explained force
+    shares = (
+        ("velocity of y", "y", 0.26),
+        ("velocity of x", "x", 0.31),
+    )  # in the order of the explained force
     report["residual"] = {
         "depends_on": [dict(zip(("variable", "coordinate", "share"), s, strict=True)) for s in shares]
     }
     sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
     assert "6 % of the drives' force" in sentence
-    assert ("lacks on y depends most on velocity of y, which explains 26 %" in sentence) == (verdict == "unexplained")
+    assert ("lacks on y depends most on velocity of y, which explains 26 %" in sentence) == (
+        verdict == "unexplained"
+    )
     left = "An error of 900 times the sensors' noise (1 m rms at x_m) is left"
     assert (left in sentence) == (verdict != "unexplained")
 
 
-@pytest.mark.parametrize(("others", "last"), [(None, ""), (1.02, " On the other held-out runs, it is 1.02 times.")])
+@pytest.mark.parametrize(
+    ("others", "last"), [(None, ""), (1.02, " On the other held-out runs, it is 1.02 times.")]
+)
 @pytest.mark.parametrize("runs", [["run_4"], ["run_4", "run_8"]])
 def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
     runs: list[str], others: float | None, last: str
 ) -> None:
     errors = {"held_out": {"x_m": {"rmse": 0.02, "noise_ratio": 900.0}}}
-    report = {"verdict": "no_effect", "effects": [], "left": 900.0, "contradicting": runs, "left_in_others": others}
+    report = {
+        "verdict": "no_effect",
+        "effects": [],
+        "left": 900.0,
+        "contradicting": runs,
+        "left_in_others": others,
+    }
     sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
     subject = "run_4 contradicts" if len(runs) == 1 else "run_4 and run_8 contradict"
     assert sentence.startswith("No effect was found")
@@ -491,7 +538,9 @@ def test_what_is_left_without_the_runs_that_contradict_is_in_the_report(data: Da
     noise = data.noise[0]
     errors = {"run_1": np.full((5, 1), 3.0 * noise), "run_2": np.full((5, 1), 40.0 * noise)}
     result = dataclasses.replace(result, after=dataclasses.replace(result.after, errors=errors))
-    one, all_runs = (dataclasses.replace(result, contradicting=names) for names in (("run_2",), ("run_1", "run_2")))
+    one, all_runs = (
+        dataclasses.replace(result, contradicting=names) for names in (("run_2",), ("run_1", "run_2"))
+    )
     assert one.as_json()["contradicting"] == ["run_2"]
     assert one.as_json()["left_in_others"] == pytest.approx(3.0)
     assert all_runs.as_json()["left_in_others"] is None
@@ -499,7 +548,9 @@ def test_what_is_left_without_the_runs_that_contradict_is_in_the_report(data: Da
 
 def test_after_an_unexplained_error_comes_the_report_and_not_the_check_that_has_passed() -> None:
     assert next_command("unexplained", AXIS, Path("out/rig")) == "hframe report out/rig --open"
-    assert next_command("no_effect", AXIS, Path("out/rig")).startswith("hframe evaluate pid --machine out/rig/machine")
+    assert next_command("no_effect", AXIS, Path("out/rig")).startswith(
+        "hframe evaluate pid --machine out/rig/machine"
+    )
 
 
 def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:
@@ -507,7 +558,9 @@ def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:
         "Force that the model lacks on carriage_x, against velocity of carriage_x", "", lambda axes: None, 2.8
     )
     save_panels([panel], tmp_path / "plot.svg")
-    texts = re.findall(r"<text[^>]*>([^<]*)</text>|<tspan[^>]*>([^<]*)</tspan>", (tmp_path / "plot.svg").read_text())
+    texts = re.findall(
+        r"<text[^>]*>([^<]*)</text>|<tspan[^>]*>([^<]*)</tspan>", (tmp_path / "plot.svg").read_text()
+    )
     title = [line for pair in texts for line in pair if re.search("[a-z]{2}", line)]
     assert " ".join(title) == panel.title
     assert max(map(len, title)) <= 44
@@ -537,7 +590,9 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
         dependence=(Dependence("current of motor", "x", 0.62),),
         hint=Hint("x", "current of motor", 0.62, ("current_limit@motor", "load_friction@motor")),
         reason="10 % of the squared error remain with the effects",
-        unfinished=Unfinished("trial fit 2 of 5: cogging@motor", "the budget of 60 s of processor time ended"),
+        unfinished=Unfinished(
+            "trial fit 2 of 5: cogging@motor", "the budget of 60 s of processor time ended"
+        ),
     )
     page = page_of(result, tmp_path)
     for text in (
@@ -569,4 +624,6 @@ def test_the_next_command_is_one_that_the_machine_permits() -> None:
     (x,) = AXIS.coordinates
     boundless = AXIS.replace(coordinates=(dataclasses.replace(x, range=None),))
     assert next_command("effect_found", boundless, Path("out/rig")) == "hframe report out/rig --open"
-    assert next_command("effect_found", AXIS, Path("out/rig")).startswith("hframe evaluate pid --machine out/rig/")
+    assert next_command("effect_found", AXIS, Path("out/rig")).startswith(
+        "hframe evaluate pid --machine out/rig/"
+    )

@@ -91,7 +91,10 @@ def test_a_run_that_is_driven_from_its_first_row_rests_one_row(hframe: Machine) 
 
 def initial_states(true_zeros: np.ndarray, measured: bool = True) -> list[InitialState]:
     """Return initial states with given zeros (runs, sensors)."""
-    return [InitialState(np.zeros(8), z, 50, zero_spread=np.zeros(4), position_measured=measured) for z in true_zeros]
+    return [
+        InitialState(np.zeros(8), z, 50, zero_spread=np.zeros(4), position_measured=measured)
+        for z in true_zeros
+    ]
 
 
 def test_encoders_that_kept_their_zero_are_found_and_others_are_not(hframe: Machine) -> None:

@@ -36,7 +36,9 @@ def test_a_fit_is_polished_at_its_bandwidth_and_in_simulation(
     bandwidths = []
     losses = {30.0: 2.0, 0.0: 1.5}
     monkeypatch.setattr(rivals, "polish", lambda fitted, data: bandwidths.append(fitted.bandwidth) or fitted)
-    monkeypatch.setattr(rivals, "continue_fit", lambda fitted, data, bandwidth: fit_with(chi2=1.0, bandwidth=bandwidth))
+    monkeypatch.setattr(
+        rivals, "continue_fit", lambda fitted, data, bandwidth: fit_with(chi2=1.0, bandwidth=bandwidth)
+    )
     monkeypatch.setattr(rivals, "likelihood_loss", lambda fitted, data: losses[fitted.bandwidth])
     assert rivals._polished(fit_with(chi2=1.0, bandwidth=bandwidth), DATA).bandwidth == 0.0
     assert bandwidths == polished
@@ -45,7 +47,11 @@ def test_a_fit_is_polished_at_its_bandwidth_and_in_simulation(
 def test_two_constant_forces_may_be_two_others() -> None:
     """They are tried at the coordinates without one; a voltage offset of a drive acts on its pulley."""
     force = EFFECTS["constant_force"]
-    on_y, on_pulley, offset = force.at("y", size=0.5), force.at("phi2", size=0.01), VOLTAGE_OFFSET.at("motor2", V0=0.1)
+    on_y, on_pulley, offset = (
+        force.at("y", size=0.5),
+        force.at("phi2", size=0.01),
+        VOLTAGE_OFFSET.at("motor2", V0=0.1),
+    )
     machine = HFRAME.with_effects(on_y, offset)
     of_force = rivals.rivals_in_combination(on_y, (), [offset, on_pulley], machine)
     assert {r.label for r in of_force} == {"constant_force@x", "constant_force@phi1"}

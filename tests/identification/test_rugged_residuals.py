@@ -131,7 +131,10 @@ def test_play_of_several_times_the_extension_is_screened_and_fitted() -> None:
 
 def test_the_uncertainty_of_a_threshold_beside_play() -> None:
     """One has no derivative, the other one that holds over a wide difference only."""
-    effects = (EFFECTS["dead_band"].at("motor", Vd=THRESHOLD, drop=0.0), EFFECTS["belt_play"].at("belts", d=30e-6))
+    effects = (
+        EFFECTS["dead_band"].at("motor", Vd=THRESHOLD, drop=0.0),
+        EFFECTS["belt_play"].at("belts", d=30e-6),
+    )
     machine = screw(effects)
     data, declared = runs(machine, screw(), 6.0), screw()
     scales = typical_scales(fit(declared, default_free_parameters(declared), data, SEARCH_BANDWIDTH), data)

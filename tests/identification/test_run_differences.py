@@ -153,7 +153,9 @@ def test_a_unit_that_all_runs_share_is_described_as_a_common_factor():
     data = prepare(runs, motor)
     fitted = fit(motor, default_free_parameters(motor), data, SEARCH_BANDWIDTH)
     assert find_run_differences(fitted, data, SelectionCriteria()) is None
-    assert not any("The runs differ" in line for line in describe_run_differences(fitted, data, SelectionCriteria()))
+    assert not any(
+        "The runs differ" in line for line in describe_run_differences(fitted, data, SelectionCriteria())
+    )
 
 
 def test_an_effect_that_all_runs_have_is_no_difference():
@@ -174,4 +176,6 @@ def test_identify_names_the_payload_and_no_effect():
     result = identify(record(with_payload, [0.0, 0.3, 0.0, 0.6, 0.3]), HFRAME, log=lines.append)
     assert result.verdict == "unexplained"
     assert not result.effects
-    assert any("if the payload has a value of its own in each run" in warning for warning in result.run_warnings)
+    assert any(
+        "if the payload has a value of its own in each run" in warning for warning in result.run_warnings
+    )

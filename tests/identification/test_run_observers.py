@@ -43,7 +43,9 @@ def test_runs_without_model_error_determine_the_parameters(axis: Machine, force:
 @pytest.mark.parametrize("force", [0.0, 0.1])
 def test_the_standard_deviation_holds_with_an_observer_for_each_run(axis: Machine, force: float) -> None:
     data = recordings(axis, residue=(0.0, force, 0.0, force))
-    machine = with_uncertainty(fit_run_by_run(fit_with_model_error(fitted_axis(axis, data), data), data), data)
+    machine = with_uncertainty(
+        fit_run_by_run(fit_with_model_error(fitted_axis(axis, data), data), data), data
+    )
     assert machine.uncertainty is not None
     for name in ("x.mass", "x.coulomb", "x.viscous"):
         std = machine.uncertainty.std(name)

@@ -27,17 +27,28 @@ def folder(tmp_path: Path) -> Path:
     """Return the folder of a small result of the built-in axis."""
     axis = BUILTIN_MACHINES["axis"]()
     save_machine(axis, tmp_path / "declared.json")
-    save_machine(axis.with_effects(EFFECTS["cogging"].at("motor", A=0.1, n=50.0, p=0.0)), tmp_path / "machine.json")
+    save_machine(
+        axis.with_effects(EFFECTS["cogging"].at("motor", A=0.1, n=50.0, p=0.0)), tmp_path / "machine.json"
+    )
     errors = {"held_out": {"x_m": {"rmse": 3e-5, "noise_ratio": 1.5}, "force_error": 0.05}}
     parameters = {key: {"value": 0.1, "std": None, "unit": "1"} for key in ("A", "n", "p")}
-    cogging = {"name": "cogging", "site": "motor", "parameters": parameters, "held_out_gain": 0.9, "rivals": []}
+    cogging = {
+        "name": "cogging",
+        "site": "motor",
+        "parameters": parameters,
+        "held_out_gain": 0.9,
+        "rivals": [],
+    }
     report = {
         "schema": 1,
         "verdict": "effect_found",
         "runs": {"fitted": ["run_1"], "held_out": ["run_2"]},
         **dict.fromkeys(("declared", "before", "after"), errors),
         "effects": [cogging],
-        "residual": {"depends_on": [{"variable": "velocity of x", "coordinate": "x", "share": 0.5}], "white": True},
+        "residual": {
+            "depends_on": [{"variable": "velocity of x", "coordinate": "x", "share": 0.5}],
+            "white": True,
+        },
         "next_experiment": None,
         "seconds": 1.0,
     }
@@ -114,20 +125,38 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "empty report": (with_text("report.json", ""), "report.json: file: "),
     "half a report": (cut("report.json"), "report.json: file: "),
     "a list": (with_text("report.json", "[]"), "report.json: file: "),
-    "not a text": (lambda f: (f / "report.json").write_bytes(b"\xff\xfe\x00"), "report.json: is not a text file"),
+    "not a text": (
+        lambda f: (f / "report.json").write_bytes(b"\xff\xfe\x00"),
+        "report.json: is not a text file",
+    ),
     "other schema": (with_report("schema", value=2), "report.json: schema: "),
     "unknown verdict": (with_report("verdict", value="perhaps"), "report.json: verdict: "),
     "no verdict": (with_report("verdict", remove=True), "report.json: verdict: "),
     "no held-out runs": (with_report("runs", "held_out", value=[]), "report.json: runs.held_out: "),
-    "error as a text": (with_report("after", "held_out", "x_m", "rmse", value="3e-5"), "report.json: after.held_out"),
+    "error as a text": (
+        with_report("after", "held_out", "x_m", "rmse", value="3e-5"),
+        "report.json: after.held_out",
+    ),
     "channel missing": (
         with_report("after", "held_out", "x_m", remove=True),
         "report.json: after.held_out has no errors",
     ),
-    "channel is a number": (with_report("before", "held_out", "x_m", value=1.0), "report.json: before.held_out has no"),
-    "force error in one": (with_report("before", "held_out", "force_error", remove=True), "report.json: force_error"),
-    "effect unknown": (with_report("effects", 0, "site", value="motor7"), "report.json: effect cogging at motor7"),
-    "gain missing": (with_report("effects", 0, "held_out_gain", remove=True), "report.json: effects.0.held_out_gain"),
+    "channel is a number": (
+        with_report("before", "held_out", "x_m", value=1.0),
+        "report.json: before.held_out has no",
+    ),
+    "force error in one": (
+        with_report("before", "held_out", "force_error", remove=True),
+        "report.json: force_error",
+    ),
+    "effect unknown": (
+        with_report("effects", 0, "site", value="motor7"),
+        "report.json: effect cogging at motor7",
+    ),
+    "gain missing": (
+        with_report("effects", 0, "held_out_gain", remove=True),
+        "report.json: effects.0.held_out_gain",
+    ),
     "parameter is null": (
         with_report("effects", 0, "parameters", "A", value=None),
         "report.json: effects.0.parameters.A",
@@ -142,16 +171,34 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "machine as a list": (with_text("declared.json", "[]"), "declared.json: "),
     "no curves": (without("evidence.npz"), "evidence.npz: is missing"),
     "half the curves": (cut("evidence.npz"), "evidence.npz: is not a readable .npz file"),
-    "curves as a text": (with_text("evidence.npz", "no archive"), "evidence.npz: is not a readable .npz file"),
+    "curves as a text": (
+        with_text("evidence.npz", "no archive"),
+        "evidence.npz: is not a readable .npz file",
+    ),
     "curves as one array": (other_array, "evidence.npz: is not a readable .npz file"),
-    "curves of objects": (with_curves(force__before=np.array([None, 1])), "evidence.npz: is not a readable .npz file"),
+    "curves of objects": (
+        with_curves(force__before=np.array([None, 1])),
+        "evidence.npz: is not a readable .npz file",
+    ),
     "curves of texts": (with_curves(force__before=np.array(["a"])), "evidence.npz: force/before holds"),
     "run missing": (with_curves(run_2__time_s=None), "evidence.npz: has no array run_2/time_s"),
-    "another length": (with_curves(run_2__after=np.zeros((7, 1))), "evidence.npz: array run_2/after has the shape"),
-    "another width": (with_curves(run_2__after=np.zeros((50, 3))), "evidence.npz: array run_2/after has the shape"),
+    "another length": (
+        with_curves(run_2__after=np.zeros((7, 1))),
+        "evidence.npz: array run_2/after has the shape",
+    ),
+    "another width": (
+        with_curves(run_2__after=np.zeros((50, 3))),
+        "evidence.npz: array run_2/after has the shape",
+    ),
     "empty run": (with_curves(run_2__time_s=np.zeros(0)), "evidence.npz: array run_2/time_s has the shape"),
-    "forces differ": (with_curves(force__after=np.zeros(7)), "evidence.npz: array force/after has another length"),
-    "coverage of nothing": (with_curves(**{"coverage/position of z": np.zeros(3)}), "evidence.npz: array coverage/"),
+    "forces differ": (
+        with_curves(force__after=np.zeros(7)),
+        "evidence.npz: array force/after has another length",
+    ),
+    "coverage of nothing": (
+        with_curves(**{"coverage/position of z": np.zeros(3)}),
+        "evidence.npz: array coverage/",
+    ),
     "coverage not finite": (
         with_curves(**{"coverage/v_V": np.full(3, np.nan)}),
         "evidence.npz: array coverage/v_V has",

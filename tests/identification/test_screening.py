@@ -117,7 +117,9 @@ def test_columns_of_several_candidates_keep_their_order(axis: Machine) -> None:
     perturbation = candidate_perturbations(axis, CANDIDATES, data.runs[0], motion)
     np.testing.assert_allclose(perturbation.force[0], 0.1)
     viscous = axis.coordinates[0].viscous
-    np.testing.assert_allclose(perturbation.force[1], -0.1 * viscous * np.abs(motion.velocities[0]), atol=1e-12)
+    np.testing.assert_allclose(
+        perturbation.force[1], -0.1 * viscous * np.abs(motion.velocities[0]), atol=1e-12
+    )
     np.testing.assert_allclose(perturbation.force[2], -10.0 * motion.positions[0], atol=1e-12)
     assert not perturbation.measurement.any()
 

@@ -42,7 +42,9 @@ class ScriptedSearch:
         self.differences: Any = None
         self.bandwidth = 0.0  # of the observer that the machine without effects needs
         self.observers: dict[str, RunObserver] = {}  # of the runs that need another one than the others
-        self.simulated: float | None = None  # chi-squared of a fit in simulation that replaces one with an observer
+        self.simulated: float | None = (
+            None  # chi-squared of a fit in simulation that replaces one with an observer
+        )
         script = self
 
         class FakeEffectSearch:
@@ -71,7 +73,9 @@ class ScriptedSearch:
             "default_free_parameters": lambda machine: (),
             "polish": lambda fitted, data: fitted,
             "converge": lambda fitted, data, thorough: fitted,
-            "fit_with_model_error": lambda fitted, data: dataclasses.replace(fitted, bandwidth=script.bandwidth),
+            "fit_with_model_error": lambda fitted, data: dataclasses.replace(
+                fitted, bandwidth=script.bandwidth
+            ),
             "refine_dataset": lambda data, machine: data,
             # The simulation has no say: it is as bad with the effects as without.
             "prediction_cost": lambda machine, data, bandwidth: (
@@ -85,7 +89,9 @@ class ScriptedSearch:
                 )
             ),
             "refined_in_simulation": lambda fitted, data: (
-                fitted if script.simulated is None else fit_with(*fitted.machine.effects, chi2=script.simulated)
+                fitted
+                if script.simulated is None
+                else fit_with(*fitted.machine.effects, chi2=script.simulated)
             ),
             "fit_run_by_run": lambda fitted, data: dataclasses.replace(fitted, observers=script.observers),
             "add_tables": lambda start, known, data, criteria, max_tables, log: (
@@ -117,13 +123,18 @@ def test_without_effects_a_machine_that_explains_the_data_is_right(scripted_sear
 
 
 @pytest.mark.parametrize(
-    ("chi2", "simulated", "examined"), [(1.2, 1.4, True), (1.2, 9.0, False), (3.0, 9.0, True), (3.0, 1.4, True)]
+    ("chi2", "simulated", "examined"),
+    [(1.2, 1.4, True), (1.2, 9.0, False), (3.0, 9.0, True), (3.0, 1.4, True)],
 )
 def test_effects_are_examined_in_simulation_unless_it_is_worse(
     scripted_search: ScriptedSearch, chi2: float, simulated: float, examined: bool
 ) -> None:
     """Where small errors grow without limit, a simulation says nothing about effects that an observer confirms."""
-    scripted_search.effects, scripted_search.after, scripted_search.simulated = (selected(PUSH),), chi2, simulated
+    scripted_search.effects, scripted_search.after, scripted_search.simulated = (
+        (selected(PUSH),),
+        chi2,
+        simulated,
+    )
     scripted_search.pruned = ()
     outcome = scripted_search.run()
     assert (outcome.selected == ()) == examined
@@ -133,7 +144,11 @@ def test_effects_are_examined_in_simulation_unless_it_is_worse(
 def test_a_machine_that_explains_the_data_is_fitted_run_by_run(
     scripted_search: ScriptedSearch, chi2: float, expected: dict[str, tuple[float, float]]
 ) -> None:
-    scripted_search.before, scripted_search.after, scripted_search.observers = chi2, chi2, {"a": RunObserver(3.0)}
+    scripted_search.before, scripted_search.after, scripted_search.observers = (
+        chi2,
+        chi2,
+        {"a": RunObserver(3.0)},
+    )
     assert scripted_search.run().after.observers == expected
 
 
@@ -142,7 +157,12 @@ WARM_UP = EFFECTS["friction_warm_up"].at("machine", a=0.5, tau=30.0)
 
 def differences(**changes: Any) -> SimpleNamespace:
     """Return runs that differ in the payload."""
-    fields = {"quantity": SimpleNamespace(name="the payload"), "drifts": False, "different_run": None, "chi2": 1.0}
+    fields = {
+        "quantity": SimpleNamespace(name="the payload"),
+        "drifts": False,
+        "different_run": None,
+        "chi2": 1.0,
+    }
     return SimpleNamespace(**(fields | changes))
 
 
@@ -156,7 +176,9 @@ def test_effects_are_found_beside_a_drift_or_a_single_run_that_differs(
     assert scripted_search.run().verdict == "effect_found"
 
 
-def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(scripted_search: ScriptedSearch) -> None:
+def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(
+    scripted_search: ScriptedSearch,
+) -> None:
     scripted_search.effects = (selected(SPRING),)
     scripted_search.after = scripted_search.with_effects = scripted_search.wide = 2.0
     scripted_search.tables = [(fit_with(PUSH, chi2=1.1), (selected(PUSH),))]
@@ -167,7 +189,9 @@ def test_runs_that_differ_in_a_parameter_have_neither_effects_nor_tables(scripte
     assert len(scripted_search.tables) == 1  # none was tried
 
 
-def test_effects_that_explain_the_data_are_found_although_runs_differ(scripted_search: ScriptedSearch) -> None:
+def test_effects_that_explain_the_data_are_found_although_runs_differ(
+    scripted_search: ScriptedSearch,
+) -> None:
     scripted_search.effects = (selected(SPRING),)
     scripted_search.after = 1.1
     scripted_search.differences = differences()
@@ -187,7 +211,9 @@ def test_a_table_beside_an_effect_must_add_to_it(scripted_search: ScriptedSearch
     assert (outcome.verdict, [s.effect for s in outcome.selected]) == ("effect_found", [PUSH, SPRING])
 
 
-def test_a_suspect_run_is_used_if_the_others_are_not_explained_either(scripted_search: ScriptedSearch) -> None:
+def test_a_suspect_run_is_used_if_the_others_are_not_explained_either(
+    scripted_search: ScriptedSearch,
+) -> None:
     scripted_search.suspect = "c"
     outcome = scripted_search.run()
     assert (outcome.contradiction, outcome.verdict, len(outcome.data.runs)) == (None, "unexplained", 4)

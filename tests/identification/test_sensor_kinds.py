@@ -40,7 +40,9 @@ ALL = (
 
 def motor(sensors: tuple[Sensor, ...], axis: Axis = TRUE) -> Machine:
     shaft = Coordinate("shaft", axis.inertia, axis.viscous, axis.coulomb, "rotary", 0.01)
-    drive = Drive("motor", "v_V", "shaft", axis.torque_constant, axis.torque_constant, axis.resistance, 1.0, 12.0)
+    drive = Drive(
+        "motor", "v_V", "shaft", axis.torque_constant, axis.torque_constant, axis.resistance, 1.0, 12.0
+    )
     return Machine("motor", (shaft,), (), (drive,), sensors)
 
 
@@ -54,7 +56,9 @@ def runs(sensors: tuple[Sensor, ...], count: int = 4) -> list[Recording]:
             kind = SENSOR_KINDS.get(sensor.kind)
             ideal = kind.signal(getattr(motion, sensor.quantity)) + 50.0 * (sensor.quantity == "acceleration")
             outputs.append(kind.measure(ideal, sensor.noise, sensor.resolution, rng.normal(size=ROWS)))
-        recordings.append(Recording(f"run_{run}", motion.time_s, motion.command[:, None], np.column_stack(outputs)))
+        recordings.append(
+            Recording(f"run_{run}", motion.time_s, motion.command[:, None], np.column_stack(outputs))
+        )
     return recordings
 
 
@@ -132,7 +136,9 @@ def test_each_kind_identifies_the_axis_of_the_independent_simulator(name: str) -
 def test_the_environment_measures_each_kind(stage_machine: Machine) -> None:
     env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine").unwrapped
     observation, _ = env.reset(seed=1)
-    names = [signal.name for signal in sensor_signals(stage_machine, DeclaredSensors().observed(stage_machine))]
+    names = [
+        signal.name for signal in sensor_signals(stage_machine, DeclaredSensors().observed(stage_machine))
+    ]
     column = {name: k for k, name in enumerate(names)}
     before = None
     for _ in range(50):
@@ -197,7 +203,9 @@ def test_a_controller_reaches_the_goal_with_all_kinds(stage_machine: Machine) ->
 def test_an_agent_trains_with_all_kinds(stage_machine: Machine) -> None:
     ppo = pytest.importorskip("stable_baselines3").PPO
     env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine", normalize=True)
-    model = ppo("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(256)
+    model = ppo("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(
+        256
+    )
     observation, _ = env.reset(seed=0)
     action, _ = model.predict(observation, deterministic=True)
     assert np.all(np.isfinite(action))

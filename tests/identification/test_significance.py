@@ -50,10 +50,16 @@ def test_the_size_of_a_force_is_its_root_mean_square() -> None:
             False,
         ),
         (EFFECTS["friction_slope"].at("x", s=1.0), SPRING, True),
-        (EFFECTS["friction_slope"].at("phi1", s=0.1), EFFECTS["cable_spring"].at("phi1", k=6.0, q0=0.0), True),
+        (
+            EFFECTS["friction_slope"].at("phi1", s=0.1),
+            EFFECTS["cable_spring"].at("phi1", k=6.0, q0=0.0),
+            True,
+        ),
     ],
 )
-def test_which_effects_depend_on_the_same_variable(first: AppliedEffect, second: AppliedEffect, same: bool) -> None:
+def test_which_effects_depend_on_the_same_variable(
+    first: AppliedEffect, second: AppliedEffect, same: bool
+) -> None:
     """Periodic ones only on that of other periodic ones."""
     assert depend_on_same_variable(first, second, HFRAME) == same
     assert depend_on_same_variable(second, first, HFRAME) == same
@@ -69,11 +75,16 @@ def test_the_difference_of_forces_is_that_at_the_belt(monkeypatch: pytest.Monkey
         moved.append(machine.name)
         return SimpleNamespace(positions=np.zeros((1, 5, 4)), velocities=np.zeros((1, 5, 4)))
 
-    forces = {HFRAME.name: np.full((5, 4), 0.1), "other": np.tile([3.1, 4.1, 0.1, 0.1 + 12.0 * 0.0194], (5, 1))}
+    forces = {
+        HFRAME.name: np.full((5, 4), 0.1),
+        "other": np.tile([3.1, 4.1, 0.1, 0.1 + 12.0 * 0.0194], (5, 1)),
+    }
     monkeypatch.setattr(force_sizes, "predict", predict)
     monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
     monkeypatch.setattr(force_sizes, "net_forces", lambda machine, *record: forces[machine.name])
-    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(time_s=np.arange(5.0), inputs=np.zeros((5, 2)))] * 2)
+    data: Any = SimpleNamespace(
+        period=1e-3, runs=[SimpleNamespace(time_s=np.arange(5.0), inputs=np.zeros((5, 2)))] * 2
+    )
     assert force_sizes.force_difference(HFRAME, other, data) == pytest.approx(13.0)
     assert set(moved) == {HFRAME.name}
 
@@ -92,7 +103,9 @@ def test_no_force_describes_structures_and_measurements(effect: AppliedEffect) -
 
 def test_the_size_of_an_effect_is_its_force() -> None:
     data = axis_runs(AXIS, rows=1500, volts=3.0)
-    assert force_sizes.effect_force(AXIS, EFFECTS["constant_force"].at("x", size=-0.3), data) == pytest.approx(0.3)
+    assert force_sizes.effect_force(
+        AXIS, EFFECTS["constant_force"].at("x", size=-0.3), data
+    ) == pytest.approx(0.3)
     assert force_sizes.effect_force(AXIS, EFFECTS["sensor_scale"].at("x_m", g=1.01), data) == np.inf
     (drive,) = AXIS.drives
     rms = np.sqrt(np.mean(np.concatenate([run.inputs for run in data.runs]) ** 2))
@@ -101,7 +114,9 @@ def test_the_size_of_an_effect_is_its_force() -> None:
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, 30.0])
-def test_the_residue_is_the_correction_beyond_that_of_noise(monkeypatch: pytest.MonkeyPatch, bandwidth: float) -> None:
+def test_the_residue_is_the_correction_beyond_that_of_noise(
+    monkeypatch: pytest.MonkeyPatch, bandwidth: float
+) -> None:
     """The observer corrects the velocity by bandwidth^2 times the innovation; without one, by that of 3 rad/s."""
     innovation = np.array([[3e-3], [-5e-3], [np.nan], [1e-3]])
     run: Any = SimpleNamespace(outputs=innovation, noise=np.array([1e-3]))

@@ -11,7 +11,11 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectionCriteria, prepare, simulate_recording
 from hframe_gym.identification.fit.estimation import fit, prediction_cost
-from hframe_gym.identification.fit.start_estimation import most_probable_start, refine_dataset, with_probable_starts
+from hframe_gym.identification.fit.start_estimation import (
+    most_probable_start,
+    refine_dataset,
+    with_probable_starts,
+)
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.predict.prediction import SIMULATION, residuals
 from hframe_gym.identification.predict.start_uncertainty import (
@@ -102,9 +106,13 @@ def test_a_start_behind_another_minimum_of_the_error_is_found(hframe: Machine) -
     state = run.initial_state(hframe)
 
     def errors(states: np.ndarray, rows: int) -> np.ndarray:
-        amounts = np.linalg.lstsq(displacements.T, (states - state).T, rcond=None)[0]  # (displacements, batch)
+        amounts = np.linalg.lstsq(displacements.T, (states - state).T, rcond=None)[
+            0
+        ]  # (displacements, batch)
         distance = np.hypot(*(amounts - [[2.0], [0.0]]))
-        return np.repeat(3.0 * np.minimum(distance, 1.0)[:, None] + 0.1 * amounts[0][:, None] ** 2, rows, axis=1)
+        return np.repeat(
+            3.0 * np.minimum(distance, 1.0)[:, None] + 0.1 * amounts[0][:, None] ** 2, rows, axis=1
+        )
 
     start = most_probable_start(hframe, run.initial, state, errors, run.time_s)
     expected = state + np.array([2.0, 0.0]) @ displacements
@@ -118,13 +126,17 @@ def test_starts_that_explain_the_error_are_adopted(hframe: Machine) -> None:
         started = rest_state(hframe)
         started[2:4] += [size, -0.7 * size]
         run = moving_run(hframe, started)
-        recordings.append(dataclasses.replace(run, name=name, outputs=run.outputs - [*run.outputs[0, :2], 0.0, 0.0]))
+        recordings.append(
+            dataclasses.replace(run, name=name, outputs=run.outputs - [*run.outputs[0, :2], 0.0, 0.0])
+        )
     data = prepare(recordings, hframe)
     fitted = fit(hframe, default_free_parameters(hframe)[:2], data, SIMULATION)
     better, refined = with_probable_starts(fitted, data, SelectionCriteria())
     assert refined is not data
     assert better.cost < 0.5 * fitted.cost
-    kept, same = with_probable_starts(dataclasses.replace(better, cost=better.count), refined, SelectionCriteria())
+    kept, same = with_probable_starts(
+        dataclasses.replace(better, cost=better.count), refined, SelectionCriteria()
+    )
     assert same is refined
     assert kept.cost == better.count
 

@@ -64,7 +64,9 @@ def test_the_better_one_of_two_shapes_is_kept(axis: Machine) -> None:
     """Linearization may rank a wrong period first, from which a fit does not find the right one."""
     data = prepare(recordings(axis, 1), axis)
     fits = [
-        dataclasses.replace(fit(axis.with_effects(effect), (), data, SEARCH_BANDWIDTH, iterations=1), cost=cost)
+        dataclasses.replace(
+            fit(axis.with_effects(effect), (), data, SEARCH_BANDWIDTH, iterations=1), cost=cost
+        )
         for effect, cost in (
             (EFFECTS["position_friction"].at("x", A=0.2, L=0.04, p=0.0), 3.0),
             (EFFECTS["constant_force"].at("x", size=0.1), 9.0),
@@ -90,7 +92,9 @@ def test_two_shapes_of_an_effect_are_fitted(axis: Machine) -> None:
     assert [s.gain for s in promising] == sorted((s.gain for s in promising), reverse=True)
 
 
-def test_the_larger_of_two_periodic_torques_takes_the_place_of_the_one_that_it_requires(axis: Machine) -> None:
+def test_the_larger_of_two_periodic_torques_takes_the_place_of_the_one_that_it_requires(
+    axis: Machine,
+) -> None:
     """A search may find the smaller torque first; the larger one, its companion, must not depend on it forever."""
     larger = EFFECTS["cogging"].at("motor", A=0.4, n=200.0, p=0.3)
     small = EFFECTS["cogging"].at("motor", A=1e-4, n=520.0, p=0.0)

@@ -53,11 +53,15 @@ def test_no_effect_is_not_said_if_the_noise_is_as_large_as_the_motion() -> None:
         (False, 0.9, 1.9, True),  # only noise is left
     ],
 )
-def test_effects_are_named_if_little_is_left(explained: bool, prediction: float, left: float, named: bool) -> None:
+def test_effects_are_named_if_little_is_left(
+    explained: bool, prediction: float, left: float, named: bool
+) -> None:
     evidence = Evidence(left, 1000.0, 0.01, 0.02, prediction)
     reason = contradiction_of_names(evidence, explained, CRITERIA)
     assert (reason == "") == named
-    assert named or f"{left:.3g} times the noise of the sensors and 2 % of the drives' force are left" in reason
+    assert (
+        named or f"{left:.3g} times the noise of the sensors and 2 % of the drives' force are left" in reason
+    )
 
 
 def test_the_fraction_that_remains_counts_beyond_an_exact_machine() -> None:
@@ -88,10 +92,26 @@ def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: flo
     ("labels", "causes", "expected"),
     [
         (["stribeck_friction@x"], [("x", "velocity of x"), ("x", "position of x")], True),
-        (["stribeck_friction@x"], [("x", "dwell of x"), ("x", "velocity of x")], False),  # another variable leads
-        (["stribeck_friction@x"], [("y", "velocity of y"), ("x", "velocity of x")], False),  # another component leads
-        (["stribeck_friction@x", "electrical_lag@motor1"], [("x", "velocity of x"), ("motor1", "v1_V")], True),
-        (["stribeck_friction@x", "electrical_lag@motor1"], [("x", "velocity of x"), ("motor2", "v2_V")], False),
+        (
+            ["stribeck_friction@x"],
+            [("x", "dwell of x"), ("x", "velocity of x")],
+            False,
+        ),  # another variable leads
+        (
+            ["stribeck_friction@x"],
+            [("y", "velocity of y"), ("x", "velocity of x")],
+            False,
+        ),  # another component leads
+        (
+            ["stribeck_friction@x", "electrical_lag@motor1"],
+            [("x", "velocity of x"), ("motor1", "v1_V")],
+            True,
+        ),
+        (
+            ["stribeck_friction@x", "electrical_lag@motor1"],
+            [("x", "velocity of x"), ("motor2", "v2_V")],
+            False,
+        ),
         (["current_limit@drives"], [("drives", "current of drives")], True),
         (["current_limit@drives", "load_friction@motor1"], [("drives", "current of drives")], False),
         (["cogging@motor1"], [("phi1", "position of phi1")], True),
@@ -100,7 +120,9 @@ def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: flo
         ([], [("x", "velocity of x")], False),
     ],
 )
-def test_effects_are_causes(labels: list[str], causes: list[tuple[str, str]], expected: bool, hframe: Machine) -> None:
+def test_effects_are_causes(
+    labels: list[str], causes: list[tuple[str, str]], expected: bool, hframe: Machine
+) -> None:
     def applied(label: str) -> AppliedEffect:
         name, _, site = label.partition("@")
         return EFFECTS[name].at(site, **{p.name: max(p.lower, 0.01) for p in EFFECTS[name].parameters})

@@ -44,7 +44,9 @@ def test_carriages_coupled_by_a_spring_have_one_rigid_motion() -> None:
     axis = BUILTIN_MACHINES["axis"]()
     first = axis.coordinate("x")
     carriages = (first, dataclasses.replace(first, name="load"))
-    machine = axis.replace(coordinates=carriages, belts=(Belt("spring", 70.0, 0.1, {"x": -1.0, "load": 1.0}, {}),))
+    machine = axis.replace(
+        coordinates=carriages, belts=(Belt("spring", 70.0, 0.1, {"x": -1.0, "load": 1.0}, {}),)
+    )
     [(name, motion)] = rigid_motions(machine).items()
     assert name == "x"
     np.testing.assert_allclose(motion, [1.0, 1.0])

@@ -11,7 +11,9 @@ from hframe_gym.registry import Registry
 
 
 @pytest.mark.parametrize(("name", "expected"), [("hframe", ("x", "y", "phi1", "phi2")), ("axis", ("x",))])
-def test_observed_coordinates_are_the_axes_and_the_motors_each_once(name: str, expected: tuple[str, ...]) -> None:
+def test_observed_coordinates_are_the_axes_and_the_motors_each_once(
+    name: str, expected: tuple[str, ...]
+) -> None:
     assert observed_coordinates(BUILTIN_MACHINES[name]()) == expected
 
 
@@ -55,7 +57,8 @@ def test_a_sensor_adds_noise_and_rounds_to_its_resolution() -> None:
 
 def test_units_follow_the_kind_of_the_coordinate_at_the_site(hframe: Machine) -> None:
     machine = hframe.with_effects(
-        EFFECTS["stribeck_friction"].at("x", dF=1.0, vs=0.1), EFFECTS["stribeck_friction"].at("phi1", dF=0.01, vs=1.0)
+        EFFECTS["stribeck_friction"].at("x", dF=1.0, vs=0.1),
+        EFFECTS["stribeck_friction"].at("phi1", dF=0.01, vs=1.0),
     )
     names = ("x.mass", "phi1.mass", "x.coulomb", "phi1.coulomb", "left.EA", "motor1.Ke", "phi1.radius")
     assert [machine.unit(name) for name in names] == ["kg", "kg m^2", "N", "Nm", "N", "Vs/rad", "m"]
@@ -76,14 +79,20 @@ def test_replace_moves_tied_parameters_along(hframe: Machine) -> None:
 
 @pytest.mark.parametrize(
     ("name", "site", "choices"),
-    [("cogging", "x", "motor1, motor2"), ("stribeck_friction", "z", "x, y, "), ("sensor_skew", "x", "phi1_rad, ")],
+    [
+        ("cogging", "x", "motor1, motor2"),
+        ("stribeck_friction", "z", "x, y, "),
+        ("sensor_skew", "x", "phi1_rad, "),
+    ],
 )
 def test_an_effect_at_a_site_that_the_machine_lacks_is_refused(
     name: str, site: str, choices: str, hframe: Machine
 ) -> None:
     definition = EFFECTS[name]
     effect = definition.at(site, **{p.name: p.upper for p in definition.parameters})
-    with pytest.raises(ValueError, match=f"{name}: machine 'hframe' has no site '{site}'; choose one of {choices}"):
+    with pytest.raises(
+        ValueError, match=f"{name}: machine 'hframe' has no site '{site}'; choose one of {choices}"
+    ):
         hframe.with_effects(effect)
 
 
@@ -92,10 +101,14 @@ def test_machine_simulate_calls_the_registered_simulator(hframe: Machine) -> Non
 
     time = np.arange(50) * 1e-3
     inputs = np.full((50, 2), -4.0)
-    np.testing.assert_array_equal(hframe.simulate(time, inputs).outputs, simulate(hframe, time, inputs).outputs)
+    np.testing.assert_array_equal(
+        hframe.simulate(time, inputs).outputs, simulate(hframe, time, inputs).outputs
+    )
 
 
-def test_without_a_simulator_the_error_names_what_to_import(monkeypatch: pytest.MonkeyPatch, hframe: Machine) -> None:
+def test_without_a_simulator_the_error_names_what_to_import(
+    monkeypatch: pytest.MonkeyPatch, hframe: Machine
+) -> None:
     assert "default" in SIMULATORS
     monkeypatch.setattr("hframe_gym.machine.machine.SIMULATORS", Registry("simulator"))
     with pytest.raises(RuntimeError, match="import hframe_gym"):

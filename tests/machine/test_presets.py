@@ -18,7 +18,9 @@ TIME = np.arange(2001) * 1e-3  # s
 
 def step_response(machine: Machine, first: float, second: float, samples: int = 2001) -> np.ndarray:
     """Return positions and velocities, shape (n, 8 or 20), after a step of both voltages from rest at the origin."""
-    trajectory = simulate(machine, TIME[:samples], np.tile([first, second], (samples, 1)), longest_step=0.1e-3)
+    trajectory = simulate(
+        machine, TIME[:samples], np.tile([first, second], (samples, 1)), longest_step=0.1e-3
+    )
     return np.hstack([trajectory.positions, trajectory.velocities])
 
 
@@ -110,7 +112,8 @@ def test_table_4_implies_table_1() -> None:
     x, y = -0.2227, -0.1163
     position = {"x": x, "y": y}
     stiffness = {
-        b.name: b.EA / (b.rest_length + sum(f * position[c] for c, f in b.length.items())) for b in machine.belts
+        b.name: b.EA / (b.rest_length + sum(f * position[c] for c, f in b.length.items()))
+        for b in machine.belts
     }
     assert [stiffness[k] for k in ("left", "right", "bottom")] == pytest.approx([13164, 10789, 8047], abs=0.6)
     for name, value in stiffness.items():

@@ -35,7 +35,9 @@ def with_bridge_along_x(machine: Machine) -> Machine:
 
 def with_two_belts(machine: Machine) -> Machine:
     """Leave only the short sections, under other names."""
-    belts = [dataclasses.replace(b, name=f"b{i}") for i, b in enumerate(machine.belts) if b.name.endswith("short")]
+    belts = [
+        dataclasses.replace(b, name=f"b{i}") for i, b in enumerate(machine.belts) if b.name.endswith("short")
+    ]
     return machine.replace(belts=tuple(belts), ties={})
 
 
@@ -53,7 +55,8 @@ def test_modes_of_corexy_follow_from_two_masses_and_two_sections_in_parallel() -
     stiffness = 2 * (short.EA / short.rest_length + long.EA / long.rest_length)  # N/m, of both belts
     rotors = 2 * COREXY.coordinate("phi1").mass / COREXY.coordinate("phi1").radius ** 2  # kg
     expected = [
-        math.sqrt(stiffness * (1 / COREXY.coordinate(axis).mass + 1 / rotors)) / math.tau for axis in ("y", "x")
+        math.sqrt(stiffness * (1 / COREXY.coordinate(axis).mass + 1 / rotors)) / math.tau
+        for axis in ("y", "x")
     ]
     np.testing.assert_allclose(mode_frequencies(COREXY)[2:], expected, rtol=1e-9)
 
@@ -128,13 +131,21 @@ def test_an_h_frame_whose_bridge_moves_along_y_is_drawn_with_x_and_y_exchanged()
     ranges = [(-0.2, 0.3), (-0.1, 0.15)]
     x, y, *others = hframe.coordinates
 
-    def geometry_of(x_mass: float, y_mass: float, x_range: tuple[float, float], y_range: tuple[float, float]) -> Any:
-        axes = dataclasses.replace(x, mass=x_mass, range=x_range), dataclasses.replace(y, mass=y_mass, range=y_range)
+    def geometry_of(
+        x_mass: float, y_mass: float, x_range: tuple[float, float], y_range: tuple[float, float]
+    ) -> Any:
+        axes = (
+            dataclasses.replace(x, mass=x_mass, range=x_range),
+            dataclasses.replace(y, mass=y_mass, range=y_range),
+        )
         return stage_geometry(hframe.replace(coordinates=(*axes, *others)))
 
     along_x, along_y = geometry_of(4.0, 2.0, *ranges), geometry_of(2.0, 4.0, *ranges[::-1])
     assert type(along_y) is BeltGeometry
-    assert (along_y.belts, along_y.motors) == (along_x.belts, ((1, -1.0), (3, -1.0)))  # a mirror image turns inversely
+    assert (along_y.belts, along_y.motors) == (
+        along_x.belts,
+        ((1, -1.0), (3, -1.0)),
+    )  # a mirror image turns inversely
     assert along_y.pulleys(-0.04, 0.07) == [point[::-1] for point in along_x.pulleys(0.07, -0.04)]
     for name, points in along_y.sections(-0.04, 0.07).items():
         assert points == [point[::-1] for point in along_x.sections(0.07, -0.04)[name]]

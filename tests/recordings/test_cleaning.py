@@ -40,7 +40,9 @@ def test_recorded_runs_have_no_outliers(hframe: Machine) -> None:
 
 @pytest.mark.parametrize("rows", [[1200], [1200, 1201, 1202], [700, 704, 1900]])
 @pytest.mark.parametrize("size", [0.05, -0.003])
-def test_single_wrong_samples_are_found(rows: list[int], size: float, run: Recording, hframe: Machine) -> None:
+def test_single_wrong_samples_are_found(
+    rows: list[int], size: float, run: Recording, hframe: Machine
+) -> None:
     x = run.outputs[:, X].copy()
     x[rows] += size
     mask = outlier_mask(with_x(run, x), hframe)
@@ -94,11 +96,15 @@ def test_a_shock_near_the_end_of_a_run_is_no_outlier(run: Recording, hframe: Mac
 
 
 def test_a_run_that_is_too_short_for_a_scale_has_no_outliers(run: Recording, hframe: Machine) -> None:
-    short = Recording("short", run.time_s[:20], run.inputs[:20], run.outputs[:20] * 0 + np.arange(20)[:, None] ** 3)
+    short = Recording(
+        "short", run.time_s[:20], run.inputs[:20], run.outputs[:20] * 0 + np.arange(20)[:, None] ** 3
+    )
     assert not outlier_mask(short, hframe).any()
 
 
-def test_a_wrong_sample_is_no_evidence_of_a_wrong_unit(tmp_path: Path, run: Recording, hframe: Machine) -> None:
+def test_a_wrong_sample_is_no_evidence_of_a_wrong_unit(
+    tmp_path: Path, run: Recording, hframe: Machine
+) -> None:
     x = run.outputs[:, X].copy()
     x[1000] = 32.767
     table = np.column_stack([run.time_s, run.inputs, with_x(run, x).outputs])
@@ -132,7 +138,9 @@ def test_measurements_at_irregular_times_are_kept_where_they_change(run: Recordi
     rows = np.cumsum(np.random.default_rng(0).integers(6, 10, 400))
     rows = rows[rows < len(run.time_s)]
     outputs = run.outputs.copy()
-    first = np.maximum.accumulate(np.where(np.isin(np.arange(len(outputs)), rows), np.arange(len(outputs)), 0))
+    first = np.maximum.accumulate(
+        np.where(np.isin(np.arange(len(outputs)), rows), np.arange(len(outputs)), 0)
+    )
     outputs[:, X] = outputs[first, X]
     cleaned = without_repetitions(dataclasses.replace(run, outputs=outputs))
     measured = np.flatnonzero(np.isfinite(cleaned.outputs[:, X]))

@@ -40,7 +40,9 @@ def test_an_existing_folder_is_not_replaced_unless_it_is_empty(tmp_path: Path) -
     assert (tmp_path / "empty" / "rig_a" / "run_01.csv.gz").is_file()
 
 
-def test_an_installation_without_examples_says_where_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_installation_without_examples_says_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(examples, "_PACKAGE", tmp_path / "hframe_gym")
     with pytest.raises(InputError, match="has no examples; the repository has them in its folder examples"):
         copy_examples(tmp_path / "out")

@@ -65,7 +65,10 @@ def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]]
     [
         (change(["coordinates", 0, "mass", "value"], -1.0), "coordinates.x.mass: -1 must be positive"),
         (change(["coordinates", 0, "mass", "unit"], "g"), "coordinates.x.mass: unit is 'g', must be 'kg'"),
-        (change(["coordinates", 2, "coulomb", "unit"], "N"), "coordinates.phi1.coulomb: unit is 'N', must be 'Nm'"),
+        (
+            change(["coordinates", 2, "coulomb", "unit"], "N"),
+            "coordinates.phi1.coulomb: unit is 'N', must be 'Nm'",
+        ),
         (change(["coordinates", 0, "name"], "two words"), "coordinates.two words.name"),
         (change(["coordinates", 1, "name"], "x"), "coordinates: two have the same name"),
         (change(["belts", 0, "extension"], {"z": 1.0}), "belts.left.extension: no coordinate is called 'z'"),
@@ -78,7 +81,10 @@ def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]]
         (change(["drives", 0, "converter_bits"], 40), "drives.motor1.converter_bits"),
         (change(["sensors", 2, "range"], [0.1, -0.1]), "sensors.x_m.range: must be [lowest, highest]"),
         (change(["belts", 1, "name"], "left"), "must all differ; 'left' occurs twice"),
-        (change(["ties"], {"x.mass": ["nothing", 1.0]}), "ties.x.mass: 'x.mass' and 'nothing' must be parameters"),
+        (
+            change(["ties"], {"x.mass": ["nothing", 1.0]}),
+            "ties.x.mass: 'x.mass' and 'nothing' must be parameters",
+        ),
         (
             change(["uncertainty"], {"names": ["x.mass", "y.mass"], "covariance": [[1.0], [1.0, 2.0]]}),
             "uncertainty.covariance: must be a symmetric 2 x 2 matrix",
@@ -87,8 +93,14 @@ def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]]
             change(["uncertainty"], {"names": ["z.mass"], "covariance": [[1.0]]}),
             "uncertainty.names: the machine has no parameter z.mass",
         ),
-        (change(["surprise"], 1), "surprise: unknown field; The fields here are $schema, belts, comment, coordinates"),
-        (change(["sensors", 1, "color"], "red"), "sensors.phi2_rad.color: unknown field; The fields here are channel"),
+        (
+            change(["surprise"], 1),
+            "surprise: unknown field; The fields here are $schema, belts, comment, coordinates",
+        ),
+        (
+            change(["sensors", 1, "color"], "red"),
+            "sensors.phi2_rad.color: unknown field; The fields here are channel",
+        ),
         (change(["coordinates", 0, "Mass"], 1), "coordinates.x.Mass: unknown field; did you mean 'mass'?"),
         (rename(["coordinates", 0], "mass", "mas"), "coordinates.x.mas: unknown field; did you mean 'mass'?"),
         (rename(["coordinates", 0], "viscous", "damping"), "coordinates.x.viscous: missing; write {"),
@@ -100,7 +112,10 @@ def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]]
             "drives.motor1.gear_ratio: unit is 'rad/m', must be '1'",
         ),
         (change(["schema"], 2), "schema"),
-        (change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]), "effects.magic: no such effect"),
+        (
+            change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]),
+            "effects.magic: no such effect",
+        ),
         (
             change(["effects"], [{"name": "constant_force", "site": "z", "parameters": {}}]),
             "effects.constant_force: site 'z' is none of",
@@ -243,13 +258,17 @@ def test_a_sensor_kind_in_the_file_imports_no_module(
     content = machine_to_dict(hframe)
     content["sensors"][0]["kind"] = "kind_in_a_file:from-a-module"
     (tmp_path / "m.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"sensors\.phi1_rad\.kind: .* is not registered; choose one of encoder"):
+    with pytest.raises(
+        InputError, match=r"sensors\.phi1_rad\.kind: .* is not registered; choose one of encoder"
+    ):
         load_machine(tmp_path / "m.json")
     assert "kind_in_a_file" not in sys.modules
     assert "from-a-module" not in SENSOR_KINDS
 
 
-def test_the_zero_of_an_encoder_is_optional_and_survives_a_round_trip(hframe: Machine, tmp_path: Path) -> None:
+def test_the_zero_of_an_encoder_is_optional_and_survives_a_round_trip(
+    hframe: Machine, tmp_path: Path
+) -> None:
     assert all("zero" not in sensor for sensor in machine_to_dict(hframe)["sensors"])
     zero = {"value": -0.31, "unit": "rad", "std": 2e-3}
     content = machine_to_dict(hframe)
@@ -265,7 +284,9 @@ def test_the_zero_of_an_encoder_is_optional_and_survives_a_round_trip(hframe: Ma
         load_machine(path)
 
 
-def test_a_gear_ratio_at_a_linear_coordinate_is_in_rad_per_m_or_as_in_older_files_in_1(tmp_path: Path) -> None:
+def test_a_gear_ratio_at_a_linear_coordinate_is_in_rad_per_m_or_as_in_older_files_in_1(
+    tmp_path: Path,
+) -> None:
     content = machine_to_dict(BUILTIN_MACHINES["axis"]())
     assert content["drives"][0]["gear_ratio"] == {"value": 50.0, "unit": "rad/m"}
     for unit in ("rad/m", "1"):
@@ -291,14 +312,26 @@ def test_comments_are_allowed_in_every_object_and_ignored(hframe: Machine, tmp_p
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (change(["coordinates", 0, "range"], [-280, 280]), "coordinates.x.range: 280 m: is it in millimeters?"),
-        (change(["coordinates", 2, "radius", "value"], 19.4), "coordinates.phi1.radius: 19.4 m: is it in millimeters?"),
-        (change(["belts", 0, "rest_length", "value"], 1395.0), "belts.left.rest_length: 1395 m: is it in millimeters?"),
+        (
+            change(["coordinates", 0, "range"], [-280, 280]),
+            "coordinates.x.range: 280 m: is it in millimeters?",
+        ),
+        (
+            change(["coordinates", 2, "radius", "value"], 19.4),
+            "coordinates.phi1.radius: 19.4 m: is it in millimeters?",
+        ),
+        (
+            change(["belts", 0, "rest_length", "value"], 1395.0),
+            "belts.left.rest_length: 1395 m: is it in millimeters?",
+        ),
         (
             change(["belts", 0, "extension", "phi1"], 0.0194),
             "belts.left.extension.phi1: 0.0194 is not a small integer; it multiplies the belt travel",
         ),
-        (change(["belts", 0, "extension", "phi1"], 0.0), "coordinates.x: cannot move without stretching a belt"),
+        (
+            change(["belts", 0, "extension", "phi1"], 0.0),
+            "coordinates.x: cannot move without stretching a belt",
+        ),
         (
             change(["belts", 0, "rest_length", "value"], 0.3),
             "belts.left.rest_length: the section would be -0.17 m long",

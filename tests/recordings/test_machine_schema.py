@@ -12,7 +12,13 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, UNITS, Machine
-from hframe_gym.recordings import TABLES, field_descriptions, load_machine, machine_json_schema, machine_to_dict
+from hframe_gym.recordings import (
+    TABLES,
+    field_descriptions,
+    load_machine,
+    machine_json_schema,
+    machine_to_dict,
+)
 from tools.machine_page import schema_text
 from tools.tables import with_field_tables
 

@@ -26,7 +26,10 @@ def test_a_template_without_options_is_the_built_in_machine_with_comments(like: 
     assert "SI units" in content["comment"][0]
     for key in ("coordinates", "drives", "sensors"):
         assert content[key][0]["comment"]
-    assert max(len(line) for line in path.read_text().splitlines() if "comment" not in line and "    " in line) <= 120
+    assert (
+        max(len(line) for line in path.read_text().splitlines() if "comment" not in line and "    " in line)
+        <= 120
+    )
 
 
 def test_options_of_a_corexy_machine() -> None:
@@ -63,7 +66,9 @@ def test_a_longer_frame_has_longer_belts_in_proportion_to_its_sides() -> None:
     preset = BUILTIN_MACHINES["corexy"]()
     gain = {b.name: b.rest_length - p.rest_length for b, p in zip(machine.belts, preset.belts, strict=True)}
     # The short section ends at the middle of the bridge; the long one runs along the rear and half of the bridge.
-    assert gain == pytest.approx({"belt1_short": 0.1, "belt1_long": 0.3, "belt2_short": 0.1, "belt2_long": 0.3})
+    assert gain == pytest.approx(
+        {"belt1_short": 0.1, "belt1_long": 0.3, "belt2_short": 0.1, "belt2_long": 0.3}
+    )
 
 
 def test_a_gear_changes_the_resolution_of_the_encoders_on_the_motor_shafts() -> None:
@@ -74,7 +79,12 @@ def test_a_gear_changes_the_resolution_of_the_encoders_on_the_motor_shafts() -> 
 
 def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
     options = MachineOptions(
-        travel=(0.6,), mass=(2.5,), pulley_radius=0.012, rotor_inertia=1e-5, encoder_lines=500, linear_sensor=False
+        travel=(0.6,),
+        mass=(2.5,),
+        pulley_radius=0.012,
+        rotor_inertia=1e-5,
+        encoder_lines=500,
+        linear_sensor=False,
     )
     machine = new_machine("axis", "rig", options)
     (drive,), (sensor,) = machine.drives, machine.sensors

@@ -102,14 +102,18 @@ def axis() -> Machine:
 @pytest.fixture
 def current_axis(axis: Machine) -> Machine:
     """Return an axis whose amplifier controls the current."""
-    drive = dataclasses.replace(axis.drives[0], channel="current_A", Ke=0.0, resistance=1.0, rated_voltage=10.0)
+    drive = dataclasses.replace(
+        axis.drives[0], channel="current_A", Ke=0.0, resistance=1.0, rated_voltage=10.0
+    )
     return dataclasses.replace(axis, drives=(drive,))
 
 
 def log_of(path: Path, **columns: np.ndarray) -> Path:
     """Write a log; "__" in the name of a column stands for a blank, as in "torque__[%]"."""
     header = ",".join(name.replace("__", " ") for name in columns)
-    np.savetxt(path, np.column_stack(list(columns.values())), fmt="%.9g", delimiter=",", header=header, comments="")
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), fmt="%.9g", delimiter=",", header=header, comments=""
+    )
     return path
 
 
@@ -127,7 +131,11 @@ def run_of(path: Path, machine: Machine, **options: dict[str, object]) -> Record
 
 IMPOSSIBLE = [
     # header of the input, options, what the message says
-    ("current_A", {}, "current_A is a current in A, and v_V is a voltage; map the voltage that was applied, or, if"),
+    (
+        "current_A",
+        {},
+        "current_A is a current in A, and v_V is a voltage; map the voltage that was applied, or, if",
+    ),
     ("current_A", {"scales": {"v_V": 1.2}}, "the kind current and the channel current_A"),
     ("current_A", {"units": {"v_V": "V"}}, "current_A is a current in A, and v_V is a voltage"),
     (
@@ -140,7 +148,11 @@ IMPOSSIBLE = [
     ("torque", {"units": {"v_V": "%"}}, "torque is a torque by its name"),
     ("torque", {"scales": {"v_V": 2.0}}, "torque is a torque by its name"),
     ("a__[m/s^2]", {"scales": {"v_V": 2.0}}, "is a linear acceleration in m/s.2, and v_V is a voltage"),
-    ("temperature", {"units": {"v_V": "V"}}, "temperature is a temperature by its name, and v_V is a voltage"),
+    (
+        "temperature",
+        {"units": {"v_V": "V"}},
+        "temperature is a temperature by its name, and v_V is a voltage",
+    ),
     ("position", {"scales": {"v_V": 2.0}}, "position is a position by its name, and v_V is a voltage"),
     ("position", {}, "position is a position by its name, and v_V is a voltage"),
 ]
@@ -163,7 +175,11 @@ def test_a_column_of_another_quantity_is_no_voltage(
 @pytest.mark.parametrize(
     ("header", "options", "message"),
     [
-        ("ax_mps2", {}, "ax_mps2 is a linear acceleration in m/s.2, and x_m is a length; map a position, or a speed"),
+        (
+            "ax_mps2",
+            {},
+            "ax_mps2 is a linear acceleration in m/s.2, and x_m is a length; map a position, or a speed",
+        ),
         ("ax_mps2", {"units": {"x_m": "mm"}}, "ax_mps2 is a linear acceleration"),
         ("accel_x", {"units": {"x_m": "mm"}}, "accel_x is an acceleration by its name"),
         ("velocity", {}, "velocity is a speed by its name"),
@@ -171,7 +187,11 @@ def test_a_column_of_another_quantity_is_no_voltage(
         ("force__[N]", {"scales": {"x_m": 0.1}}, "is a force in N"),
         ("current_A", {"scales": {"x_m": 0.1}}, "is a current in A"),
         ("u__[V]", {}, "if it is the signal of a sensor, state the factor to m by --scale x_m=FACTOR"),
-        ("angle", {}, "angle is an angle by its name, and x_m is a length; state its unit by --unit x_m=UNIT"),
+        (
+            "angle",
+            {},
+            "angle is an angle by its name, and x_m is a length; state its unit by --unit x_m=UNIT",
+        ),
         ("zeit", {}, "zeit is a time by its name, and x_m is a length"),
     ],
 )
@@ -186,7 +206,11 @@ def test_a_column_of_another_quantity_is_no_position(
 @pytest.mark.parametrize(
     ("header", "options", "message"),
     [
-        ("position__[turns]", {}, "and time_s is a time; for a log without a column of time state the rate of its"),
+        (
+            "position__[turns]",
+            {},
+            "and time_s is a time; for a log without a column of time state the rate of its",
+        ),
         ("position__[turns]", {"scales": {"time_s": 0.001}}, "is an angle in rev, and time_s is a time"),
         ("torque", {"units": {"time_s": "s"}}, "torque is a torque by its name, and time_s is a time"),
         (
@@ -243,23 +267,33 @@ def test_what_the_user_states_overrides_a_name(
     np.testing.assert_allclose(run.inputs[:, 0], factor * INPUT, rtol=1e-8, atol=1e-12)
 
 
-def test_a_duty_cycle_without_a_unit_is_proposed_and_its_unit_asked_for(axis: Machine, tmp_path: Path) -> None:
+def test_a_duty_cycle_without_a_unit_is_proposed_and_its_unit_asked_for(
+    axis: Machine, tmp_path: Path
+) -> None:
     path = log_of(tmp_path / "log.csv", time_s=TIME, PWM=INPUT, x_m=POSITION)
     with pytest.raises(InputError, match="--map v_V=PWM"):
         run_of(path, axis)
-    with pytest.raises(InputError, match=r"PWM is a duty cycle by its name, .*--unit v_V=% or --unit v_V=pu .*--scale"):
+    with pytest.raises(
+        InputError, match=r"PWM is a duty cycle by its name, .*--unit v_V=% or --unit v_V=pu .*--scale"
+    ):
         run_of(path, axis, columns={"v_V": "PWM"})
 
 
-def test_the_signal_of_an_analog_sensor_and_counts_are_positions_by_a_factor(axis: Machine, tmp_path: Path) -> None:
+def test_the_signal_of_an_analog_sensor_and_counts_are_positions_by_a_factor(
+    axis: Machine, tmp_path: Path
+) -> None:
     for number, header in enumerate(("sensor__[V]", "ticks", "counts__[#]")):
         (tmp_path / str(number)).mkdir()
-        path = log_of(tmp_path / str(number) / "log.csv", **{"time_s": TIME, "v_V": INPUT, header: POSITION * 100})
+        path = log_of(
+            tmp_path / str(number) / "log.csv", **{"time_s": TIME, "v_V": INPUT, header: POSITION * 100}
+        )
         run = run_of(path, axis, columns={"x_m": header.replace("__", " ")}, scales={"x_m": 0.01})
         np.testing.assert_allclose(run.outputs[:, 0], POSITION, atol=1e-9)
 
 
-def test_proposals_prefer_measurements_to_set_points_and_positions_to_speeds(axis: Machine, tmp_path: Path) -> None:
+def test_proposals_prefer_measurements_to_set_points_and_positions_to_speeds(
+    axis: Machine, tmp_path: Path
+) -> None:
     columns = {"x_ref__[mm]": POSITION, "v__[mm/s]": POSITION, "Istposition__[mm]": POSITION, "i__[A]": INPUT}
     path = log_of(tmp_path / "log.csv", **{"t": TIME, "u": INPUT, **columns})
     with pytest.raises(InputError, match=r"--map v_V=u --map 'x_m=Istposition \[mm\]' \("):
@@ -273,7 +307,9 @@ def test_a_machine_with_a_current_input_takes_currents(current_axis: Machine, tm
     path = log_of(tmp_path / "voltage" / "log.csv", **{"time_s": TIME, "u__[V]": INPUT, "x_m": POSITION})
     with pytest.raises(InputError, match=r"u \[V\] is a voltage in V, and current_A is a current"):
         run_of(path, current_axis, columns={"current_A": "u"})
-    run = run_of(path, current_axis, columns={"current_A": "u"}, scales={"current_A": 2.0})  # an amplifier's monitor
+    run = run_of(
+        path, current_axis, columns={"current_A": "u"}, scales={"current_A": 2.0}
+    )  # an amplifier's monitor
     np.testing.assert_allclose(run.inputs[:, 0], 2.0 * INPUT, rtol=1e-8, atol=1e-12)
 
 
@@ -294,7 +330,9 @@ def test_a_current_without_a_unit_needs_one_or_a_factor_for_a_drive_without_back
 ) -> None:
     machine = dataclasses.replace(axis, drives=(dataclasses.replace(axis.drives[0], Ke=0.0, resistance=1.0),))
     path = log_of(tmp_path / "log.csv", time_s=TIME, current=INPUT, x_m=POSITION)
-    with pytest.raises(InputError, match=r"current is a current by its name, and v_V is a voltage; state its unit by"):
+    with pytest.raises(
+        InputError, match=r"current is a current by its name, and v_V is a voltage; state its unit by"
+    ):
         run_of(path, machine, columns={"v_V": "current"})
     run = run_of(path, machine, columns={"v_V": "current"}, scales={"v_V": 1.0})
     np.testing.assert_allclose(run.inputs[:, 0], INPUT, rtol=1e-8, atol=1e-12)
@@ -310,8 +348,14 @@ def test_an_angle_by_its_name_becomes_a_length_by_a_factor(axis: Machine, tmp_pa
     np.testing.assert_allclose(run.outputs[:, 0], POSITION, rtol=1e-6, atol=1e-9)
 
 
-def test_a_machine_whose_current_input_is_taken_for_a_voltage_is_refused(current_axis: Machine, tmp_path: Path) -> None:
-    machine = dataclasses.replace(current_axis, drives=(dataclasses.replace(current_axis.drives[0], Ke=0.05),))
+def test_a_machine_whose_current_input_is_taken_for_a_voltage_is_refused(
+    current_axis: Machine, tmp_path: Path
+) -> None:
+    machine = dataclasses.replace(
+        current_axis, drives=(dataclasses.replace(current_axis.drives[0], Ke=0.05),)
+    )
     path = log_of(tmp_path / "log.csv", time_s=TIME, current_A=INPUT, x_m=POSITION)
-    with pytest.raises(InputError, match=r"current_A is a current by its name, but its drive motor has a back-EMF; an"):
+    with pytest.raises(
+        InputError, match=r"current_A is a current by its name, but its drive motor has a back-EMF; an"
+    ):
         run_of(path, machine)

@@ -50,7 +50,10 @@ def test_columns_may_come_in_any_order_and_outputs_may_be_empty(write_run: Write
             "row 7, column v1_V: value is empty. Times and inputs must have no gaps; hframe import keeps the value",
         ),
         ({(7, "y_m"): "inf"}, "row 7, column y_m: inf is infinite"),
-        ({(7, "time_s"): "5.001"}, "row 7, column time_s: 5.001 goes back, row 6 is 5.005; times must increase"),
+        (
+            {(7, "time_s"): "5.001"},
+            "row 7, column time_s: 5.001 goes back, row 6 is 5.005; times must increase",
+        ),
         ({(7, "time_s"): "5.005"}, "row 7, column time_s: 5.005 repeats row 6; times must increase"),
         ({(7, "time_s"): ""}, "row 7, column time_s"),
         ({(7, "x_m"): "125.0"}, "row 7, column x_m: 125 cannot be m; is the column in millimeters?"),
@@ -58,8 +61,14 @@ def test_columns_may_come_in_any_order_and_outputs_may_be_empty(write_run: Write
             {(7, "x_m"): "15.0"},
             "column x_m: moves by 15 m, but the range of x is 0.56 m; is the column in millimeters?",
         ),
-        ({(7, "x_m"): "2.0"}, "column x_m: moves by 2 m, but the range of x is 0.56 m; is the column in millimeters?"),
-        ({(r, c): "" for r in range(1, 21) for c in ("phi1_rad", "phi2_rad", "x_m", "y_m")}, "all outputs are empty"),
+        (
+            {(7, "x_m"): "2.0"},
+            "column x_m: moves by 2 m, but the range of x is 0.56 m; is the column in millimeters?",
+        ),
+        (
+            {(r, c): "" for r in range(1, 21) for c in ("phi1_rad", "phi2_rad", "x_m", "y_m")},
+            "all outputs are empty",
+        ),
     ],
 )
 def test_an_error_names_file_row_and_column_of_a_faulty_cell(
@@ -76,8 +85,14 @@ def test_an_error_names_file_row_and_column_of_a_faulty_cell(
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ("time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_mm,y_m", "column x_mm: is in millimeters; recordings have x_m"),
-        ("time_s,v1_V,v2_V,phi1_deg,phi2_rad,x_m,y_m", "column phi1_deg: is in degrees; recordings have phi1_rad"),
+        (
+            "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_mm,y_m",
+            "column x_mm: is in millimeters; recordings have x_m",
+        ),
+        (
+            "time_s,v1_V,v2_V,phi1_deg,phi2_rad,x_m,y_m",
+            "column phi1_deg: is in degrees; recordings have phi1_rad",
+        ),
         (
             "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,z_m",
             "column z_m: unknown; .*Is this the machine of the recordings .--machine.. If it is, rename",
@@ -93,7 +108,9 @@ def test_a_header_with_unknown_repeated_or_misplaced_columns_is_refused(
         load_recording(write_run(header=header), hframe)
 
 
-def test_a_missing_column_is_refused_but_voltages_alone_can_be_simulated(tmp_path: Path, hframe: Machine) -> None:
+def test_a_missing_column_is_refused_but_voltages_alone_can_be_simulated(
+    tmp_path: Path, hframe: Machine
+) -> None:
     path = tmp_path / "v.csv"
     path.write_text("time_s,v1_V,v2_V\n0,0,0\n0.001,1,1\n")
     with pytest.raises(InputError, match="column phi1_rad: missing"):
@@ -122,12 +139,15 @@ def test_angles_in_degrees_under_a_rad_name_are_refused(tmp_path: Path, hframe: 
     path = tmp_path / "deg.csv"
     np.savetxt(path, table, delimiter=",", header="time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m", comments="")
     with pytest.raises(
-        InputError, match="columns phi1_rad, phi2_rad: 57 times the travel that the belts allow; are they in degrees"
+        InputError,
+        match="columns phi1_rad, phi2_rad: 57 times the travel that the belts allow; are they in degrees",
     ):
         load_recording(path, hframe)
 
 
-def test_a_short_move_in_millimeters_is_refused_because_the_pulleys_disagree(tmp_path: Path, hframe: Machine) -> None:
+def test_a_short_move_in_millimeters_is_refused_because_the_pulleys_disagree(
+    tmp_path: Path, hframe: Machine
+) -> None:
     time = np.arange(200) * 1e-3
     y = 0.005 * time
     phi = -y / 0.0194
@@ -135,7 +155,8 @@ def test_a_short_move_in_millimeters_is_refused_because_the_pulleys_disagree(tmp
     path = tmp_path / "mm.csv"
     np.savetxt(path, table, delimiter=",", header="time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m", comments="")
     with pytest.raises(
-        InputError, match="columns x_m, y_m: 1000 times the travel that the belts allow; are they in millimeters"
+        InputError,
+        match="columns x_m, y_m: 1000 times the travel that the belts allow; are they in millimeters",
     ):
         load_recording(path, hframe)
 
@@ -147,7 +168,9 @@ def test_an_empty_file_is_refused(content: str, tmp_path: Path, hframe: Machine)
         load_recording(tmp_path / "empty.csv", hframe)
 
 
-def test_a_folder_is_read_in_the_order_of_file_names(write_run: WriteRun, tmp_path: Path, hframe: Machine) -> None:
+def test_a_folder_is_read_in_the_order_of_file_names(
+    write_run: WriteRun, tmp_path: Path, hframe: Machine
+) -> None:
     write_run("b.csv")
     write_run("a.csv")
     (tmp_path / "notes.txt").write_text("not a run")
@@ -161,7 +184,9 @@ def test_a_folder_is_read_in_the_order_of_file_names(write_run: WriteRun, tmp_pa
         load_recordings(tmp_path, hframe)
 
 
-def test_a_written_trajectory_reads_back_and_leaves_no_temporary_file(tmp_path: Path, hframe: Machine) -> None:
+def test_a_written_trajectory_reads_back_and_leaves_no_temporary_file(
+    tmp_path: Path, hframe: Machine
+) -> None:
     time = np.arange(50) * 1e-3
     inputs = np.full((50, 2), -4.0)
     trajectory = hframe.simulate(time, inputs)
@@ -207,7 +232,9 @@ def test_filled_gaps_predict_the_motion_better_than_inputs_held_over_the_gap(hfr
 
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet"])
-def test_of_long_sessions_the_beginnings_are_read(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_long_sessions_the_beginnings_are_read(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Every run keeps the same number of rows; shorter ones are complete and not mentioned."""
     monkeypatch.setattr("hframe_gym.recordings.recording.MIN_ROWS", 40)
     axis = BUILTIN_MACHINES["axis"]()
@@ -223,4 +250,7 @@ def test_of_long_sessions_the_beginnings_are_read(suffix: str, tmp_path: Path, m
         for key in ("time_s", "inputs", "outputs"):
             np.testing.assert_array_equal(getattr(run, key), getattr(complete, key)[: len(run.time_s)])
     assert lines == ["long: only the first 0.099 s (100 rows) are used, see --max-rows"]
-    assert [len(run.time_s) for run in load_recordings(tmp_path, axis, max_rows=10, log=lines.append)] == [40, 40]
+    assert [len(run.time_s) for run in load_recordings(tmp_path, axis, max_rows=10, log=lines.append)] == [
+        40,
+        40,
+    ]

@@ -22,13 +22,17 @@ from hframe_gym.recordings.text_format import detect_format
 WriteRun = Callable[..., Path]
 
 
-def test_a_run_reads_the_same_from_csv_gzip_and_parquet(write_run: WriteRun, hframe: Machine, tmp_path: Path) -> None:
+def test_a_run_reads_the_same_from_csv_gzip_and_parquet(
+    write_run: WriteRun, hframe: Machine, tmp_path: Path
+) -> None:
     path = write_run(cells={(3, "x_m"): ""})
     plain = load_recording(path, hframe)
     (tmp_path / "run.csv.gz").write_bytes(gzip.compress(path.read_bytes()))
     names = path.read_text().splitlines()[0].split(",")
     columns = [plain.time_s, *plain.inputs.T, *plain.outputs.T]
-    table = pyarrow.table({n: pyarrow.array(c, from_pandas=True) for n, c in zip(names, columns, strict=True)})
+    table = pyarrow.table(
+        {n: pyarrow.array(c, from_pandas=True) for n, c in zip(names, columns, strict=True)}
+    )
     pyarrow.parquet.write_table(table, tmp_path / "run.parquet")
     for other in ("run.csv.gz", "run.parquet"):
         run = load_recording(tmp_path / other, hframe)
@@ -37,7 +41,9 @@ def test_a_run_reads_the_same_from_csv_gzip_and_parquet(write_run: WriteRun, hfr
         np.testing.assert_array_equal(run.outputs, plain.outputs)
 
 
-def test_a_short_row_and_a_broken_gzip_are_refused(write_run: WriteRun, tmp_path: Path, hframe: Machine) -> None:
+def test_a_short_row_and_a_broken_gzip_are_refused(
+    write_run: WriteRun, tmp_path: Path, hframe: Machine
+) -> None:
     path = write_run()
     path.write_text(path.read_text() + "5.1,1,1\n")
     with pytest.raises(InputError, match="row 21: 3 cells under 7 columns"):
@@ -53,7 +59,9 @@ def test_a_short_row_and_a_broken_gzip_are_refused(write_run: WriteRun, tmp_path
         load_recording(tmp_path / "latin.csv", hframe)
 
 
-def test_byte_order_mark_windows_line_ends_and_blank_lines_are_read(write_run: WriteRun, hframe: Machine) -> None:
+def test_byte_order_mark_windows_line_ends_and_blank_lines_are_read(
+    write_run: WriteRun, hframe: Machine
+) -> None:
     path = write_run()
     plain = load_recording(path, hframe)
     text = path.read_text()
@@ -191,7 +199,10 @@ def test_a_table_of_several_blocks_reads_as_written(tmp_path: Path, monkeypatch:
 def test_line_ends_of_old_spreadsheets_are_read(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_bytes(b"x_m,y_m\r0,1\r2,3\r")
-    assert {name: list(column) for name, column in read_table(path)[1].items()} == {"x_m": [0, 2], "y_m": [1, 3]}
+    assert {name: list(column) for name, column in read_table(path)[1].items()} == {
+        "x_m": [0, 2],
+        "y_m": [1, 3],
+    }
 
 
 def test_numbers_and_time_stamps_end_at_the_same_row(tmp_path: Path) -> None:

@@ -32,7 +32,14 @@ def state_size(arrays: ParameterArrays) -> int:
 
 @njit(cache=True)
 def derivative(
-    t: float, z: Array, volts: Array, mode: Array, arrays: ParameterArrays, dz: Array, force: Array, level: Array
+    t: float,
+    z: Array,
+    volts: Array,
+    mode: Array,
+    arrays: ParameterArrays,
+    dz: Array,
+    force: Array,
+    level: Array,
 ) -> None:  # pragma: no cover - compiled
     """Compute the state's derivative, the forces and the levels of dry friction, in place.
 
@@ -156,7 +163,9 @@ def _add_drives(
         ohm = d.ohm * (1.0 + d.heating_ohm * z[heat])
         voltage = voltage * (1.0 - z[sag]) + d.voltage_offset_V - d.emf * z[n + d.coordinate]
         if d.dead_time_V != 0.0:
-            lost = voltage / (1.0 + ohm * d.dead_time_A / d.dead_time_V)  # as long as the current is that small
+            lost = voltage / (
+                1.0 + ohm * d.dead_time_A / d.dead_time_V
+            )  # as long as the current is that small
             voltage -= min(max(lost, -d.dead_time_V), d.dead_time_V)
         amps = voltage / ohm
         dz[lag] = 0.0
@@ -190,7 +199,9 @@ def _add_belts(
     coordinates = arrays.coordinates
     transmitted = np.zeros(2)  # by the teeth of the motors' pulleys
     for b in range(len(arrays.belts)):
-        length = arrays.belts[b, 1] + arrays.length_gradient[b, 0] * z[0] + arrays.length_gradient[b, 1] * z[1]
+        length = (
+            arrays.belts[b, 1] + arrays.length_gradient[b, 0] * z[0] + arrays.length_gradient[b, 1] * z[1]
+        )
         k = arrays.belts[b, 0] / length
         s = rate = 0.0
         for i in range(n):
@@ -229,4 +240,6 @@ def _add_belts(
         if d.mesh_force_N != 0.0:
             radius = coordinates[2 + j].radius
             wave = math.sin(2.0 * math.pi * radius * z[2 + j] / d.mesh_pitch_m)
-            force[2 + j] += radius * d.mesh_force_N * (1.0 + abs(transmitted[j]) / stage.mesh_tension_N) * wave
+            force[2 + j] += (
+                radius * d.mesh_force_N * (1.0 + abs(transmitted[j]) / stage.mesh_tension_N) * wave
+            )

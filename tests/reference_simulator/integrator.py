@@ -65,7 +65,9 @@ def _step(
 
 
 @njit(cache=True)
-def _error(z: Array, end: Array, h: float, slopes: Array, rtol: float, atol: float) -> float:  # pragma: no cover
+def _error(
+    z: Array, end: Array, h: float, slopes: Array, rtol: float, atol: float
+) -> float:  # pragma: no cover
     """Return the largest component of the embedded error estimate, divided by its tolerance."""
     worst = 0.0
     for k in range(len(z)):
@@ -77,7 +79,9 @@ def _error(z: Array, end: Array, h: float, slopes: Array, rtol: float, atol: flo
 
 
 @njit(cache=True)
-def _margin(i: int, n: int, z: Array, mode: Array, force: Array, level: Array) -> float:  # pragma: no cover - compiled
+def _margin(
+    i: int, n: int, z: Array, mode: Array, force: Array, level: Array
+) -> float:  # pragma: no cover - compiled
     """Return the margin of coordinate i before its mode ends: its speed, or its force below the breakaway level."""
     if mode[i] != 0.0:
         return mode[i] * z[n + i]
@@ -98,7 +102,9 @@ def _event_fraction(
         for quarter in range(1, 4):
             u = 0.25 * quarter
             w = 1.0 - u
-            speed = a * w * w * (1.0 + 2.0 * u) + da * u * w * w + b * u * u * (3.0 - 2.0 * u) - db * u * u * w
+            speed = (
+                a * w * w * (1.0 + 2.0 * u) + da * u * w * w + b * u * u * (3.0 - 2.0 * u) - db * u * u * w
+            )
             if speed < 0.0:
                 return u
     return 1.0 if end_margin <= 0.0 else 0.0

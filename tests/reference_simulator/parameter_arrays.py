@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from tests.reference_simulator.rig import Array, Rig
 
 # Fields of Rig by what they describe. Bodies beyond the four coordinates get zeros except for what they are made of.
-_OF_COORDINATE = [f.name for f in dataclasses.fields(Rig) if isinstance(f.default, tuple) and len(f.default) == 4]
+_OF_COORDINATE = [
+    f.name for f in dataclasses.fields(Rig) if isinstance(f.default, tuple) and len(f.default) == 4
+]
 _OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "voltage_limit_V", "current_limit_A"]
 _OF_DRIVE += [
     "electrical_lag_s",
@@ -45,9 +47,15 @@ _DIVISORS = dict.fromkeys(
     ),
     1.0,
 )
-COORDINATE = np.dtype([(name, "f8") for name in [*_OF_COORDINATE, "radius", "eccentricity_m", "eccentricity_phase"]])
-DRIVE = np.dtype([("coordinate", "i8"), ("gain", "f8"), ("emf", "f8"), ("ohm", "f8"), *((n, "f8") for n in _OF_DRIVE)])
-LINK = np.dtype([("first", "i8"), ("second", "i8"), ("stiffness", "f8"), ("viscous", "f8"), ("half_gap", "f8")])
+COORDINATE = np.dtype(
+    [(name, "f8") for name in [*_OF_COORDINATE, "radius", "eccentricity_m", "eccentricity_phase"]]
+)
+DRIVE = np.dtype(
+    [("coordinate", "i8"), ("gain", "f8"), ("emf", "f8"), ("ohm", "f8"), *((n, "f8") for n in _OF_DRIVE)]
+)
+LINK = np.dtype(
+    [("first", "i8"), ("second", "i8"), ("stiffness", "f8"), ("viscous", "f8"), ("half_gap", "f8")]
+)
 STAGE = np.dtype([(name, "f8") for name in _OF_STAGE])
 # The nine belt sections of the 20th-order stage: lengths at x = y = 0, m (the paper's Table 4), the gradient of the
 # lengths with respect to x and y, and the extension rows over x, y and the travel of eight pulleys (eq. 25-34, with
@@ -137,7 +145,10 @@ def parameter_arrays(rig: Rig) -> tuple[ParameterArrays, MeasuredCoordinates]:
 
     belts, length_gradient, rows = _belts(rig, len(coordinates))
     if rig.yaw:
-        rows[:2, yaw] = rig.yaw.half_width_m, -rig.yaw.half_width_m  # left and right; the bottom belt does not see yaw
+        rows[:2, yaw] = (
+            rig.yaw.half_width_m,
+            -rig.yaw.half_width_m,
+        )  # left and right; the bottom belt does not see yaw
     arrays = ParameterArrays(
         np.array(coordinates, COORDINATE),
         _drives(rig, encoders),

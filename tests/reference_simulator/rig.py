@@ -119,10 +119,17 @@ class Rig:
     spring_rest: PerCoordinate = OFF  # q0
     spring_square: PerCoordinate = OFF  # k2 in -k2 (q - q0)^2, a cable that lifts off
     wave_force: PerCoordinate = OFF  # A in A sin(n q + p): cogging of a motor, magnets along a rail
-    wave_number: PerCoordinate = (40.0, 40.0, 10.0, 10.0)  # n, rad/m; periods per revolution of the belt pulley
+    wave_number: PerCoordinate = (
+        40.0,
+        40.0,
+        10.0,
+        10.0,
+    )  # n, rad/m; periods per revolution of the belt pulley
     wave_phase: PerCoordinate = OFF  # p, rad
     wave_second: PerCoordinate = OFF  # c: the force above plus c A sin(2 n q), a second harmonic
-    catch_force: PerCoordinate = OFF  # A, maximum pull of a magnet at q0: -A sqrt(e) u exp(-u^2/2), u = (q - q0)/w
+    catch_force: PerCoordinate = (
+        OFF  # A, maximum pull of a magnet at q0: -A sqrt(e) u exp(-u^2/2), u = (q - q0)/w
+    )
     catch_position: PerCoordinate = OFF  # q0
     catch_width: PerCoordinate = (0.01, 0.01, 0.5, 0.5)  # w
 
@@ -149,7 +156,10 @@ class Rig:
     supply_V: float = 12.0
     supply_ohm: float = 0.0
     supply_s: float = 0.005
-    load_friction: PerDrive = (0.0, 0.0)  # mu: the dry friction of the drive's coordinate grows by mu |torque|
+    load_friction: PerDrive = (
+        0.0,
+        0.0,
+    )  # mu: the dry friction of the drive's coordinate grows by mu |torque|
     current_ripple: PerDrive = (0.0, 0.0)  # a in torque (1 + a sin(n phi)): Kt varies with the commutation
     current_ripple_order: PerDrive = (12.0, 12.0)  # n
     backlash_rad: PerDrive = (
@@ -157,7 +167,9 @@ class Rig:
         0.0,
     )  # half the gap between the motor's gear, which the encoder measures, and the pulley
     backlash_stiffness: float = 300.0  # Nm/rad of the teeth
-    backlash_motor_fraction: float = 0.6  # of the coordinate's inertia and friction, on the motor's side of the gap
+    backlash_motor_fraction: float = (
+        0.6  # of the coordinate's inertia and friction, on the motor's side of the gap
+    )
 
     # Belts.
     eccentricity_m: PerDrive = (0.0, 0.0)  # e: belt travel r phi + e sin(phi + p)
@@ -168,7 +180,9 @@ class Rig:
     belt_energy_force: bool = True  # the force 1/2 s^2 dk/dq of a belt whose stiffness k depends on position
     belt_pretension_N: float = INF  # the tension cannot fall by more than this
     belt_hardening: float = 0.0  # h: tension k s (1 + h s^2), 1/m^2
-    belt_relaxation: float = 0.0  # a: beside every belt a k ds/dt = dT/dt + T/tau, a spring in series with a damper
+    belt_relaxation: float = (
+        0.0  # a: beside every belt a k ds/dt = dT/dt + T/tau, a spring in series with a damper
+    )
     belt_relaxation_s: float = 0.02  # tau
     belt_creep: PerDrive = (0.0, 0.0)  # m/s of slip on a motor's pulley per N that it transmits
     # Teeth of a motor's pulley: force A (1 + |transmitted force| / T) sin(2 pi r phi / pitch) on the belt.

@@ -69,7 +69,9 @@ class Stage:
         for j, (e, p) in enumerate(zip(self.rig.eccentricity_m, self.rig.eccentricity_phase, strict=True)):
             if e:
                 concentric = q[2 + j]  # the angle of a pulley without eccentricity
-                q[2 + j] = brentq(_travel_error, concentric - 1.0, concentric + 1.0, (r, e, p, r * concentric))
+                q[2 + j] = brentq(
+                    _travel_error, concentric - 1.0, concentric + 1.0, (r, e, p, r * concentric)
+                )
         if self.rig.idlers:
             q[4:6] = q[2:4]
             q[6:8] = -x / r - q[2], x / r - q[3]
@@ -83,7 +85,9 @@ class Stage:
     def _measure(self, offset: int) -> Array:
         """Return x, y, phi1, phi2 as the sensors measure them (offset 0), or their rates (offset n), shape (4,)."""
         n, z = self._n, self._z
-        measured = z[[offset, offset + 1, offset + self._measured.encoders[0], offset + self._measured.encoders[1]]]
+        measured = z[
+            [offset, offset + 1, offset + self._measured.encoders[0], offset + self._measured.encoders[1]]
+        ]
         measured[0] += z[4 * n + 4 + (offset > 0)]
         if self._measured.yaw >= 0:
             yaw = self._measured.yaw
@@ -116,7 +120,9 @@ class Stage:
     def current(self) -> Array:
         """Return the currents of motor 1 and 2 just before the next command, A, shape (2,)."""
         rig, rates = self.rig, self._z[self._n + 2 : self._n + 4]
-        ohmic = (self._volts - rig.gear_ratio * np.array(rig.emf_constant) * rates) / np.array(rig.resistance_ohm)
+        ohmic = (self._volts - rig.gear_ratio * np.array(rig.emf_constant) * rates) / np.array(
+            rig.resistance_ohm
+        )
         lagged = self._z[2 * self._n : 2 * self._n + 2]
         amps = np.where(np.array(rig.electrical_lag_s) > 0.0, lagged, ohmic)
         return np.clip(amps, -np.array(rig.current_limit_A), rig.current_limit_A)

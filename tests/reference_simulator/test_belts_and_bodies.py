@@ -131,7 +131,9 @@ def test_idlers_have_the_modes_of_the_20th_order_model():
         derivative(0.0, z, np.zeros(2), np.ones(n), arrays, dz, force, level)
         stiffness[:, i] = -force / 1e-7
     scale = 1.0 / np.sqrt(arrays.coordinates["mass"])
-    hertz = np.sqrt(np.abs(np.linalg.eigvalsh(0.5 * scale * (stiffness + stiffness.T) * scale[:, None]))) / (2 * np.pi)
+    hertz = np.sqrt(np.abs(np.linalg.eigvalsh(0.5 * scale * (stiffness + stiffness.T) * scale[:, None]))) / (
+        2 * np.pi
+    )
     assert hertz[2:] == pytest.approx([41.29, 57.53, 80.74, 98.64, 114.55, 121.92, 219.71, 232.07], abs=0.02)
     assert hertz[:2].max() < 1.0
 
@@ -191,7 +193,9 @@ def test_motor_crosses_the_backlash_before_the_pulley_moves():
     assert pulley[-1] > 0.02
 
 
-@pytest.mark.parametrize("fields", [{"idlers": True, "yaw": Yaw()}, {"belt_pretension_N": 10.0, "belt_play_m": 1e-4}])
+@pytest.mark.parametrize(
+    "fields", [{"idlers": True, "yaw": Yaw()}, {"belt_pretension_N": 10.0, "belt_play_m": 1e-4}]
+)
 def test_unsupported_combinations_raise(fields):
     with pytest.raises(ValueError, match=r"yaw|slack"):
         parameter_arrays(Rig(**fields))

@@ -61,7 +61,9 @@ CART = {
     ),
     "catch": (
         {"catch_force": 6.0, "catch_position": 0.04, "catch_width": 0.01},
-        lambda t, q, v: -6.0 * math.sqrt(math.e) * (q - 0.04) / 0.01 * math.exp(-(((q - 0.04) / 0.01) ** 2) / 2),
+        lambda t, q, v: (
+            -6.0 * math.sqrt(math.e) * (q - 0.04) / 0.01 * math.exp(-(((q - 0.04) / 0.01) ** 2) / 2)
+        ),
     ),
 }
 
@@ -196,7 +198,9 @@ def test_drive(name):
 
 
 def test_voltages_inside_the_dead_band_move_nothing():
-    q, _ = simulate(Rig(dead_band_V=(1.0, 1.0), coulomb=(0.0,) * 4), np.array([0.0, 0.1]), np.full((2, 2), 0.99))
+    q, _ = simulate(
+        Rig(dead_band_V=(1.0, 1.0), coulomb=(0.0,) * 4), np.array([0.0, 0.1]), np.full((2, 2), 0.99)
+    )
     assert np.abs(q[-1]).max() < 1e-12
 
 

@@ -79,7 +79,8 @@ class Case:
         rig, declared = self.rig()[0], Rig()
         gain = stall_tension(declared) / stall_tension(rig)
         return {
-            name: value * (gain if name in hidden.scale_with_gain else 1.0) for name, value in hidden.parameters.items()
+            name: value * (gain if name in hidden.scale_with_gain else 1.0)
+            for name, value in hidden.parameters.items()
         }
 
 
@@ -142,9 +143,18 @@ TRIPLES = (
     ("position_friction@x", "sensor_delay@x_m", "dead_band@motor1"),
 )
 FOUR_RUNS = (
-    *((e, "full") for e in ("stribeck_friction@x", "constant_force@y", "input_delay@drives", "cogging@motor1")),
-    *((e, "full") for e in ("bridge_yaw@machine", "eccentric_pulley@motor2", "belt_damping@belts", "cable_spring@x")),
-    *((e, "20%") for e in ("stribeck_friction@x", "asymmetric_viscous@x", "sensor_skew@y_m", "position_friction@x")),
+    *(
+        (e, "full")
+        for e in ("stribeck_friction@x", "constant_force@y", "input_delay@drives", "cogging@motor1")
+    ),
+    *(
+        (e, "full")
+        for e in ("bridge_yaw@machine", "eccentric_pulley@motor2", "belt_damping@belts", "cable_spring@x")
+    ),
+    *(
+        (e, "20%")
+        for e in ("stribeck_friction@x", "asymmetric_viscous@x", "sensor_skew@y_m", "position_friction@x")
+    ),
 )
 
 
@@ -178,7 +188,10 @@ def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
             partial(x, hysteresis_force=4.0, hysteresis_travel=0.008),
         ),
         "hot motor": ((), partial(motor, site="motor1", heating_loss=0.02)),
-        "commutation ripple": ((), partial(motor, site="motor2", current_ripple=0.12, current_ripple_order=35.4)),
+        "commutation ripple": (
+            (),
+            partial(motor, site="motor2", current_ripple=0.12, current_ripple_order=35.4),
+        ),
     }
 
 
@@ -196,7 +209,9 @@ def cases() -> dict[str, Case]:
         for site in sites:
             case = partial(Case, kind="library", start_fraction=fraction)
             label = f"{name}@{site}"
-            rigs.append(case(f"{label} full", "library-full", size="full", hidden_effects=(effect(name, site, 1.0),)))
+            rigs.append(
+                case(f"{label} full", "library-full", size="full", hidden_effects=(effect(name, site, 1.0),))
+            )
             for size in ("20%", "5%") if site == sites[0] else ():
                 hidden = (effect(name, site, SIZES[size]),)
                 rigs.append(case(f"{label} {size}", "library-small", size=size, hidden_effects=hidden))
@@ -205,9 +220,15 @@ def cases() -> dict[str, Case]:
             hidden = tuple(_effect_at(label, 1.0) for label in labels)
             rigs.append(Case(" + ".join(labels), group, "library", "full", hidden))
     for label, size in FOUR_RUNS:
-        rigs.append(Case(f"{label} {size}, 4 runs", "four-runs", "library", size, (_effect_at(label, SIZES[size]),), 4))
+        rigs.append(
+            Case(
+                f"{label} {size}, 4 runs", "four-runs", "library", size, (_effect_at(label, SIZES[size]),), 4
+            )
+        )
     for i in range(3):
-        rigs.append(Case(f"idlers {i + 1}", "order20", "library", "full", (effect("idler_inertia", "machine", 1.0),)))
+        rigs.append(
+            Case(f"idlers {i + 1}", "order20", "library", "full", (effect("idler_inertia", "machine", 1.0),))
+        )
     rigs += [Case(f"none {i + 1}", "none", "none", "", (), 12 if i < 14 else 4) for i in range(24)]
     for name, (accepted, build) in _outside().items():
         rigs.append(Case(name, "outside", "outside", "full", (HiddenEffect(name, build, accepted, {}),)))
@@ -232,7 +253,9 @@ def select_cases(names: list[str]) -> list[Case]:
     for name in names:
         matches = [case for case in every_case.values() if name in ("all", case.name, case.group)]
         if not matches:
-            raise ValueError(f"{name!r} is neither a rig nor a set; sets are all, {', '.join(sorted(groups))}")
+            raise ValueError(
+                f"{name!r} is neither a rig nor a set; sets are all, {', '.join(sorted(groups))}"
+            )
         selection |= {case.name: case for case in matches}
     return list(selection.values())
 
@@ -241,7 +264,9 @@ def main() -> None:
     """List or record the rigs that the command line names."""
     from tests.rigs.recording_sessions import DEFAULT_FOLDER, record_sessions  # it imports this module
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", metavar="NAME")
     parser.add_argument("--out", default=DEFAULT_FOLDER)
     parser.add_argument("--jobs", type=int, default=1)

@@ -15,7 +15,13 @@ _MISSING = (
     "friction_cross_position", "friction_cross_speed", "friction_per_run", "heating_loss", "current_ripple",
     "backlash_rad", "idlers", "payload", "length_follows", "spring_square", "friction_stale",
 )  # fmt: skip
-_YAW_DIVISORS = ("stribeck_velocity", "friction_wavelength", "hysteresis_travel", "dahl_travel", "catch_width")
+_YAW_DIVISORS = (
+    "stribeck_velocity",
+    "friction_wavelength",
+    "hysteresis_travel",
+    "dahl_travel",
+    "catch_width",
+)
 
 
 def euler_parameters(rig: Rig) -> Array:

@@ -203,11 +203,15 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "stribeck_friction" | "tustin_friction":
             force = size * {"x": 3.0, "y": 0.8, "phi1": 0.03, "phi2": 0.03}[site]
             speed, exponent = _per_kind(site, 0.04, 2.5), 1.0 if name == "tustin_friction" else 2.0
-            build = partial(coordinate, stribeck_force=force, stribeck_velocity=speed, stribeck_exponent=exponent)
+            build = partial(
+                coordinate, stribeck_force=force, stribeck_velocity=speed, stribeck_exponent=exponent
+            )
             return _hidden(name, site, build, {"dF": force, "vs": speed}, forces=("dF",))
         case "constant_force":
             force = size * _per_kind(site, 0.8, 0.02)
-            equivalent = tuple(f"voltage_offset@{m}" for m, c in zip(MOTORS, COORDINATES[2:], strict=True) if c == site)
+            equivalent = tuple(
+                f"voltage_offset@{m}" for m, c in zip(MOTORS, COORDINATES[2:], strict=True) if c == site
+            )
             return _hidden(
                 name,
                 site,
@@ -219,7 +223,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "voltage_offset":
             volts = size * 0.15
             equivalent = (f"constant_force@phi{site[-1]}",)
-            return _hidden(name, site, partial(motor, voltage_offset_V=volts), {"V0": volts}, equivalent=equivalent)
+            return _hidden(
+                name, site, partial(motor, voltage_offset_V=volts), {"V0": volts}, equivalent=equivalent
+            )
         case "gain_mismatch":
             gain = 1.0 - 0.1 * size
             return _hidden(name, site, partial(motor, drive_gain=gain), {"g": gain - 1.0}, absorbed=True)
@@ -238,7 +244,11 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             return _hidden(name, site, partial(motor, electrical_lag_s=tau), {"tau": tau})
         case "input_delay":
             delay = size * 2e-3
-            delays = (delay, delay) if site == "drives" else tuple(delay * (site == m) for m in ("motor1", "motor2"))
+            delays = (
+                (delay, delay)
+                if site == "drives"
+                else tuple(delay * (site == m) for m in ("motor1", "motor2"))
+            )
             return _hidden(name, site, partial(change_fields, input_delay_s=delays), {"d": delay})
         case "asymmetric_viscous":
             asymmetry = size * 0.3
@@ -299,7 +309,11 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "bridge_yaw":
             yaw = Yaw(stiffness=15e3 / size)
             return _hidden(
-                name, site, partial(change_fields, yaw=yaw), {"k": yaw.stiffness, "w": yaw.half_width_m}, forces=("k",)
+                name,
+                site,
+                partial(change_fields, yaw=yaw),
+                {"k": yaw.stiffness, "w": yaw.half_width_m},
+                forces=("k",),
             )
         case "idler_inertia":
             return _hidden(name, site, partial(change_fields, idlers=True), {})
@@ -312,7 +326,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             return _hidden(name, site, build, {"g": gain - 1.0})
         case "sensor_range":
             end = 0.16 - 0.11 * size  # full: the paper's 100 mm
-            return _hidden(name, site, partial(change_fields, range_x_m=(-end, end)), {"low": -end, "high": end})
+            return _hidden(
+                name, site, partial(change_fields, range_x_m=(-end, end)), {"low": -end, "high": end}
+            )
         case "sensor_delay":
             delay = size * 2e-3
             build = partial(change_site, sites=CHANNELS, site=site, delay_s=delay)
@@ -344,6 +360,12 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             )  # fmt: skip
             tolerated, equivalent = (f"stribeck_friction@{site}",), (f"presliding@{site}",)
             return _hidden(
-                name, site, build, {"s0": stiffness}, forces=("s0",), equivalent=equivalent, tolerated=tolerated
+                name,
+                site,
+                build,
+                {"s0": stiffness},
+                forces=("s0",),
+                equivalent=equivalent,
+                tolerated=tolerated,
             )
     raise ValueError(f"unknown effect {name!r}")

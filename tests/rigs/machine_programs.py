@@ -111,7 +111,11 @@ def follow(
     period = float(time_s[1] - time_s[0])
     plant = plant_at(time_s[0] - _SETTLING_S)
     plant.step(np.zeros(2), time_s[0])
-    proportional, derivative, integral = rng.uniform(150.0, 500.0), rng.uniform(3.0, 10.0), rng.uniform(500.0, 3000.0)
+    proportional, derivative, integral = (
+        rng.uniform(150.0, 500.0),
+        rng.uniform(3.0, 10.0),
+        rng.uniform(500.0, 3000.0),
+    )
     reference = draw_path(kind, time_s - time_s[0], _axes(plant, sensors), rng)
     rate = np.gradient(reference, period, axis=0)
     inputs, states = np.zeros((len(time_s), 2)), np.empty((len(time_s), 8))
@@ -122,7 +126,12 @@ def follow(
         speed += 0.2 * ((measured - last) / period - speed)
         last = measured
         error = reference[row] - measured
-        axes = proportional * error + derivative * (rate[row] - speed) + integral * total + _VOLTS_PER_SPEED * rate[row]
+        axes = (
+            proportional * error
+            + derivative * (rate[row] - speed)
+            + integral * total
+            + _VOLTS_PER_SPEED * rate[row]
+        )
         volts = np.array([-axes[0] - axes[1], axes[0] - axes[1]])
         if np.abs(volts).max() < MAX_VOLTAGE_V:
             total += error * period  # no integration while the voltage saturates

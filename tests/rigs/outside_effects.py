@@ -166,7 +166,11 @@ def _dwell_friction(rng: np.random.Generator) -> OutsideEffect:
 
 
 def _belt_mesh(rng: np.random.Generator) -> OutsideEffect:
-    site, force, pitch = str(rng.choice(MOTORS)), log_uniform(rng, 0.6, 2.5), float(rng.choice([2e-3, 3e-3, 5e-3]))
+    site, force, pitch = (
+        str(rng.choice(MOTORS)),
+        log_uniform(rng, 0.6, 2.5),
+        float(rng.choice([2e-3, 3e-3, 5e-3])),
+    )
     build = partial(change_site, sites=MOTORS, site=site, mesh_force_N=force, mesh_pitch_m=pitch)
     phi = f"phi{site[-1]}"
     return OutsideEffect(
@@ -211,7 +215,11 @@ def _belt_relaxation(rng: np.random.Generator) -> OutsideEffect:
 
 
 def _scale_interpolation(rng: np.random.Generator) -> OutsideEffect:
-    site, size, period = str(rng.choice(CHANNELS[2:])), log_uniform(rng, 3.0, 15.0), log_uniform(rng, 2e-3, 20e-3)
+    site, size, period = (
+        str(rng.choice(CHANNELS[2:])),
+        log_uniform(rng, 3.0, 15.0),
+        log_uniform(rng, 2e-3, 20e-3),
+    )
     build = partial(
         change_site,
         sites=CHANNELS,
@@ -233,7 +241,9 @@ def _scale_interpolation(rng: np.random.Generator) -> OutsideEffect:
 
 def _bent_scale(rng: np.random.Generator) -> OutsideEffect:
     site, error = str(rng.choice(CHANNELS[2:])), log_uniform(rng, 0.3e-3, 2e-3)
-    build = partial(change_site, sites=CHANNELS, site=site, bend=float(rng.choice([-1.0, 1.0])) * error / 0.15**2)
+    build = partial(
+        change_site, sites=CHANNELS, site=site, bend=float(rng.choice([-1.0, 1.0])) * error / 0.15**2
+    )
     return OutsideEffect(
         "bent scale",
         site,
@@ -342,7 +352,9 @@ def _belt_creep(rng: np.random.Generator) -> OutsideEffect:
 
 def _eddy_brake(rng: np.random.Generator) -> OutsideEffect:
     site, force, speed = "x", log_uniform(rng, 0.6, 2.5), float(rng.uniform(0.08, 0.25))
-    build = partial(change_site, sites=COORDINATES, site=site, brake_drag=2.0 * force / speed, brake_speed=speed)
+    build = partial(
+        change_site, sites=COORDINATES, site=site, brake_drag=2.0 * force / speed, brake_speed=speed
+    )
     return OutsideEffect(
         "eddy brake",
         site,

@@ -137,7 +137,15 @@ def drifting_clock(drift: float) -> Callable[[Array], Array]:
 def _five_to_fifteen_percent(rig: Rig) -> Rig:
     """Return a rig whose differences from the declared one of 5 to 20 % are 5 to 15 % instead."""
     declared, changed = Rig(), {}
-    for name in ("mass", "viscous", "coulomb", "belt_EA_N", "torque_constant", "emf_constant", "resistance_ohm"):
+    for name in (
+        "mass",
+        "viscous",
+        "coulomb",
+        "belt_EA_N",
+        "torque_constant",
+        "emf_constant",
+        "resistance_ohm",
+    ):
         values = []
         for value, nominal in zip(getattr(rig, name), getattr(declared, name), strict=True):
             off = value / nominal - 1.0
@@ -166,7 +174,9 @@ def draw_rig(seed: int, index: int) -> OutsideRig:
 
 def main() -> None:
     """Describe or record the rigs that the command line names."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--only", type=int, nargs="+", metavar="INDEX")

@@ -282,7 +282,10 @@ def _drive(name: str, site: str, size: float, rng: np.random.Generator) -> Drawn
             fraction = 1.0 - 0.6 * size
             motors = MOTORS if site == _BOTH else (site,)
             return make(
-                size, partial(_limited, motors=motors, fraction=fraction), {"fraction": fraction}, {"I": "current"}
+                size,
+                partial(_limited, motors=motors, fraction=fraction),
+                {"fraction": fraction},
+                {"I": "current"},
             )
         case "electrical_lag":
             tau = size * 1.5e-3
@@ -345,7 +348,9 @@ def _sensor(name: str, site: str, size: float, rng: np.random.Generator) -> Draw
             g = _sign(rng) * size * 0.02
             return make(at(scale=1.0 + g), {"g": g}, {})
         case "sensor_range":
-            end, field = (0.16 - 0.11 * size, "range_x_m") if site == "x_m" else (0.11 - 0.06 * size, "range_y_m")
+            end, field = (
+                (0.16 - 0.11 * size, "range_x_m") if site == "x_m" else (0.11 - 0.06 * size, "range_y_m")
+            )
             return make(partial(change_fields, **{field: (-end, end)}), {"low": -end, "high": end}, {})
         case "sensor_delay":
             d = size * 2e-3
@@ -402,7 +407,10 @@ def draw_off_form(rng: np.random.Generator) -> DrawnEffect:
             more = {"wave_force": deviation * effect.parameters["size"], "wave_number": 2.0 * np.pi / 0.12}
         case _:
             factors = (1.0 + deviation, 1.0 - deviation, 1.0)
-            more, text = {"belt_damping_factor": factors}, "{:+.0%} in the left belt, the opposite in the right one"
+            more, text = (
+                {"belt_damping_factor": factors},
+                "{:+.0%} in the left belt, the opposite in the right one",
+            )
     change: Build
     if name == "belt_damping":
         change = partial(change_fields, **more)
@@ -452,7 +460,9 @@ def draw_outside(rng: np.random.Generator) -> DrawnEffect:
         ),
         "warm-up": (
             "machine",
-            lambda: partial(change_fields, friction_cold=(1.5 * size,) * 4, warm_up_s=float(rng.uniform(10.0, 40.0))),
+            lambda: partial(
+                change_fields, friction_cold=(1.5 * size,) * 4, warm_up_s=float(rng.uniform(10.0, 40.0))
+            ),
             warm_up,
         ),
         "frame resonance": (
@@ -462,7 +472,9 @@ def draw_outside(rng: np.random.Generator) -> DrawnEffect:
         ),
         "cable with memory": (
             axis,
-            lambda: at(hysteresis_force=4.0 * size * small, hysteresis_travel=float(rng.uniform(0.003, 0.01))),
+            lambda: at(
+                hysteresis_force=4.0 * size * small, hysteresis_travel=float(rng.uniform(0.003, 0.01))
+            ),
             (f"presliding@{axis}", f"*hysteresis*@{axis}", f"*memory*@{axis}"),
         ),
     }

@@ -136,7 +136,9 @@ def play(
             measured = 0.5 * _RADIUS_M * np.array([phi[1] - phi[0], -phi[0] - phi[1]])
             axes = excitation(time_s[row] - time_s[0] - RESTING_S, measured)
             ahead = measured + (0.0 if kind == "moves" else _AHEAD_S) * states[row, 4:6]
-            returning = (np.abs(ahead) > LIMITS_M - _MARGIN_M) | (returning & (np.abs(measured) > 0.5 * LIMITS_M))
+            returning = (np.abs(ahead) > LIMITS_M - _MARGIN_M) | (
+                returning & (np.abs(measured) > 0.5 * LIMITS_M)
+            )
             axes = np.where(returning, np.clip(-40.0 * measured, -4.0, 4.0), axes)
             inputs[row] = _volts(axes, only)
         if row + 1 < rows:

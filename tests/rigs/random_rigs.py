@@ -109,7 +109,9 @@ class RandomRig:
         """The stage and its sensors with the hidden effects and the residue."""
         rng = np.random.default_rng([self.seed, self.index, 1])
         rig, sensors = random_rig(rng), Sensors()
-        if not any(effect.name == "idler_inertia" for effect in self.hidden_effects):  # there, one belt runs around all
+        if not any(
+            effect.name == "idler_inertia" for effect in self.hidden_effects
+        ):  # there, one belt runs around all
             strengths = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.05, 0.2, 3) + 1.0
             rig = dataclasses.replace(rig, belt_EA_N=tuple(float(s) * Rig().belt_EA_N[0] for s in strengths))
         for effect in self.hidden_effects:
@@ -172,7 +174,9 @@ class RandomRig:
             truth[name] = ideal
             recordings.append(Recording(name, run.time_s, run.inputs, outputs))
             clock = float(np.round(time_s[-1] + rng.uniform(3.0, 20.0), 3))
-        return RandomSession(self, tuple(recordings[: self.runs]), tuple(recordings[self.runs :]), tuple(played), truth)
+        return RandomSession(
+            self, tuple(recordings[: self.runs]), tuple(recordings[self.runs :]), tuple(played), truth
+        )
 
     def _measured(self, ideal: Array, rng: np.random.Generator, *, glitch: bool) -> Array:
         """Return the measurements with noise, quantization and the residue of the sensors, as a file holds them."""
@@ -284,13 +288,17 @@ def draw_rig(seed: int, index: int) -> RandomRig:
             residue = Residue()
     elif residue.kind == "integrator":
         simulator = "euler"
-    return RandomRig(seed, index, kind, simulator, tuple(effects), residue, runs, rate, int(rng.integers(runs)))
+    return RandomRig(
+        seed, index, kind, simulator, tuple(effects), residue, runs, rate, int(rng.integers(runs))
+    )
 
 
 def _off_form(rng: np.random.Generator) -> list[DrawnEffect]:
     """Return one or two effects off the library's form, of different names and sites."""
     first, second = draw_off_form(rng), draw_off_form(rng)
-    together = first.name != second.name and first.site.replace("motor", "phi") != second.site.replace("motor", "phi")
+    together = first.name != second.name and first.site.replace("motor", "phi") != second.site.replace(
+        "motor", "phi"
+    )
     return [first, second] if together and rng.random() < 0.4 else [first]
 
 
@@ -349,7 +357,9 @@ def _bad_run(rng: np.random.Generator) -> Residue:
 
 def main() -> None:
     """Describe or record the rigs that the command line names."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--only", type=int, nargs="+", metavar="INDEX")

@@ -46,7 +46,9 @@ def _off(rig: Rig, sensors: Sensors) -> tuple[Rig, Sensors]:
     switched = []
     for thing in (rig, sensors):
         names = {f.name for f in dataclasses.fields(thing)}
-        switched.append(dataclasses.replace(thing, **{name: value for name, value in OFF.items() if name in names}))
+        switched.append(
+            dataclasses.replace(thing, **{name: value for name, value in OFF.items() if name in names})
+        )
     return switched[0], switched[1]
 
 
@@ -99,7 +101,9 @@ def test_parameters_differ_by_5_to_15_percent() -> None:
 
 
 def test_the_controller_follows_its_program() -> None:
-    session = next(rig for rig in (draw_rig(7, i) for i in range(1, COUNT, 2)) if rig.effect.site == "x").record()
+    session = next(
+        rig for rig in (draw_rig(7, i) for i in range(1, COUNT, 2)) if rig.effect.site == "x"
+    ).record()
     assert {name.partition("_")[2].partition("_")[2] for name in session.truth} == {
         program.replace(" ", "_") for program in PROGRAMS
     }

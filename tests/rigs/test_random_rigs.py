@@ -121,7 +121,9 @@ def test_true_machine_is_the_rig(name):
         if row < 499:
             plant.step(inputs[row], time_s[row + 1])
     expected = rig.stage[1].ideal(time_s, positions, velocities)
-    readings = simulate(machine, time_s, inputs, rest_state(machine, (0.08, -0.05)), longest_step=0.125e-3).outputs
+    readings = simulate(
+        machine, time_s, inputs, rest_state(machine, (0.08, -0.05)), longest_step=0.125e-3
+    ).outputs
     error = np.abs((readings - readings[0] - expected + expected[0]) * np.array([0.0194, 0.0194, 1.0, 1.0]))
     assert error.max() < 15e-6
 
@@ -131,7 +133,9 @@ def test_true_machine_is_the_rig(name):
 def test_identified_values_describe_the_same_machine(name):
     """Forces, masses and belts that are scaled with the gain of motor 1 leave the motion as it is."""
     rng = np.random.default_rng(7)
-    rig = RandomRig(5, 0, "library", "euler", (draw_effect(name, SITES[name][-1], 0.6, rng),), Residue(), 3, 1000.0, 0)
+    rig = RandomRig(
+        5, 0, "library", "euler", (draw_effect(name, SITES[name][-1], 0.6, rng),), Residue(), 3, 1000.0, 0
+    )
     true, values = true_machine(rig), identified_values(rig)
     scale = values["x.mass"] / true.parameters["x.mass"]
     lumped = {
@@ -152,7 +156,9 @@ def test_identified_values_describe_the_same_machine(name):
 
 def test_identified_values_are_scaled_to_the_declared_gain():
     rig = next(
-        r for r in RIGS if any(e.label == "stribeck_friction@x" for e in r.hidden_effects) and r.kind == "library"
+        r
+        for r in RIGS
+        if any(e.label == "stribeck_friction@x" for e in r.hidden_effects) and r.kind == "library"
     )
     values, stage = identified_values(rig), rig.stage[0]
     assert values["motor1.Kt"] == pytest.approx(0.023)

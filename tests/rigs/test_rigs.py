@@ -16,7 +16,9 @@ from tests.rigs.recording_sessions import record
 def _swing():
     t = np.arange(2000) * 1e-3
     q = np.stack([0.1 * np.sin(9 * t), 0.05 * np.cos(7 * t), 5 * np.sin(3 * t), 4 * np.cos(5 * t)], axis=1)
-    v = np.stack([0.9 * np.cos(9 * t), -0.35 * np.sin(7 * t), 15 * np.cos(3 * t), -20 * np.sin(5 * t)], axis=1)
+    v = np.stack(
+        [0.9 * np.cos(9 * t), -0.35 * np.sin(7 * t), 15 * np.cos(3 * t), -20 * np.sin(5 * t)], axis=1
+    )
     return t, q, v
 
 
@@ -100,5 +102,7 @@ def test_session_is_recorded_once_and_can_be_loaded(tmp_path):
         error = recording.outputs - truth[recording.name]
         assert np.abs(error[:, :2]).max() < 0.6 * ENCODER_STEP_RAD
         assert error[:, 2:].std() == pytest.approx(LASER_NOISE_M, rel=0.05)
-    other = record(dataclasses.replace(case, runs=1), tmp_path)  # another rig of the same name is recorded again
+    other = record(
+        dataclasses.replace(case, runs=1), tmp_path
+    )  # another rig of the same name is recorded again
     assert len(other.truth()) == 1

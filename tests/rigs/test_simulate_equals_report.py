@@ -46,7 +46,9 @@ def test_simulate_reproduces_the_errors_of_the_report(name: str, tmp_path: Path)
     curves = np.load(tmp_path / "out" / "evidence.npz")
     for stage, file in (("declared", "declared.json"), ("before", "before.json"), ("after", "machine.json")):
         machine, held_out = load_machine(tmp_path / "out" / file), report["runs"]["held_out"]
-        errors = in_fresh_process(simulation_errors, tmp_path / "out" / file, [recordings[run] for run in held_out])
+        errors = in_fresh_process(
+            simulation_errors, tmp_path / "out" / file, [recordings[run] for run in held_out]
+        )
         for run, error in zip(held_out, errors, strict=True):
             reported = np.sqrt(np.nanmean(curves[f"{run}/{stage}"] ** 2, axis=0))
             np.testing.assert_allclose(np.sqrt(np.nanmean(error**2, axis=0)), reported, rtol=0.05)

@@ -30,7 +30,9 @@ def true_machine(random_rig: RandomRig) -> Machine | None:
     machine = BUILTIN_MACHINES["hframe"]().replace(base_parameters(rig), name="true")
     for effect in random_rig.hidden_effects:
         values = library_parameters(effect, rig)
-        machine = machine.with_effects(*(EFFECTS[effect.name].at(site, **values) for site in effect.library_sites()))
+        machine = machine.with_effects(
+            *(EFFECTS[effect.name].at(site, **values) for site in effect.library_sites())
+        )
         if effect.name == "idler_inertia":
             machine = machine.replace(_without_idlers(rig))
     return machine
@@ -47,7 +49,11 @@ def base_parameters(rig: Rig) -> dict[str, float]:
     """
     values: dict[str, float] = {}
     for i, name in enumerate(COORDINATES):
-        values |= {f"{name}.mass": rig.mass[i], f"{name}.viscous": rig.viscous[i], f"{name}.coulomb": rig.coulomb[i]}
+        values |= {
+            f"{name}.mass": rig.mass[i],
+            f"{name}.viscous": rig.viscous[i],
+            f"{name}.coulomb": rig.coulomb[i],
+        }
     for i, belt in enumerate(_BELTS):
         values |= {f"{belt}.EA": rig.belt_EA_N[i], f"{belt}.rest_length": rig.belt_length_m[i]}
     for j, motor in enumerate(MOTORS):
@@ -96,7 +102,9 @@ def identified_values(random_rig: RandomRig) -> dict[str, float]:
         values[f"{motor}.Ke"] = rig.emf_constant[j] / rig.drive_gain[j]
     if any(effect.name == "idler_inertia" for effect in random_rig.hidden_effects):
         changed = ("y.mass", "y.viscous", "phi1.mass", "phi1.viscous", "phi2.mass", "phi2.viscous")
-        values = {name: v for name, v in values.items() if name not in changed and not name.endswith(".rest_length")}
+        values = {
+            name: v for name, v in values.items() if name not in changed and not name.endswith(".rest_length")
+        }
     for effect in random_rig.hidden_effects:
         values |= _identified_effect(effect, rig, scale)
     return values

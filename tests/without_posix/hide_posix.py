@@ -53,7 +53,11 @@ def _is_ours(scope: Mapping[str, Any] | None) -> bool:
     if not file:  # a command line with -c
         return (scope or {}).get("__name__") == "__main__"
     path = os.path.realpath(file)
-    return path.startswith(f"{ROOT}{os.sep}") and f"{os.sep}.venv{os.sep}" not in path and "site-packages" not in path
+    return (
+        path.startswith(f"{ROOT}{os.sep}")
+        and f"{os.sep}.venv{os.sep}" not in path
+        and "site-packages" not in path
+    )
 
 
 def _import_without_posix(

@@ -38,7 +38,9 @@ def _load_parameters(block: int, parameters, rows) -> None:
 
 
 @compiled_only
-def _set_voltages(block: int, k: int, before: int, steps: int, h: float, inputs, delays, delayed: bool, out) -> None:
+def _set_voltages(
+    block: int, k: int, before: int, steps: int, h: float, inputs, delays, delayed: bool, out
+) -> None:
     """Set the voltages of a period: one row per drive, or with delays the mean voltages of each step.
 
     Args:
@@ -72,7 +74,17 @@ def _set_voltages(block: int, k: int, before: int, steps: int, h: float, inputs,
 
 @compiled_only
 def _add_voltages_back(
-    block: int, k: int, before: int, steps: int, h: float, inputs, delays, delayed: bool, adjoint, out, delays_out
+    block: int,
+    k: int,
+    before: int,
+    steps: int,
+    h: float,
+    inputs,
+    delays,
+    delayed: bool,
+    adjoint,
+    out,
+    delays_out,
 ) -> None:
     """Add the derivatives by the voltages of a period; the transpose of `_set_voltages`.
 
@@ -248,7 +260,17 @@ def periods_back(
                     h,
                 )
             _add_voltages_back(
-                block, k, before, steps, h, inputs, delays, delayed, adjoint_voltages, inputs_out, adjoint_delays
+                block,
+                k,
+                before,
+                steps,
+                h,
+                inputs,
+                delays,
+                delayed,
+                adjoint_voltages,
+                inputs_out,
+                adjoint_delays,
             )
         if by_parameters:
             call_at(prepare_back, block_parameters, adjoint_derived, adjoint_parameters, h)
@@ -291,7 +313,9 @@ def readings_back(
             _load_lanes(block, k, states, state)
             _load_lanes(block, k, adjoint, of_readings)
             adjoint_state[:] = 0.0
-            call_at(read_sensors_back, state, block_parameters, of_readings, adjoint_state, adjoint_parameters)
+            call_at(
+                read_sensors_back, state, block_parameters, of_readings, adjoint_state, adjoint_parameters
+            )
             for lane in range(lanes):
                 for row in range(states.shape[2]):
                     states_out[block * LANES + lane, k, row] = adjoint_state[row, lane]

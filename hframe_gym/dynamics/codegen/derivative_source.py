@@ -36,14 +36,19 @@ class _StepBack(StepTrace):
     def __init__(self, source: KernelSource, *, friction: str, by_parameters: bool) -> None:
         name = "step_back" if by_parameters else "step_back_without_parameters"
         results = "adjoint_state, adjoint_parameters, adjoint_derived, adjoint_inputs"
-        trace = ReverseTrace(f"{name}(state, parameters, derived, inputs, {results}, h: float)", friction=friction)
+        trace = ReverseTrace(
+            f"{name}(state, parameters, derived, inputs, {results}, h: float)", friction=friction
+        )
         self.trace = self.reverse = trace
         self._begin(source)
         argument_travel, argument_speed = list(self.travel), list(self.speed)
         argument_states = dict(self.effect_states)
         self._step()
         count = len(self.coordinates)
-        rows = [*zip(argument_travel, self.travel, strict=True), *zip(argument_speed, self.speed, strict=True)]
+        rows = [
+            *zip(argument_travel, self.travel, strict=True),
+            *zip(argument_speed, self.speed, strict=True),
+        ]
         by_row = dict(enumerate(rows))
         for row, k in enumerate(self.equations.states):
             by_row[2 * count + 1 + row] = (argument_states[k], self.effect_states[k])
@@ -122,7 +127,9 @@ def derivative_source(source: KernelSource, *, friction: str) -> str:
     constants = ReverseTrace("prepare_back(parameters, adjoint_derived, adjoint_parameters, h: float)")
     source.trace_constants(constants)
     _add_derivatives(constants, "derived", ("parameters",))
-    sensors = ReverseTrace("read_sensors_back(state, parameters, adjoint_readings, adjoint_state, adjoint_parameters)")
+    sensors = ReverseTrace(
+        "read_sensors_back(state, parameters, adjoint_readings, adjoint_state, adjoint_parameters)"
+    )
     source.trace_sensors(sensors)
     _add_derivatives(sensors, "readings", ("state", "parameters"))
     delays = ReverseTrace("voltage_delays_back(parameters, adjoint_delays, adjoint_parameters)")

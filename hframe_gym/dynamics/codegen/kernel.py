@@ -109,9 +109,13 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
         flags = (source.delayed, source.lagged, forced)
         _KERNELS[key] = Kernel(
             layout=source.layout,
-            rollout=partial(time_loops.rollout, tuple(program.addresses[name] for name in FUNCTIONS), sizes, flags),
+            rollout=partial(
+                time_loops.rollout, tuple(program.addresses[name] for name in FUNCTIONS), sizes, flags
+            ),
             prepare_blocks=partial(time_loops.prepare_blocks, program.addresses["prepare"]),
-            advance_blocks=partial(time_loops.advance_blocks, program.addresses["advance"], len(machine.coordinates)),
+            advance_blocks=partial(
+                time_loops.advance_blocks, program.addresses["advance"], len(machine.coordinates)
+            ),
             read_blocks=partial(time_loops.read_blocks, program.addresses["read_sensors"]),
             sensor_delay_blocks=partial(time_loops.delay_blocks, program.addresses["measurement_delays"]),
             drive_delay_blocks=partial(time_loops.delay_blocks, program.addresses["voltage_delays"]),

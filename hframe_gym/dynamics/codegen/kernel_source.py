@@ -15,7 +15,13 @@ from ..symbolic.expressions import function_source
 from ..symbolic.tracing import Trace
 from .step_trace import Layout, StepTrace, row_name
 
-FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measurement_delays")  # of the generated text
+FUNCTIONS = (
+    "prepare",
+    "voltage_delays",
+    "advance",
+    "read_sensors",
+    "measurement_delays",
+)  # of the generated text
 
 # Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both
 # directions of motion where viscous friction depends on the direction.
@@ -59,9 +65,13 @@ class KernelSource:
         derived: list[str] = []
         for i in self._coordinates:
             derived += [row_name("coordinate", i, key) for key in PER_COORDINATE]
-            derived += [row_name("coordinate", i, key + s) for s in self.directions(i) for key in PER_DIRECTION]
+            derived += [
+                row_name("coordinate", i, key + s) for s in self.directions(i) for key in PER_DIRECTION
+            ]
         derived += [row_name("drive", j, "force_per_volt") for j in range(len(machine.drives))]
-        derived += [row_name("belt", b, "stiffness") for b, belt in enumerate(machine.belts) if not belt.length]
+        derived += [
+            row_name("belt", b, "stiffness") for b, belt in enumerate(machine.belts) if not belt.length
+        ]
         self.layout = Layout(parameters, {name: row for row, name in enumerate(derived)})
         self.felt = len(machine.coordinates) + len(machine.drives) if feels_forces(machine) else 0
         self.states = 2 * len(self._coordinates) + 1 + len(self._plain.states) + self.felt
@@ -70,7 +80,9 @@ class KernelSource:
         self.lagged = any(d.measurement_delay for d in definitions)
         self.nonlinear_belts = any(d.tension or d.belt_travel for d in definitions)
         hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]
-        self.uses_time = any("t" in argument_names(f) for f in hooks) or any(d.against == "time" for d in definitions)
+        self.uses_time = any("t" in argument_names(f) for f in hooks) or any(
+            d.against == "time" for d in definitions
+        )
         traces = (
             self.trace_constants(Trace("prepare(parameters, derived, h: float)")),
             self.trace_delays(Trace("voltage_delays(parameters, delays)"), "voltage_delays"),
@@ -120,7 +132,9 @@ class KernelSource:
             trace.store("derived", rows[row_name("drive", j, "force_per_volt")], equations.force_per_volt(j))
         for b, belt in enumerate(self.machine.belts):
             if not belt.length:
-                trace.store("derived", rows[row_name("belt", b, "stiffness")], equations.constant_stiffness(b))
+                trace.store(
+                    "derived", rows[row_name("belt", b, "stiffness")], equations.constant_stiffness(b)
+                )
         return trace
 
     # -- sensors and delays ----------------------------------------------------------------------------------------
@@ -142,9 +156,13 @@ class KernelSource:
             speed = [trace.load("state", count + i, f"speed_{i}") for i in self._coordinates]
             velocities = [v / equations.radius(i) for i, v in enumerate(speed)]
         if self.felt:
-            rows = [trace.load("state", row, f"felt_{row}") for row in range(self.states - self.felt, self.states)]
+            rows = [
+                trace.load("state", row, f"felt_{row}") for row in range(self.states - self.felt, self.states)
+            ]
             accelerations = [a / equations.radius(i) for i, a in enumerate(rows[: len(self._coordinates)])]
             currents = rows[len(self._coordinates) :]
-        for j, reading in enumerate(equations.sensor_readings(positions, velocities, accelerations, currents)):
+        for j, reading in enumerate(
+            equations.sensor_readings(positions, velocities, accelerations, currents)
+        ):
             trace.store("readings", j, reading)
         return trace

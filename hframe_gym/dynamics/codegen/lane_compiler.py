@@ -216,11 +216,16 @@ class _Function:
                 return self._builder.fneg(value) if isinstance(value, ir.Value) else -value
             case ast.BinOp(left, ast.BitAnd() | ast.BitOr() as sign, right):
                 masks = self._value(left, scope), self._value(right, scope)
-                return self._builder.and_(*masks) if isinstance(sign, ast.BitAnd) else self._builder.or_(*masks)
+                return (
+                    self._builder.and_(*masks) if isinstance(sign, ast.BitAnd) else self._builder.or_(*masks)
+                )
             case ast.BinOp(left, sign, right) if type(sign) in _ARITHMETIC:
                 return self._operation(type(sign), self._value(left, scope), self._value(right, scope))
             case ast.Compare(left, [sign], [right]) if type(sign) in _COMPARISONS:
-                operands = self._as_vector(self._value(left, scope)), self._as_vector(self._value(right, scope))
+                operands = (
+                    self._as_vector(self._value(left, scope)),
+                    self._as_vector(self._value(right, scope)),
+                )
                 return self._builder.fcmp_ordered(_COMPARISONS[type(sign)], *operands)
             case ast.Call(ast.Name("load"), [rows, row]):
                 return self._builder.load(self._row(rows, row, scope), align=_ALIGN)
@@ -245,7 +250,11 @@ class _Function:
         values = [v for v in (left, right) if isinstance(v, ir.Value)]
         if not values:
             return in_python(left, right)
-        integers = all(v.type == _I64 for v in values) and not isinstance(left, float) and not isinstance(right, float)
+        integers = (
+            all(v.type == _I64 for v in values)
+            and not isinstance(left, float)
+            and not isinstance(right, float)
+        )
         if integers and on_integers:
             return getattr(self._builder, on_integers)(self._as_type(left, _I64), self._as_type(right, _I64))
         convert = self._as_vector if any(v.type == self._vector for v in values) else self._as_scalar
@@ -266,7 +275,9 @@ class _Function:
                 return self._builder.select(mask, self._as_vector(yes), self._as_vector(no))
             case "any_of":
                 bits = ir.IntType(self._lanes)
-                return self._builder.icmp_unsigned("!=", self._builder.bitcast(operands[0], bits), ir.Constant(bits, 0))
+                return self._builder.icmp_unsigned(
+                    "!=", self._builder.bitcast(operands[0], bits), ir.Constant(bits, 0)
+                )
             case "pow2":
                 return self._pow2(*self._vectors(name, operands, 1))
         if name not in self._formulas:

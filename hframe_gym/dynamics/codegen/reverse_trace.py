@@ -22,14 +22,31 @@ from ..symbolic.expressions import Expression, Statement
 from ..symbolic.tracing import Trace
 
 # Operations whose derivative is zero, or which give a condition.
-_CONSTANT = {"number", "variable", "load", "<", "<=", ">", ">=", "==", "!=", "&", "|", "sign", "rint", "floor"}
+_CONSTANT = {
+    "number",
+    "variable",
+    "load",
+    "<",
+    "<=",
+    ">",
+    ">=",
+    "==",
+    "!=",
+    "&",
+    "|",
+    "sign",
+    "rint",
+    "floor",
+}
 # Formulas of the kernel that are one operation here, with the formula of the derivative.
 _SLOPES = {"decay_integral": "decay_integral_slope", "end_weight": "end_weight_slope", "ramp": "ramp_slope"}
 
 
 def _operation(name: str) -> Callable[..., Any]:
     """Return the function that records an operation of this name on expressions."""
-    return lambda *operands: next(o for o in operands if isinstance(o, Expression)).trace.node(name, *operands)
+    return lambda *operands: next(o for o in operands if isinstance(o, Expression)).trace.node(
+        name, *operands
+    )
 
 
 def _traceable(formula: Callable[..., Any]) -> Any:
@@ -167,7 +184,9 @@ class ReverseTrace(Trace):
         """Append a block that updates values only if a condition is true, as in `Trace`."""
         before = tuple(map(self.expression, values))
         begin = len(self._block)
-        variables = [super(ReverseTrace, self).variable("guarded", i, value) for i, value in enumerate(before)]
+        variables = [
+            super(ReverseTrace, self).variable("guarded", i, value) for i, value in enumerate(before)
+        ]
         first = len(self._nodes)
         with self.block("if any_of({}):", condition):
             after = tuple(map(self.expression, update(before)))
@@ -270,16 +289,23 @@ class ReverseTrace(Trace):
         taken = {node: seed for node, seed in taken.items() if node in active}
         taken = self._backward(nodes[:last], guard.first, taken, active)
         targets = [node for node in {**skipped, **taken} if node in active]
-        none = self.node("where", guard.condition, 0.0, 0.0)  # zeros of all machines; a number would be no register
+        none = self.node(
+            "where", guard.condition, 0.0, 0.0
+        )  # zeros of all machines; a number would be no register
         variables = [
-            super(ReverseTrace, self).variable("derivative", None, skipped.get(node, none)) for node in targets
+            super(ReverseTrace, self).variable("derivative", None, skipped.get(node, none))
+            for node in targets
         ]
         with self.block("if any_of({}):", guard.condition):
             inside = [self.let("taken", None, taken.get(node, self.expression(0.0))) for node in targets]
-            results = [super(ReverseTrace, self).assign(*pair) for pair in zip(variables, inside, strict=True)]
+            results = [
+                super(ReverseTrace, self).assign(*pair) for pair in zip(variables, inside, strict=True)
+            ]
         return list(zip(targets, results, strict=True))
 
-    def _partial(self, node: Expression, a: Expression, active: set[Expression]) -> list[tuple[Expression, Any]]:
+    def _partial(
+        self, node: Expression, a: Expression, active: set[Expression]
+    ) -> list[tuple[Expression, Any]]:
         """Return what an operation adds to the adjoints of its operands, if its adjoint is `a`."""
         x, y, z = (*node.operands, None, None)[:3]
         match node.operation:
@@ -295,7 +321,9 @@ class ReverseTrace(Trace):
             case "neg":
                 return [(x, -a)]
             case "fma":
-                return [(factor, a * other) for factor, other in ((x, y), (y, x)) if factor in active] + [(z, a)]
+                return [(factor, a * other) for factor, other in ((x, y), (y, x)) if factor in active] + [
+                    (z, a)
+                ]
             case "exp":
                 return [(x, a * node)]
             case "sin":
@@ -322,7 +350,9 @@ class ReverseTrace(Trace):
             return [(x, a * self.node(_SLOPES[node.operation], x))]
         raise NotImplementedError(f"a kernel's function {node.operation!r} has no derivative")
 
-    def _static_friction(self, f: Expression, coulomb: Expression, a: Expression) -> list[tuple[Expression, Any]]:
+    def _static_friction(
+        self, f: Expression, coulomb: Expression, a: Expression
+    ) -> list[tuple[Expression, Any]]:
         """Return what the friction of a coordinate at rest, f limited to [-coulomb, coulomb], adds to the adjoints."""
         holds = abs(f) < coulomb
         by_coulomb = where(holds, 0.0, a * copysign(1.0, f))

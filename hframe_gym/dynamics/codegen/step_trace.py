@@ -78,7 +78,9 @@ class _PreparedEquations(Equations):
 
     def __init__(self, source: KernelShape, trace: Trace) -> None:
         rows = source.layout.parameters.items()
-        super().__init__(source.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows})
+        super().__init__(
+            source.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows}
+        )
         self._trace = trace
         self._rows = source.layout.derived
 
@@ -111,7 +113,9 @@ class StepTrace:
     """
 
     def __init__(self, source: KernelShape) -> None:
-        self.trace = trace = Trace("advance(state, parameters, derived, inputs, external_forces, h: float, steps: int)")
+        self.trace = trace = Trace(
+            "advance(state, parameters, derived, inputs, external_forces, h: float, steps: int)"
+        )
         self._begin(source)
         count, first = len(self.coordinates), 2 * len(self.coordinates) + 1
         with trace.block("for step in range(steps):", loop=True):
@@ -134,7 +138,9 @@ class StepTrace:
         count = len(self.coordinates)
         trace.line("align_stack()")
         self.travel = [trace.variable("travel", i, trace.load("state", i, "")) for i in self.coordinates]
-        self.speed = [trace.variable("speed", i, trace.load("state", count + i, "")) for i in self.coordinates]
+        self.speed = [
+            trace.variable("speed", i, trace.load("state", count + i, "")) for i in self.coordinates
+        ]
         self.time = trace.variable("time", None, trace.load("state", 2 * count, ""))
         first = 2 * count + 1
         self.effect_states = {
@@ -150,7 +156,9 @@ class StepTrace:
             point = MotionPoint(self.travel, self.speed, self.time, self.effect_states)
             motor_voltages = equations.motor_voltages(self._last_voltages())
             belt_forces = equations.belt_forces(point, equations.belt_states(point))
-            balance = self._balance(point, motor_voltages, self._drive_and_belt_forces(belt_forces, motor_voltages))
+            balance = self._balance(
+                point, motor_voltages, self._drive_and_belt_forces(belt_forces, motor_voltages)
+            )
             for i in self.coordinates:
                 speed, force = self.speed[i], balance.forces[i]
                 net = force - trace.node("friction_force", speed, force, balance.coulomb[i])
@@ -173,7 +181,9 @@ class StepTrace:
         trace, equations, h = self.trace, self.equations, self.h
         half = trace.let("half_step", None, 0.5 * h)
         with trace.section("1. forces at the half-way point, and the acceleration", "half_"):
-            half_way = [named("travel", i, fma(half, self.speed[i], self.travel[i])) for i in self.coordinates]
+            half_way = [
+                named("travel", i, fma(half, self.speed[i], self.travel[i])) for i in self.coordinates
+            ]
             point = MotionPoint(half_way, self.speed, self.time + half, self.effect_states, half)
             motor_voltages = equations.motor_voltages(self._voltages())
             belts = equations.belt_states(point)
@@ -201,7 +211,9 @@ class StepTrace:
             for k, state in self.effect_states.items():
                 value = equations.next_state(k, state, balance.arguments.get(k, {}), traveled, mean_speed, h)
                 states[k] = trace.let("next_effect_state", k, value)
-            self.effect_states = {k: trace.assign(self.effect_states[k], state) for k, state in states.items()}
+            self.effect_states = {
+                k: trace.assign(self.effect_states[k], state) for k, state in states.items()
+            }
             self.speed = [trace.assign(v, speed) for v, (speed, _) in zip(self.speed, ends, strict=True)]
             self.travel = [trace.assign(q, travel) for q, (_, travel) in zip(self.travel, ends, strict=True)]
             if self.source.uses_time:
@@ -211,7 +223,10 @@ class StepTrace:
         """Return the commanded voltage of each drive; with a delay it changes from step to step."""
         count = len(self.source.machine.drives)
         if self.source.delayed:
-            return [self.trace.load("inputs", f"step * {count} + {j}", f"u{j}", invariant=False) for j in range(count)]
+            return [
+                self.trace.load("inputs", f"step * {count} + {j}", f"u{j}", invariant=False)
+                for j in range(count)
+            ]
         return [self.trace.load("inputs", j, f"u{j}") for j in range(count)]
 
     def _drive_and_belt_forces(
@@ -237,21 +252,27 @@ class StepTrace:
     ) -> list[Expression]:
         """Return the forces after a small displacement of the travel, to first order: f - G' k G shift."""
         rows = self.equations.extension_rows
-        changes = [named("tension_change", b, k * combination(rows[b], shift)) for b, k in enumerate(stiffness)]
+        changes = [
+            named("tension_change", b, k * combination(rows[b], shift)) for b, k in enumerate(stiffness)
+        ]
         result = []
         for i, force in enumerate(forces):
             row = {b: -rows[b].get(i, 0.0) for b in range(len(rows))}
             result.append(named("drive_and_belts", i, force + combination(row, changes)))
         return result
 
-    def _by_direction(self, i: int, key: str, balance: ForceBalance, *, reversed_motion: bool = False) -> Expression:
+    def _by_direction(
+        self, i: int, key: str, balance: ForceBalance, *, reversed_motion: bool = False
+    ) -> Expression:
         """Return a constant of coordinate i for its direction of motion, or for the opposite one."""
         suffixes = self.source.directions(i)
         if len(suffixes) == 1:
             return self.equations.derived("coordinate", i, key)
         direction = self.trace.node("direction", self.speed[i], balance.forces[i])
         ahead, behind = (self.equations.derived("coordinate", i, key + suffix) for suffix in suffixes)
-        choice: Expression = where(direction >= 0.0, *((behind, ahead) if reversed_motion else (ahead, behind)))
+        choice: Expression = where(
+            direction >= 0.0, *((behind, ahead) if reversed_motion else (ahead, behind))
+        )
         return choice
 
     def _correction(self, i: int, balance: ForceBalance) -> Expression:
@@ -265,7 +286,8 @@ class StepTrace:
     def _flow(self, i: int, balance: ForceBalance) -> tuple[Expression, Expression, Expression]:
         """Trace the step of coordinate i without a stop; return speed, speed * speed before (< 0: stop), and travel."""
         decay, gain, first, last = (
-            self._by_direction(i, key, balance) for key in ("decay", "speed_gain", "first_weight", "last_weight")
+            self._by_direction(i, key, balance)
+            for key in ("decay", "speed_gain", "first_weight", "last_weight")
         )
         speed = self._initial_speed(i, balance)
         arguments = (speed, balance.forces[i], balance.coulomb[i], decay, gain)
@@ -305,7 +327,9 @@ class StepTrace:
                 "per_mass": [self.equations.derived("coordinate", i, "per_mass") for i in self.coordinates],
             }
             arguments = [
-                trace.let(f"stopping_{key}", None, trace.expression(first_of(stops[:-1], values[:-1], values[-1])))
+                trace.let(
+                    f"stopping_{key}", None, trace.expression(first_of(stops[:-1], values[:-1], values[-1]))
+                )
                 for key, values in operands.items()
             ]
             results = (("speed_after_stop", None), ("traveled", None))

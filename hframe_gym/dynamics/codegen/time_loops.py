@@ -55,7 +55,9 @@ def parabola(time, i: int, delay: float) -> tuple:
     if i == 0:
         return 0, 0.0, 0.0
     t = max(time[0], time[i] - delay)
-    k = max(1, i - 1 - int(min(delay / (time[i] - time[i - 1]), i)))  # at even sampling at most one sample away
+    k = max(
+        1, i - 1 - int(min(delay / (time[i] - time[i - 1]), i))
+    )  # at even sampling at most one sample away
     while k > 1 and t < 0.5 * (time[k - 1] + time[k]):
         k -= 1
     while k < i - 1 and t > 0.5 * (time[k] + time[k + 1]):
@@ -82,7 +84,9 @@ def most_steps(time, longest_step: float) -> int:
 
 
 @compiled_only
-def start_block(block: int, coordinates: int, start_time: float, parameters, start, state, block_parameters) -> None:
+def start_block(
+    block: int, coordinates: int, start_time: float, parameters, start, state, block_parameters
+) -> None:
     """Copy parameters and initial states of up to LANES of B machines to the arrays of a block, one column (lane) each.
 
     Columns without a machine repeat the first machine of the block.

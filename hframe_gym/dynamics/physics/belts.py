@@ -94,7 +94,11 @@ class BeltEquations(ParameterizedMachine):
         return BeltState(s, rate, k, tension, 0.5 * strain * elastic, net)
 
     def _pulley_quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
-        return {"q": self.position(point, i), "z": self.effect_state(k, point), "per_radius": self.per_radius(i)}
+        return {
+            "q": self.position(point, i),
+            "z": self.effect_state(k, point),
+            "per_radius": self.per_radius(i),
+        }
 
     def _belt_travel(self, i: int, point: MotionPoint) -> Value:
         """Return the travel of coordinate i for the belts, m, with the part that an eccentric pulley adds."""

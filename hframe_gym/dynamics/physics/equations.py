@@ -26,7 +26,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...machine import AppliedEffect, argument_names
-from ..symbolic.elementwise import absolute, copysign, fma, maximum, minimum, named, sign, update_if_any, where
+from ..symbolic.elementwise import (
+    absolute,
+    copysign,
+    fma,
+    maximum,
+    minimum,
+    named,
+    sign,
+    update_if_any,
+    where,
+)
 from .belts import BeltEquations
 from .parameterized_machine import MotionPoint, Value
 from .signals import SignalEquations
@@ -184,7 +194,9 @@ class Equations(BeltEquations, SignalEquations):
     def _with_guarded_forces(self, forces: list[Value], point: MotionPoint) -> list[Value]:
         """Add the forces that vanish for most machines; a kernel evaluates them only where one of them acts."""
         guarded = [
-            k for k, e in enumerate(self.instances) if e.effect.definition.force and e.effect.definition.active_region
+            k
+            for k, e in enumerate(self.instances)
+            if e.effect.definition.force and e.effect.definition.active_region
         ]
         if not guarded:
             return forces
@@ -210,7 +222,9 @@ class Equations(BeltEquations, SignalEquations):
         updated = dict(zip(touched, update_if_any(active, [forces[i] for i in touched], update), strict=True))
         return [updated.get(i, force) for i, force in enumerate(forces)]
 
-    def _with_reactions(self, forces: list[Value], levels: Sequence[Value], point: MotionPoint) -> list[Value]:
+    def _with_reactions(
+        self, forces: list[Value], levels: Sequence[Value], point: MotionPoint
+    ) -> list[Value]:
         """Add the forces of the effects that depend on the net force on the coordinate at their site."""
         result = list(forces)
         for k, instance in enumerate(self.instances):
@@ -225,7 +239,9 @@ class Equations(BeltEquations, SignalEquations):
                     "net": (forces[site] - friction) * self.radius(site),
                     "friction": friction * self.radius(site),
                 }
-                force = self.evaluate(instance.effect, "force", {**self._with_state(k, i, point), **quantities})
+                force = self.evaluate(
+                    instance.effect, "force", {**self._with_state(k, i, point), **quantities}
+                )
                 result[i] = result[i] + force * self.per_radius(i)
         return result
 

@@ -57,11 +57,15 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
         coordinates, Nm/rad between rotary ones, N/rad (equal to N) between a linear and a rotary one.
     """
     equations, q = _operating_point(machine, position)
-    stepped = q[..., None, :] + 1j * _STEP * np.eye(q.shape[-1])  # (..., coordinate that is stepped, coordinates)
+    stepped = q[..., None, :] + 1j * _STEP * np.eye(
+        q.shape[-1]
+    )  # (..., coordinate that is stepped, coordinates)
     point = equations.point(stepped)
     forces = equations.in_units(equations.belt_forces(point, equations.belt_states(point)))
     forces = np.broadcast_to(forces, stepped.shape)  # without belts they are scalars
-    return -np.swapaxes(forces.imag, -1, -2) / _STEP  # row: force on a coordinate, column: displaced coordinate
+    return (
+        -np.swapaxes(forces.imag, -1, -2) / _STEP
+    )  # row: force on a coordinate, column: displaced coordinate
 
 
 def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
@@ -83,10 +87,14 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     steps = 1j * _STEP * np.eye(2 * count + drives)
     point = equations.point(q + steps[:, :count], steps[:, count : 2 * count])
     voltages = list(steps[:, 2 * count :].T)
-    accelerations = equations.accelerations(point, voltages, lambda speed: 0.0)  # direction 0: no Coulomb friction
+    accelerations = equations.accelerations(
+        point, voltages, lambda speed: 0.0
+    )  # direction 0: no Coulomb friction
     per_step = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]  # m/s^2 or rad/s^2
     derivatives = np.array(per_step).imag / _STEP  # (coordinates, 2 * coordinates + drives)
-    rates = np.hstack([np.zeros((count, count)), np.eye(count)])  # the derivatives of the positions are the velocities
+    rates = np.hstack(
+        [np.zeros((count, count)), np.eye(count)]
+    )  # the derivatives of the positions are the velocities
     A = np.vstack([rates, derivatives[:, : 2 * count]])
     B = np.vstack([np.zeros((count, drives)), derivatives[:, 2 * count :]])
     positions, velocities = (q + steps[:, :count]).T, steps[:, count : 2 * count].T
@@ -111,7 +119,9 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
     mass_matrix = np.diag([c.mass for c in machine.coordinates])
     squared = eigh(stiffness_matrix(machine, position), mass_matrix, eigvals_only=True)
-    scale = max(squared.max(), 1.0)  # (rad/s)^2; eigenvalues far below it are rounding errors of rigid-body modes
+    scale = max(
+        squared.max(), 1.0
+    )  # (rad/s)^2; eigenvalues far below it are rounding errors of rigid-body modes
     return np.sqrt(np.where(squared < _RIGID_EIGENVALUE * scale, 0.0, squared)) / (2 * np.pi)
 
 
@@ -127,7 +137,9 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     # of R' R, the squared singular values of R = diag(k)^(1/2) G M^(-1/2).
     mass = np.array([c.mass for c in machine.coordinates])
     stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
-    highest = float(np.linalg.norm(np.sqrt(stiffness)[:, None] * machine.belt_matrix / np.sqrt(mass), 2))  # rad/s
+    highest = float(
+        np.linalg.norm(np.sqrt(stiffness)[:, None] * machine.belt_matrix / np.sqrt(mass), 2)
+    )  # rad/s
     return longest_step if longest_step * highest <= _MAX_PHASE else _MAX_PHASE / highest
 
 

@@ -22,7 +22,9 @@ from .parameterized_machine import MotionPoint
 _BRISTLE_STATE_STRIDE = 5
 
 
-def belt_states(machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None) -> list[BeltState]:
+def belt_states(
+    machine: Machine, positions: ArrayLike, velocities: ArrayLike | None = None
+) -> list[BeltState]:
     """Return extension, stiffness and tension of each belt along a motion, in the machine's order.
 
     Args:
@@ -212,7 +214,9 @@ def effect_states(
         effect = equations.instances[k].effect
         point = equations.point(positions, velocities, time_s, states)
         motor_voltages = equations.motor_voltages(voltages)
-        arguments = equations.force_balance(point, motor_voltages, [0.0] * len(point.travel)).arguments.get(k, {})
+        arguments = equations.force_balance(point, motor_voltages, [0.0] * len(point.travel)).arguments.get(
+            k, {}
+        )
         rows = np.arange(len(time_s))
         if argument_names(effect.definition.next_state) != ("z", "dq") and not effect.definition.current:
             # A bristle; `_BRISTLE_STATE_STRIDE` gives the reason.
@@ -236,7 +240,9 @@ def _integrated(
     effect = equations.instances[k].effect
     function: Any = effect.definition.next_state
     steps = _step_arguments(equations, k, point, arguments, time_s, rows)
-    shape = np.broadcast_shapes((1,), *((*values.shape[:-1], 1) for values in steps.values() if values.ndim > 1))
+    shape = np.broadcast_shapes(
+        (1,), *((*values.shape[:-1], 1) for values in steps.values() if values.ndim > 1)
+    )
     # Floats are faster than arrays of one element: (rows,) gives floats, (variants, rows) gives (variants, 1) each.
     columns = [
         values.tolist() if values.ndim == 1 else list(np.moveaxis(values, -1, 0)[..., None])
@@ -247,9 +253,13 @@ def _integrated(
     for values in zip(*columns, strict=True):
         samples.append(state)
         state = function(z=state, **dict(zip(steps, values, strict=True)))
-    states = np.array(samples) if shape == (1,) else np.concatenate(samples, axis=-1)  # (rows,) or (variants, rows)
+    states = (
+        np.array(samples) if shape == (1,) else np.concatenate(samples, axis=-1)
+    )  # (rows,) or (variants, rows)
     if effect.definition.current:  # the mean over each step by Simpson's rule
-        half_steps = {name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()}
+        half_steps = {
+            name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()
+        }
         states = (states + 4.0 * function(z=states, **half_steps) + function(z=states, **steps)) / 6.0
     if len(rows) == len(time_s):
         return states

@@ -63,7 +63,9 @@ class ParameterizedMachine:
         self.length_rows = [_ordered(b.length, index) for b in machine.belts]
         self.drive_coordinates = [index[d.coordinate] for d in machine.drives]
         self.instances = effect_instances(machine)
-        self.states = [k for k, instance in enumerate(self.instances) if instance.effect.definition.next_state]
+        self.states = [
+            k for k, instance in enumerate(self.instances) if instance.effect.definition.next_state
+        ]
 
     # -- parameters ------------------------------------------------------------------------------------------------
 
@@ -150,7 +152,11 @@ class ParameterizedMachine:
             Index in the attribute `instances`, and the effect with its parameter values.
         """
         instances = enumerate(self.instances)
-        here = [(k, i.effect) for k, i in instances if i.component == component and getattr(i.effect.definition, hook)]
+        here = [
+            (k, i.effect)
+            for k, i in instances
+            if i.component == component and getattr(i.effect.definition, hook)
+        ]
         yield from sorted(here, key=lambda entry: entry[1].definition.signal_order)
 
     def effects_on(self, hook: str, i: int) -> Iterator[tuple[int, AppliedEffect]]:
@@ -173,7 +179,9 @@ class ParameterizedMachine:
         """
         function = getattr(effect.definition, hook)
         names = argument_names(function)
-        values = [self.parameter(f"{effect.label}.{n}") if n in effect.parameters else quantities[n] for n in names]
+        values = [
+            self.parameter(f"{effect.label}.{n}") if n in effect.parameters else quantities[n] for n in names
+        ]
         try:
             return function(*values)
         except TypeError as error:

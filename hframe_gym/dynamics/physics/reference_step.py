@@ -76,7 +76,9 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
     mean_speed = [v[i] + 0.5 * h * a[i] for i in coordinates]
     point = MotionPoint(corrected, mean_speed, state.time + 0.5 * h, state.effect_states, 0.5 * h)
     if nonlinear_belts:
-        forces = equations.add_drive_forces(equations.belt_forces(point, equations.belt_states(point)), motor_voltages)
+        forces = equations.add_drive_forces(
+            equations.belt_forces(point, equations.belt_states(point)), motor_voltages
+        )
     else:
         for belt, row in zip(belts, equations.extension_rows, strict=True):
             tension_change = belt.stiffness * sum(g * shift[i] for i, g in row.items())
@@ -118,7 +120,9 @@ def _acceleration(equations: Equations, i: int, v: float, balance: ForceBalance)
     return (f - viscous * v - _friction(v, f, balance.coulomb[i])) / equations.mass(i)
 
 
-def _flow(v: float, f: float, level: float, viscous: Sequence[float], m: float, h: float) -> tuple[float, float]:
+def _flow(
+    v: float, f: float, level: float, viscous: Sequence[float], m: float, h: float
+) -> tuple[float, float]:
     """Return speed and travel after the time h of m dv/dt = f - b v - F sign v."""
     net = f - _friction(v, f, level)
     speed, travel = _exponential(v, net, viscous[0], m, h)

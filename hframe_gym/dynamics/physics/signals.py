@@ -69,7 +69,9 @@ class SignalEquations(ParameterizedMachine):
         for j, sensor in enumerate(self.machine.sensors):
             quantity = sensor.quantity
             if motion[quantity] is None:
-                raise ValueError(f"sensor {sensor.channel}: the reading needs the {quantity} of every component")
+                raise ValueError(
+                    f"sensor {sensor.channel}: the reading needs the {quantity} of every component"
+                )
             if quantity == "current":
                 drives = [d.name for d in self.machine.drives]
                 row = {drives.index(key): coefficient for key, coefficient in sensor.row.items()}
@@ -77,7 +79,9 @@ class SignalEquations(ParameterizedMachine):
             else:
                 reading = self._combined(sensor.row, quantity, motion)
             reading = SENSOR_KINDS.get(sensor.kind).signal(reading)
-            across = self.machine.other_axis(sensor.coordinate)  # skew depends on the other carriage's position
+            across = self.machine.other_axis(
+                sensor.coordinate
+            )  # skew depends on the other carriage's position
             quantities = {"across": positions[names.index(across)] if across else 0.0}
             for _, e in self.effects_at("measurement", sensor.channel):
                 reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
@@ -92,7 +96,9 @@ class SignalEquations(ParameterizedMachine):
             factors = [key] if key in names else key.split("*")
             rows.append((sorted(names.index(factor) for factor in factors), coefficient))
         terms, coefficients = [], {}
-        for k, (indices, coefficient) in enumerate(sorted(rows)):  # in an order that is independent of the file's
+        for k, (indices, coefficient) in enumerate(
+            sorted(rows)
+        ):  # in an order that is independent of the file's
             terms.append(_term(indices, quantity, motion))
             coefficients[k] = coefficient
         return combination(coefficients, terms)

@@ -55,7 +55,9 @@ class Expression:
     __slots__ = ("invariant", "operands", "operation", "trace", "variables")
     __array_ufunc__ = None  # NumPy scalars leave mixed operations to this class
 
-    def __init__(self, trace: Recorder, operation: str, operands: tuple[Any, ...], *, invariant: bool) -> None:
+    def __init__(
+        self, trace: Recorder, operation: str, operands: tuple[Any, ...], *, invariant: bool
+    ) -> None:
         self.trace = trace
         self.operation = operation
         self.operands = operands
@@ -189,7 +191,9 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
         return None
     (a, b), (first, second) = numbers, values
     if a is not None and b is not None:
-        return trace.expression({"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else math.inf}[operation])
+        return trace.expression(
+            {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else math.inf}[operation]
+        )
     if operation in ("+", "-"):
         if b == 0.0:
             return first
@@ -246,7 +250,9 @@ class _Writer:
                     visit(value)
             self._count(statement.body, visited)
 
-    def _write(self, statements: Sequence[Statement], computed: dict[Expression, str], depth: int) -> list[str]:
+    def _write(
+        self, statements: Sequence[Statement], computed: dict[Expression, str], depth: int
+    ) -> list[str]:
         """Return the lines of statements; computed: identifiers of values that exist already."""
         margin = "    " * depth
         lines: list[str] = []
@@ -259,7 +265,9 @@ class _Writer:
             if statement.loop:
                 self._before_loop, outside = lines, lines
                 changing = {v.operands[0] for v in _set_in(statement.body)}
-                steady = {v: n for v, n in computed.items() if not changing & {x.operands[0] for x in v.variables}}
+                steady = {
+                    v: n for v, n in computed.items() if not changing & {x.operands[0] for x in v.variables}
+                }
                 inside = self._write(statement.body, steady, depth + 1)
                 self._before_loop = None
                 lines = [*outside, margin + statement.text, *inside]
@@ -277,7 +285,9 @@ class _Writer:
         if value.is_leaf:
             text = str(value.operands[0])
             if value.operation == "variable" and value.operands[1] != self._versions.get(text, 0):
-                raise RuntimeError(f"{text} has changed since an expression used it; name the expression before")
+                raise RuntimeError(
+                    f"{text} has changed since an expression used it; name the expression before"
+                )
             return text, _ATOM if not text.startswith("-") else _BINDING["neg"]
         if value in computed:
             return computed[value], _ATOM
@@ -292,7 +302,9 @@ class _Writer:
             return computed[value], _ATOM
         return self._formula(value, computed, lines, margin)
 
-    def _temporary(self, value: Expression, computed: dict[Expression, str], lines: list[str], margin: str) -> str:
+    def _temporary(
+        self, value: Expression, computed: dict[Expression, str], lines: list[str], margin: str
+    ) -> str:
         """Append a line that computes a value; return its identifier."""
         if value in computed:
             return computed[value]

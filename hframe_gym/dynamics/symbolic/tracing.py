@@ -125,7 +125,9 @@ class Trace:
         self._block.append(Statement(f"{variable.operands[0]} = {{}}", (value,), (variable,)))
         return variable
 
-    def call(self, function: str, *arguments: Any, results: Sequence[tuple[str, int | None]]) -> list[Expression]:
+    def call(
+        self, function: str, *arguments: Any, results: Sequence[tuple[str, int | None]]
+    ) -> list[Expression]:
         """Append a statement to the generated function that calls a function with several return values.
 
         Args:
@@ -136,9 +138,13 @@ class Trace:
         Returns:
             One variable per returned value.
         """
-        variables = [self._unique("variable", (self._identifier(*name), 0), invariant=False) for name in results]
+        variables = [
+            self._unique("variable", (self._identifier(*name), 0), invariant=False) for name in results
+        ]
         values = tuple(map(self.expression, arguments))
-        text = f"{', '.join(v.operands[0] for v in variables)} = {function}({', '.join(['{}'] * len(values))})"
+        text = (
+            f"{', '.join(v.operands[0] for v in variables)} = {function}({', '.join(['{}'] * len(values))})"
+        )
         self._block.append(Statement(text, values, tuple(variables)))
         return variables
 
@@ -224,8 +230,12 @@ def describe_formula_error(error: TypeError) -> str:
     The text is, for example, "drag.py, line 7: must be real number, not Expression; use the functions of
     ..."; without a line if the error was not raised in Python code outside this package.
     """
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if _PACKAGE not in Path(f.filename).parents]
-    in_formula = [f for f in frames if f.filename == frames[0].filename]  # without functions of NumPy that it calls
+    frames = [
+        f for f in traceback.extract_tb(error.__traceback__) if _PACKAGE not in Path(f.filename).parents
+    ]
+    in_formula = [
+        f for f in frames if f.filename == frames[0].filename
+    ]  # without functions of NumPy that it calls
     place = f"{Path(in_formula[-1].filename).name}, line {in_formula[-1].lineno}: " if in_formula else ""
     advise = re.search("|".join(_NUMBERS_ONLY), str(error))
     return f"{place}{error}{'; use the functions of hframe_gym.dynamics.elementwise' if advise else ''}"

@@ -55,7 +55,9 @@ class FormulaEffect:
     def __post_init__(self) -> None:
         """Check the name; a ValueError says that it is no Python identifier in lower case."""
         if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name) or keyword.iskeyword(self.name):
-            raise ValueError(f"effect name {self.name!r}: use lower-case letters, digits and underscores only")
+            raise ValueError(
+                f"effect name {self.name!r}: use lower-case letters, digits and underscores only"
+            )
 
     @property
     def text(self) -> str:
@@ -140,11 +142,15 @@ class FormulaEffect:
                 yield EffectParameter(name, unit, -_LARGE, _LARGE, scale=scale, role="amplitude"), value
             for role, value in zip(term.shapes, shapes, strict=True):
                 yield (
-                    self._shape_parameter(names[role], role, value, dict(zip(term.shapes, shapes, strict=True))),
+                    self._shape_parameter(
+                        names[role], role, value, dict(zip(term.shapes, shapes, strict=True))
+                    ),
                     value,
                 )
 
-    def _shape_parameter(self, name: str, role: str, value: float, shapes: Mapping[str, float]) -> EffectParameter:
+    def _shape_parameter(
+        self, name: str, role: str, value: float, shapes: Mapping[str, float]
+    ) -> EffectParameter:
         """Return the declaration of a shape parameter with starting values for a search."""
         unit = self._shape_unit()
         if role == "period" and self._argument == "q":

@@ -24,18 +24,26 @@ from scipy.optimize import least_squares
 from ...arrays import Array
 from .terms import Term
 
-_FINE_POINTS = 16  # Points between two knots where a formula is compared with the straight pieces of the table.
-_ERROR_FLOOR = 0.02  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
+_FINE_POINTS = (
+    16  # Points between two knots where a formula is compared with the straight pieces of the table.
+)
+_ERROR_FLOOR = (
+    0.02  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
+)
 _ABSORBED = 30.0  # Standard deviation, relative to the curve's, of what other parameters can represent.
 _FOLDS = 4  # Every fourth knot is left out in turn.
 _MAX_TERMS = 3
 _MAX_SINGLES = 6  # First terms that are extended by further ones.
 _POOR = 8.0  # A fit to all knots with this times the smallest error is not validated.
 _HOPELESS = 4.0  # A formula with this times the smallest error of the left-out knots is not proposed.
-_EXPLAINED = 0.5  # Error, in standard deviations, at which nothing is left that further parameters could explain.
+_EXPLAINED = (
+    0.5  # Error, in standard deviations, at which nothing is left that further parameters could explain.
+)
 # Pairs of terms of which one with an offset or another center can be written by the other.
 _REDUNDANT = ({"square", "parabola"}, {"step", "slow step"}, {"decay", "slow decay"}, {"bump", "resonance"})
-_CLEAR_GAIN = 0.85  # A formula with more parameters must reduce the error of the left-out knots to this fraction.
+_CLEAR_GAIN = (
+    0.85  # A formula with more parameters must reduce the error of the left-out knots to this fraction.
+)
 
 
 @dataclass(frozen=True)
@@ -152,7 +160,9 @@ class Formula:
 
     def __call__(self, u: Array) -> Array:
         """Return the force or friction level, N or Nm, at values `u` of the variable, SI, shape (n,) each."""
-        columns = [term.values(u, np.array(shape)) for term, shape in zip(self.terms, self.shapes, strict=True)]
+        columns = [
+            term.values(u, np.array(shape)) for term, shape in zip(self.terms, self.shapes, strict=True)
+        ]
         return np.asarray(np.concatenate(columns, axis=1) @ np.array(self.amplitudes))
 
 
@@ -208,7 +218,9 @@ class _Search:
         self._all = np.ones(len(curve.knots), bool)
         self._whitening = curve.whitening(self._all)
         self._target = self._whitening @ curve.values
-        self._dictionary: list[tuple[Term, tuple[float, ...], Array]] = []  # term, shapes, whitened columns (k, c)
+        self._dictionary: list[
+            tuple[Term, tuple[float, ...], Array]
+        ] = []  # term, shapes, whitened columns (k, c)
         for term in terms:
             for shape in term.grid(low, high):
                 columns = self._columns([term], [shape])
@@ -241,14 +253,18 @@ class _Search:
         terms = tuple(term for term, _ in support)
         amplitudes, shapes = self._solve(terms, [shape for _, shape in support], self._all, self._whitening)
         missing = self._whitening @ self._columns(terms, shapes) @ amplitudes - self._target
-        return float(np.linalg.norm(missing)), Formula(terms, tuple(amplitudes.tolist()), tuple(shapes), math.inf)
+        return float(np.linalg.norm(missing)), Formula(
+            terms, tuple(amplitudes.tolist()), tuple(shapes), math.inf
+        )
 
     def _left(self, columns: Array) -> float:
         """Return the squared error after the best fit of whitened columns."""
         basis, _ = np.linalg.qr(columns)
         return float(self._target @ self._target - np.sum((basis.T @ self._target) ** 2))
 
-    def _extended(self, atom: tuple[Term, tuple[float, ...]]) -> Iterable[list[tuple[Term, tuple[float, ...]]]]:
+    def _extended(
+        self, atom: tuple[Term, tuple[float, ...]]
+    ) -> Iterable[list[tuple[Term, tuple[float, ...]]]]:
         """Yield the supports that orthogonal matching pursuit finds beside a first term."""
         orthogonal_mp = _import_orthogonal_mp()
         term, shape = atom
@@ -272,7 +288,9 @@ class _Search:
     def _columns(self, terms: Sequence[Term], shapes: Sequence[Sequence[float]]) -> Array:
         """Return the ordinates of the tables closest to the columns of some terms, shape (k, columns)."""
         pairs = list(zip(terms, shapes, strict=True))
-        return self._curve.projected(lambda u: np.concatenate([t.values(u, np.array(s)) for t, s in pairs], axis=1))
+        return self._curve.projected(
+            lambda u: np.concatenate([t.values(u, np.array(s)) for t, s in pairs], axis=1)
+        )
 
     def _validated(self, formula: Formula) -> Formula:
         """Return a formula with its error: that of each fold of knots, given the other folds, to which it is fitted.
@@ -292,7 +310,11 @@ class _Search:
         return dataclasses.replace(formula, error=float(np.sqrt(squares / len(self._all))))
 
     def _solve(
-        self, terms: Sequence[Term], start: Sequence[tuple[float, ...]], rows: NDArray[np.bool_], whitening: Array
+        self,
+        terms: Sequence[Term],
+        start: Sequence[tuple[float, ...]],
+        rows: NDArray[np.bool_],
+        whitening: Array,
     ) -> tuple[Array, list[tuple[float, ...]]]:
         """Return amplitudes and shapes of the weighted least-squares fit to some knots."""
         target = whitening @ self._curve.values[rows]
@@ -315,7 +337,9 @@ class _Search:
             return amplitudes_of(start)[0], list(start)
         x0 = np.where(log, np.log(np.where(log, flat, 1.0)), flat / self._span)
         limits = np.array([self._bounds[role] for role in roles])
-        lower, upper = np.where(log[:, None], np.log(np.where(log[:, None], limits, 1.0)), limits / self._span).T
+        lower, upper = np.where(
+            log[:, None], np.log(np.where(log[:, None], limits, 1.0)), limits / self._span
+        ).T
         x0 = np.clip(x0, lower + 1e-9, upper - 1e-9)
         best = least_squares(lambda x: amplitudes_of(shapes_of(x))[1], x0, bounds=(lower, upper), max_nfev=40)
         shapes = shapes_of(best.x)

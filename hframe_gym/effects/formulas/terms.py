@@ -202,7 +202,9 @@ def _periodic(harmonics: int) -> Term:
     """Return a periodic term: sine and cosine of the first harmonics."""
     orders = range(1, harmonics + 1)
     functions = [partial(f, order=order) for order in orders for f in (_sine, _cosine)]
-    expressions = [f"{f}({2 * order} * math.pi * {{u}} / {{period}})" for order in orders for f in ("sin", "cos")]
+    expressions = [
+        f"{f}({2 * order} * math.pi * {{u}} / {{period}})" for order in orders for f in ("sin", "cos")
+    ]
     name = "periodic" if harmonics == 1 else f"periodic with {harmonics} harmonics"
     return Term(name, tuple(functions), tuple(expressions), ("period",), (0,) * (2 * harmonics))
 

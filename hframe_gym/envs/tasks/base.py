@@ -172,7 +172,9 @@ def check_point(label: str, points: Array, workspace: Workspace) -> None:
     fits = points.dtype.kind in "fiu" and points.shape[-1:] == (len(workspace),)
     if not (fits and np.all((points >= workspace[:, 0]) & (points <= workspace[:, 1]))):
         names = ("x", "y")[: len(workspace)]
-        ranges = " and ".join(f"{n} in [{low:g}, {high:g}] m" for n, (low, high) in zip(names, workspace, strict=True))
+        ranges = " and ".join(
+            f"{n} in [{low:g}, {high:g}] m" for n, (low, high) in zip(names, workspace, strict=True)
+        )
         raise InputError(f"{label} must be ({', '.join(names)}{',' * (len(names) == 1)}) with {ranges}")
 
 
@@ -197,7 +199,9 @@ class ReferenceTrajectories:
         self._elapsed_s = np.zeros(count)  # only for goals that move
         self.moving = task.moving or bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
-        self._fixed_goals = np.zeros((count, axes), np.float32)  # goals at reset; all there is if goals do not move
+        self._fixed_goals = np.zeros(
+            (count, axes), np.float32
+        )  # goals at reset; all there is if goals do not move
         self._ahead_s = np.array(task.ahead_s)
 
     @property

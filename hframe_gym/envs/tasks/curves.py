@@ -96,7 +96,9 @@ class Polyline(Curve):
         if distinct.sum() < 2:
             raise ValueError("a path needs at least two different points")
         closed = bool(np.all(vertices[0] == vertices[-1]))
-        super().__init__(CurveData(0.0, closed, np.ascontiguousarray(vertices[distinct]), self.vertex_s[distinct]))
+        super().__init__(
+            CurveData(0.0, closed, np.ascontiguousarray(vertices[distinct]), self.vertex_s[distinct])
+        )
 
 
 @compiled

@@ -136,7 +136,9 @@ class Track(Task):
                 outside; the message then names row and column.
         """
         if len(workspace) != 2:
-            raise InputError("task track needs a machine that moves along x and y; choose the task reach for one axis")
+            raise InputError(
+                "task track needs a machine that moves along x and y; choose the task reach for one axis"
+            )
         if self._is_file:
             self._check_file(workspace)
             return
@@ -147,8 +149,14 @@ class Track(Task):
             )
         if self.centre is not None:
             edges = np.asarray(self.centre, float)[:, None] + 0.5 * self.size * np.array([-1.0, 1.0])
-            if edges.shape != (2, 2) or np.any(edges[:, 0] < workspace[:, 0]) or np.any(edges[:, 1] > workspace[:, 1]):
-                raise InputError(f"task track: centre is {self.centre!r} m; the path would leave the workspace")
+            if (
+                edges.shape != (2, 2)
+                or np.any(edges[:, 0] < workspace[:, 0])
+                or np.any(edges[:, 1] > workspace[:, 1])
+            ):
+                raise InputError(
+                    f"task track: centre is {self.centre!r} m; the path would leave the workspace"
+                )
 
     def _check_file(self, workspace: Array) -> None:
         """Check the points of a path file; raises InputError with row and column of the first one outside."""
@@ -278,7 +286,9 @@ def _goal_arc_length(t: float, plan: Any, lead_s: float, length: float) -> float
 
 
 @compiled
-def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any) -> None:
+def _write_goals(
+    plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any
+) -> None:
     """Write goals (n, 2) at times elapsed_s (n,), and previews (n, m, 2) ahead_s (m,) later, by plans (n, 6)."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
     for i in range(len(plan)):
@@ -293,7 +303,9 @@ def _write_goals(plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: 
 
 
 @compiled
-def _write_contours(plan: Any, points: Any, elapsed_s: Any, lead_s: float, curve: Any, distances: Any) -> None:
+def _write_contours(
+    plan: Any, points: Any, elapsed_s: Any, lead_s: float, curve: Any, distances: Any
+) -> None:
     """Write distances (n,) of points (n, 2) to a curve near the goals at times elapsed_s (n,), by plans (n, 6)."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
     relative, s = np.empty((len(plan), 2)), np.empty(len(plan))

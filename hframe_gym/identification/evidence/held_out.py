@@ -68,7 +68,9 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
             f"nothing moves except in run {eligible[0].name}; a run that moves must be fitted and another one held "
             "out, so record more runs or split this one: hframe import FILE --split-every SECONDS"
         )
-    held_out = tuple(chosen) or tuple(eligible[i].name for i in _representative_runs(spectral_differences(eligible)))
+    held_out = tuple(chosen) or tuple(
+        eligible[i].name for i in _representative_runs(spectral_differences(eligible))
+    )
     if not set(held_out) & {run.name for run in eligible}:
         raise InputError(
             f"--hold-out {', '.join(held_out)}: nothing moves in it, so its error says nothing about the machine; hold "
@@ -96,7 +98,9 @@ def _representative_runs(differences: Array) -> list[int]:
         return float(to_fitted), repeated, abs(run - fourth)
 
     while remaining:
-        group = sorted(remaining, key=lambda run: differences[remaining[0], run])  # stable: equals in order of names
+        group = sorted(
+            remaining, key=lambda run: differences[remaining[0], run]
+        )  # stable: equals in order of names
         if len(group) >= 2 * _GROUP_SIZE:
             group = group[:_GROUP_SIZE]
         held_out.append(min(group, key=unsuitability))
@@ -252,7 +256,8 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
 
     def of_run(run: PreparedRecording) -> tuple[float, float]:
         errors = [
-            prediction_residuals(m, run, validation, bandwidth, longest_step=POLISH_STEP) for m in (machine, without)
+            prediction_residuals(m, run, validation, bandwidth, longest_step=POLISH_STEP)
+            for m in (machine, without)
         ]
         return float(np.sum((errors[1] - errors[0]) ** 2)), float(np.sum(errors[0] ** 2))
 

@@ -190,7 +190,9 @@ def compare_rivals(
             tried[rival.label] = trial.machine.effects[-1]
     untried = {rival.label: rival for rival in rivals if rival not in possible}
     remaining = tried | untried
-    return ComparedRivals(better, tuple(remaining[rival.label] for rival in rivals if rival.label in remaining))
+    return ComparedRivals(
+        better, tuple(remaining[rival.label] for rival in rivals if rival.label in remaining)
+    )
 
 
 def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
@@ -208,4 +210,6 @@ def _polished(fitted: Fit, data: Dataset) -> Fit:
     The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
     """
     fits = [fitted] if fitted.bandwidth == SIMULATION else [fitted, continue_fit(fitted, data, SIMULATION)]
-    return min((polish(start, data) for start in fits), key=lambda candidate: likelihood_loss(candidate, data))
+    return min(
+        (polish(start, data) for start in fits), key=lambda candidate: likelihood_loss(candidate, data)
+    )

@@ -103,7 +103,9 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
     hessian = sum((run.jacobian @ run.jacobian.T for run in runs), prior_precision(fitted.free))
     # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
     directions = np.eye(len(fitted.free))[of_effect]
-    directions[:, others] = -np.linalg.solve(hessian[np.ix_(others, others)], hessian[np.ix_(others, of_effect)]).T
+    directions[:, others] = -np.linalg.solve(
+        hessian[np.ix_(others, others)], hessian[np.ix_(others, of_effect)]
+    ).T
     responses = [directions @ run.jacobian for run in runs]
     inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
     short, long = (block_size(seconds, fitted.machine, data) for seconds in (_NOISE_S, BLOCK_S))
@@ -137,7 +139,9 @@ def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: Sel
         Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to", by
         `judge.effect.doubt_about_candidate`.
     """
-    return judge.doubt_about_candidate(effect_evidence(current, trial, trial.machine.effects[-1], data), criteria)
+    return judge.doubt_about_candidate(
+        effect_evidence(current, trial, trial.machine.effects[-1], data), criteria
+    )
 
 
 def doubt_beside_others(
@@ -202,7 +206,9 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
         limited = free.get(f"{label}.{p.name}") if covered_by_runs(p) else None
         covered = (limited.lower, limited.upper) if limited is not None else None
         limits = tuple({p.lower, p.upper} - {0.0, *p.grid})
-        values.append(ParameterValue(p.name, p.unit, effect.parameters[p.name], limits, covered, p.role == "rate"))
+        values.append(
+            ParameterValue(p.name, p.unit, effect.parameters[p.name], limits, covered, p.role == "rate")
+        )
     return tuple(values)
 
 
@@ -214,7 +220,9 @@ def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
 def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Forces:
     """Return the force of an effect and the force that remains unexplained beside it, N."""
     size, residue = effect_force(with_effect.machine, effect, data), residue_force(with_effect, data)
-    if effect.definition.structure:  # no force at the machine's coordinates: what it takes from the unexplained one
+    if (
+        effect.definition.structure
+    ):  # no force at the machine's coordinates: what it takes from the unexplained one
         size = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
     return Forces(size, residue)
 
@@ -223,7 +231,11 @@ def _additions(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Data
     """Return what an effect adds to each effect of another family that depends on the same variable."""
     machine = with_effect.machine
     for other in machine.effects:
-        if other.definition.family != effect.definition.family and depend_on_same_variable(effect, other, machine):
+        if other.definition.family != effect.definition.family and depend_on_same_variable(
+            effect, other, machine
+        ):
             # The force beyond what the parameters of the machine and of the other effect can represent.
-            fraction = force_difference(without.machine, machine, data) / max(effect_force(machine, other, data), 1e-12)
+            fraction = force_difference(without.machine, machine, data) / max(
+                effect_force(machine, other, data), 1e-12
+            )
             yield Addition(other.label, fraction)

@@ -42,7 +42,9 @@ class SelectedEffect:
         Returns:
             Copy with the updated effect.
         """
-        return dataclasses.replace(self, effect=next(e for e in machine.effects if e.label == self.effect.label))
+        return dataclasses.replace(
+            self, effect=next(e for e in machine.effects if e.label == self.effect.label)
+        )
 
 
 # Fit of a machine with all selected effects, and these effects.

@@ -30,7 +30,9 @@ Array = NDArray[np.float64]
 
 BLOCK_S = 0.5  # s; longer than the correlation of the residual, vibrations included
 _MAX_LEVERAGE = 0.99  # Largest fraction of the information in one block for which its residual is corrected.
-_MAX_DIFFERENCE = 0.01  # Theta; over shorter central differences, the curvature of the exponential is negligible.
+_MAX_DIFFERENCE = (
+    0.01  # Theta; over shorter central differences, the curvature of the exponential is negligible.
+)
 # Standard deviation of the delay between inputs and measurements, in sampling periods. The times of recordings are no
 # more accurate than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
 _DELAY_STD = 0.005
@@ -95,20 +97,28 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     scores = np.concatenate([part.scores for part in parts])  # J^T r of each block, (blocks, k)
     if not (np.isfinite(information).all() and np.isfinite(scores).all()):
         return fitted.machine.replace(uncertainty=None)
-    prior = directions.T @ prior_precision(fitted.free) @ directions  # from here on in multiples of the directions
+    prior = (
+        directions.T @ prior_precision(fitted.free) @ directions
+    )  # from here on in multiples of the directions
     inverse = np.linalg.inv(information.sum(axis=0) + prior)
     eigenvalues, axes = np.linalg.eigh(inverse)
     root = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T  # symmetric square root of `inverse`
     # A fit reduces the residual of a block by the square root of 1 minus the block's fraction of the information.
     leverage, axes = np.linalg.eigh(root @ information @ root)  # (blocks, k), (blocks, k, k)
-    along_axes = np.einsum("bij,bi->bj", axes, scores @ root) / np.sqrt(1.0 - np.clip(leverage, 0.0, _MAX_LEVERAGE))
-    changes = np.einsum("bij,bj->bi", axes, along_axes) @ root  # of the estimate by each block's residual, (blocks, k)
+    along_axes = np.einsum("bij,bi->bj", axes, scores @ root) / np.sqrt(
+        1.0 - np.clip(leverage, 0.0, _MAX_LEVERAGE)
+    )
+    changes = (
+        np.einsum("bij,bj->bi", axes, along_axes) @ root
+    )  # of the estimate by each block's residual, (blocks, k)
     changes = changes @ directions.T * _student_widening(information, directions @ inverse)
     covariance = changes.T @ changes + directions @ inverse @ prior @ inverse @ directions.T
     white = directions @ inverse @ directions.T  # no variance is smaller than that; correlations are kept
     inflation = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
     covariance *= np.outer(inflation, inflation)
-    of_delay = directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)  # per sampling period
+    of_delay = (
+        directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)
+    )  # per sampling period
     delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
     covariance += delay_variance * np.outer(of_delay, of_delay)
     covariance += np.diag(np.where([f.switch for f in fitted.free], np.diag(directions), 0.0) ** 2)
@@ -199,7 +209,12 @@ def _linearize(
     delayed_inputs[1:] -= _DELAY_DIFFERENCE * np.diff(run.inputs, axis=0)
     delayed = dataclasses.replace(run, inputs=delayed_inputs)
     delayed_motion = predict(
-        machine, delayed, fitted.bandwidth, period=data.period, initial_state=start.state, longest_step=POLISH_STEP
+        machine,
+        delayed,
+        fitted.bandwidth,
+        period=data.period,
+        initial_state=start.state,
+        longest_step=POLISH_STEP,
     )
     rows, displaced = np.split(residuals(run, data, motion.readings), [len(thetas)])
     projection = InitialStateProjection.from_displaced(rows[0], displaced)

@@ -149,7 +149,9 @@ def fit(
     return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step)
 
 
-def _descend(model: ResidualModel, theta: Array, iterations: int, tolerance: float) -> tuple[Array, float, Array]:
+def _descend(
+    model: ResidualModel, theta: Array, iterations: int, tolerance: float
+) -> tuple[Array, float, Array]:
     """Reduce the cost by Levenberg-Marquardt steps, with one step of the finite differences.
 
     Args:
@@ -219,11 +221,15 @@ def with_changed_switch(parameter: FreeParameter, j: int, theta: Array) -> Array
         those in which it is smaller, within its limits, shape (2 * changes, k).
     """
     trials = np.tile(theta, (2 * len(SWITCH_CHANGES), 1))
-    trials[:, j] = np.clip(theta[j] + np.concatenate([SWITCH_CHANGES, -SWITCH_CHANGES]), *parameter.theta_limits)
+    trials[:, j] = np.clip(
+        theta[j] + np.concatenate([SWITCH_CHANGES, -SWITCH_CHANGES]), *parameter.theta_limits
+    )
     return trials
 
 
-def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> float:
+def prediction_cost(
+    machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP
+) -> float:
     """Return the cost of a machine: the sum of the squared residuals of its predictions over all runs.
 
     The residuals are measured minus predicted values divided by the standard deviation of the sensors' noise, without
@@ -242,7 +248,9 @@ def prediction_cost(machine: Machine, data: Dataset, bandwidth: float, *, longes
     return total if math.isfinite(total) else math.inf
 
 
-def prediction_costs(machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP) -> Array:
+def prediction_costs(
+    machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP
+) -> Array:
     """Return the cost of a machine on each run; arguments as of `prediction_cost`.
 
     Args:
@@ -259,7 +267,9 @@ def prediction_costs(machine: Machine, data: Dataset, bandwidth: float, *, longe
     def of_run(run: PreparedRecording) -> float:
         with np.errstate(over="ignore"):
             start = starts[run.name]
-            residual = prediction_residuals(machine, run, data, bandwidth, start=start, longest_step=longest_step)
+            residual = prediction_residuals(
+                machine, run, data, bandwidth, start=start, longest_step=longest_step
+            )
             return float(np.sum(residual**2))
 
     return np.array(list(map_runs(of_run, data)))
@@ -283,7 +293,9 @@ def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[floa
 
     def of_run(run: PreparedRecording) -> list[NormalEquations]:
         rows = point.linearize_run(run)
-        parts = zip(np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True)
+        parts = zip(
+            np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True
+        )
         return [NormalEquations.from_rows(*part, count=run.count / pieces) for part in parts]
 
     equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
@@ -297,5 +309,7 @@ def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[floa
         hessian, slope = information + precision, gradient + precision @ fitted.theta
         step = bounded_step(fitted.free, fitted.theta, hessian, slope)
         cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
-        costs.append((cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step)))
+        costs.append(
+            (cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step))
+        )
     return costs

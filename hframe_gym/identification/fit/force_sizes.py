@@ -124,7 +124,9 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
         (torque / pulley radius).
     """
-    bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])  # the narrowest observer measures it where none is needed
+    bandwidth = max(
+        fitted.bandwidth, BANDWIDTHS[-2]
+    )  # the narrowest observer measures it where none is needed
     return _observed_force(fitted.machine, data, bandwidth, lambda run: run.noise)
 
 
@@ -142,7 +144,9 @@ def lacking_force(machine: Machine, data: Dataset) -> float:
     Returns:
         Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges.
     """
-    force = _observed_force(machine, data, SEARCH_BANDWIDTH, lambda run: np.broadcast_to(data.noise, run.noise.shape))
+    force = _observed_force(
+        machine, data, SEARCH_BANDWIDTH, lambda run: np.broadcast_to(data.noise, run.noise.shape)
+    )
     drives = drive_force(machine, data)
     return force / drives if drives > 0.0 and math.isfinite(force) else math.inf
 
@@ -159,7 +163,9 @@ def _observed_force(
     def of_run(run: PreparedRecording) -> tuple[Array, Array]:
         motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
         innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
-        return innovation @ force_gains, np.sqrt((np.isfinite(run.outputs) * noise_of(run) ** 2) @ force_gains**2)
+        return innovation @ force_gains, np.sqrt(
+            (np.isfinite(run.outputs) * noise_of(run) ** 2) @ force_gains**2
+        )
 
     correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
     square = force_size(correction) ** 2 - force_size(noise) ** 2
@@ -193,9 +199,15 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         Janot, Gautier and Brunot (2019), the EMPS benchmark.
     """
     sensors = _least_noisy_sensors(machine, data)
-    if machine.belts or {d.coordinate for d in machine.drives} != set(machine.coordinate_names) or not sensors:
+    if (
+        machine.belts
+        or {d.coordinate for d in machine.drives} != set(machine.coordinate_names)
+        or not sensors
+    ):
         return None
-    scales = np.array([next(iter(machine.sensors[j].row.values())) for j in sensors])  # measurement / position
+    scales = np.array(
+        [next(iter(machine.sensors[j].row.values())) for j in sensors]
+    )  # measurement / position
     noise = data.noise[sensors] / np.abs(scales)
     delays = Equations(machine).measurement_delays()
     sensor_delays = {name: delays[j] for name, j in zip(machine.coordinate_names, sensors, strict=True)}
@@ -208,11 +220,15 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         complete = np.flatnonzero(np.isfinite(measured).all(axis=1))
         if not len(complete) or complete[-1] + 1 - complete[0] < MIN_ROWS:
             continue
-        rows = slice(complete[0], complete[-1] + 1)  # a run that began in motion lacks the measurements before its rest
+        rows = slice(
+            complete[0], complete[-1] + 1
+        )  # a run that began in motion lacks the measurements before its rest
         run = dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows])
         period = float(np.median(np.diff(run.time_s)))
         cutoff = min(0.45 / period, _FORCE_CUTOFF, resolved)  # Hz
-        longest_gap = max(0.505 / cutoff, GAP_PERIODS * period)  # s; 1 % more than 5 ms, because times are rounded
+        longest_gap = max(
+            0.505 / cutoff, GAP_PERIODS * period
+        )  # s; 1 % more than 5 ms, because times are rounded
         measured = bridge_blanks(measured[rows], run.time_s, longest_gap)
         known = np.asarray(np.isfinite(measured).all(axis=1))
         measured = bridge_blanks(measured, run.time_s, np.inf)
@@ -228,7 +244,8 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
             low_pass = signal.butter(4, 2 * cutoff * period, output="sos")
             forces = tuple(signal.sosfiltfilt(low_pass, force, axis=0) for force in forces)
         drive, model = (
-            signal.decimate(force[trim : len(force) - trim], _FORCE_DECIMATION, ftype="fir", axis=0) for force in forces
+            signal.decimate(force[trim : len(force) - trim], _FORCE_DECIMATION, ftype="fir", axis=0)
+            for force in forces
         )
         squared_error += float(np.sum((drive - model)[known] ** 2))
         squared_force += float(np.sum(drive[known] ** 2))
@@ -270,7 +287,11 @@ def _least_noisy_sensors(machine: Machine, data: Dataset) -> list[int]:
 
 
 def _inverse_dynamics(
-    machine: Machine, run: PreparedRecording, position: Array, velocity: Array, sensor_delays: Mapping[str, float]
+    machine: Machine,
+    run: PreparedRecording,
+    position: Array,
+    velocity: Array,
+    sensor_delays: Mapping[str, float],
 ) -> tuple[Array, Array]:
     """Return the forces of the drives and of the model along a measured motion, N or Nm, (n, coordinates) each.
 
@@ -291,7 +312,8 @@ def _inverse_dynamics(
     inertial = mass * np.gradient(np.gradient(position, run.time_s, axis=0), run.time_s, axis=0)
     # Excess force with dry friction at its lower and at its upper limit; both are equal where the machine moves.
     lower, upper = (
-        net_forces(prompt, run.time_s, position, np.where(velocity == 0.0, direction, velocity), voltages) - inertial
+        net_forces(prompt, run.time_s, position, np.where(velocity == 0.0, direction, velocity), voltages)
+        - inertial
         for direction in (_CREEP, -_CREEP)
     )
     return drive, drive - np.maximum(lower, 0.0) - np.minimum(upper, 0.0)
@@ -338,7 +360,9 @@ class TypicalScales:
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
 
-def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]) -> TypicalScales:
+def scales_of_motion(
+    machine: Machine, positions: Array, velocities: Array, inputs: Sequence[Array]
+) -> TypicalScales:
     """Compute typical sizes of forces, speeds, positions, voltages, currents and belt extensions from a motion.
 
     Starting values of effect parameters are multiples of these sizes. The sizes of motions, voltages and currents are
@@ -372,7 +396,11 @@ def scales_of_motion(machine: Machine, positions: Array, velocities: Array, inpu
         drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
         speed, distance = float(top_speed[i]), float(span[i])
         by_coordinate[c.name] = {"force": drive, "speed": speed, "position": distance}
-        by_coordinate[c.name] |= {"viscous": drive / speed, "drag": drive / speed**2, "stiffness": drive / distance}
+        by_coordinate[c.name] |= {
+            "viscous": drive / speed,
+            "drag": drive / speed**2,
+            "stiffness": drive / distance,
+        }
     for d, voltage in zip(machine.drives, np.concatenate(list(inputs)).T, strict=True):
         i = machine.coordinate_names.index(d.coordinate)
         # Ohm's law with the back-EMF of the motor, which turns gear_ratio times as fast as the coordinate.
@@ -400,7 +428,10 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
         Sizes by coordinate, such as "force" (N, Nm), and of belts, such as "m" (m); `scales_of_motion` lists all.
     """
     motions = list(
-        map_runs(lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True), data)
+        map_runs(
+            lambda run: predict(current.machine, run, current.bandwidth, period=data.period, states=True),
+            data,
+        )
     )
     positions = np.concatenate([motion.positions[0] for motion in motions])
     velocities = np.concatenate([motion.velocities[0] for motion in motions])

@@ -52,7 +52,9 @@ _MIN_PREDICTIONS = 10  # recorded rows that show how accurate interpolation is
 _PULSE = 0.1  # V, for the linearization
 _EVALUATIONS = 8  # of the posterior density, at most
 _SHORTER = 0.3  # factor for a step that does not increase the posterior density
-_SMALLEST_DECREASE = 0.01  # of twice the negative logarithm of the posterior density, below which the iterations end
+_SMALLEST_DECREASE = (
+    0.01  # of twice the negative logarithm of the posterior density, below which the iterations end
+)
 _UNCHANGED = 0.05  # change relative to the error of interpolation that is not worth another fit
 
 
@@ -207,15 +209,23 @@ def _posterior(
         return np.inf, np.zeros(len(weights)), prior
     count = max(int(np.count_nonzero(residual)), 1)
     squares = float(residual @ residual)
-    variance = max(1.0, squares / count)  # in units of the sensors' noise; what the machine does not explain is noise
+    variance = max(
+        1.0, squares / count
+    )  # in units of the sensors' noise; what the machine does not explain is noise
     difference = (run.inputs[unknowns.rows] - unknowns.expected).ravel()  # V
     cost = count * math.log(variance) + squares / variance + float(weights @ difference**2)
-    return cost, jacobian.T @ residual / variance + weights * difference, jacobian.T @ jacobian / variance + prior
+    return (
+        cost,
+        jacobian.T @ residual / variance + weights * difference,
+        jacobian.T @ jacobian / variance + prior,
+    )
 
 
 def _short_gaps(dropped: NDArray[np.bool_]) -> tuple[Rows, Rows]:
     """Return the dropped rows in gaps of up to 20 rows, and the length of the gap of each, in rows."""
-    longest = min(_LONGEST_GAP, len(dropped) // 8)  # in a short run, few rows show how accurate interpolation is
+    longest = min(
+        _LONGEST_GAP, len(dropped) // 8
+    )  # in a short run, few rows show how accurate interpolation is
     edges = np.flatnonzero(np.diff(np.concatenate([[False], dropped, [False]])))
     gaps = [(first, end) for first, end in edges.reshape(-1, 2) if end - first <= longest]
     rows = [np.arange(first, end) for first, end in gaps]
@@ -253,7 +263,9 @@ def _interpolated_drive(time_s: Array, recorded: Array, rows: Rows, length: int)
     """
     distance = (length + 2) // 2  # of the middle of a gap from its ends, in rows
     # Rows before and after each row: the nearest that are known, and those at twice their distance.
-    far_before, before, actual, after, far_after = sliding_window_view(recorded, 4 * distance + 1)[:, ::distance].T
+    far_before, before, actual, after, far_after = sliding_window_view(recorded, 4 * distance + 1)[
+        :, ::distance
+    ].T
     mean = 0.5 * (before + after)
     polynomial = (8.0 * mean - far_before - far_after) / 6.0  # of third degree
     errors = np.array([mean - actual, polynomial - actual]) ** 2
@@ -300,7 +312,9 @@ def _linearize(
     per_block = min(mechanical_rows_per_block(data), len(run.time_s))
     blocks, sensors = len(run.time_s) // per_block, run.outputs.shape[1]
     measured = np.isfinite(run.outputs[: blocks * per_block]).reshape(blocks, per_block, sensors).mean(axis=1)
-    scales = 1.0 / np.sqrt(np.where(measured > 0.0, measured, 1.0))  # for unit noise where cells of a block are blank
+    scales = 1.0 / np.sqrt(
+        np.where(measured > 0.0, measured, 1.0)
+    )  # for unit noise where cells of a block are blank
 
     def predicted(inputs: Array) -> Array:
         """Return residuals for several histories of the voltages, shape (histories, blocks, sensors)."""

@@ -29,7 +29,9 @@ from .estimation import Fit, cross_validation, fit, prediction_cost
 
 Array = NDArray[np.float64]
 
-_CONVERGED_COST = 0.02  # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
+_CONVERGED_COST = (
+    0.02  # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
+)
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
@@ -207,7 +209,9 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
     for left_out in folds:
         others = data.with_runs([name for name in names if name not in left_out])
         refitted = continue_fit(fitted, others, fitted.bandwidth)
-        total += prediction_cost(refitted.machine, data.with_runs(left_out), fitted.bandwidth, longest_step=POLISH_STEP)
+        total += prediction_cost(
+            refitted.machine, data.with_runs(left_out), fitted.bandwidth, longest_step=POLISH_STEP
+        )
     return total
 
 

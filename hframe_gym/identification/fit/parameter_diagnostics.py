@@ -71,7 +71,10 @@ class InseparableParameters:
         return {
             "parameters": list(self.names),
             "determined": [
-                {"weights": weights, **dict(zip(("value", "std"), _value_and_std(machine, weights), strict=True))}
+                {
+                    "weights": weights,
+                    **dict(zip(("value", "std"), _value_and_std(machine, weights), strict=True)),
+                }
                 for weights in self.combinations
             ],
         }
@@ -139,7 +142,9 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
         # Each parameter of the group that is no pivot gives one sum that the directions leave unchanged.
         if len(members) > 1:
             combinations = tuple(
-                _determined_sum(free, members, rows, pivots, np.where(member, directions, 0.0), prior_std, names)
+                _determined_sum(
+                    free, members, rows, pivots, np.where(member, directions, 0.0), prior_std, names
+                )
                 for free in members.tolist()
                 if free not in pivots
             )
@@ -190,7 +195,9 @@ def _determined_sum(
         Weight by name, in the order of the parameters; the first is 1.
     """
     weights = {free: 1.0 / unit[free]}
-    weights |= {pivots[row]: -directions[row, free] / unit[pivots[row]] for row in rows if directions[row, free]}
+    weights |= {
+        pivots[row]: -directions[row, free] / unit[pivots[row]] for row in rows if directions[row, free]
+    }
     ordered = {i: weights[i] for i in members.tolist() if i in weights}
     first = next(iter(ordered.values()))
     return {names[i]: float(weight / first) for i, weight in ordered.items()}

@@ -103,14 +103,20 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
     start, offsets = starts[int(np.argmin(costs))]
     cost = prediction_cost(start, equal, SIMULATION)
     free = wide_parameters(start)
-    best = Fit(start, free, np.zeros(len(free)), cost, equal.count, SIMULATION, np.zeros((len(free), len(free))))
+    best = Fit(
+        start, free, np.zeros(len(free)), cost, equal.count, SIMULATION, np.zeros((len(free), len(free)))
+    )
     if machine.belts:
         return PlainFit(start, best)
     best = min((best, *_output_error_fits(start, free, equal)), key=_finite_cost)
     present = {e.label for e in machine.effects}
     for effect in (e for e in _terms(start, offsets) if e.label not in present):
         terms = _term_parameters(effect, machine)
-        trials = [fit(best.machine.with_effects(effect), (*wide_parameters(best.machine), *terms), equal, SIMULATION)]
+        trials = [
+            fit(
+                best.machine.with_effects(effect), (*wide_parameters(best.machine), *terms), equal, SIMULATION
+            )
+        ]
         if not effect.definition.delay and best.machine.effects == start.effects:
             # Without the term, friction took its place, so that the way back from the best fit may be barred.
             trials += _output_error_fits(start.with_effects(effect), (*free, *terms), equal)
@@ -140,7 +146,9 @@ def _excerpt(data: Dataset) -> Dataset:
 def _output_error_fits(machine: Machine, free: Sequence[FreeParameter], data: Dataset) -> list[Fit]:
     """Fit in simulation from a machine, and from where an observer leads: a simulation has more local minima."""
     guided = fit(machine, free, data, _GUIDING_BANDWIDTH)
-    return [fit(machine, free, data, SIMULATION, theta=theta) for theta in (np.zeros(len(free)), guided.theta)]
+    return [
+        fit(machine, free, data, SIMULATION, theta=theta) for theta in (np.zeros(len(free)), guided.theta)
+    ]
 
 
 def _finite_cost(fitted: Fit) -> float:
@@ -313,8 +321,12 @@ def _with_coefficients(machine: Machine, R: Array, found: Mapping[int, tuple[flo
     damping = np.array([c.viscous for c in machine.coordinates]) + back_emf
     motions, inertias, dampings, frictions = R[list(found)], *np.array(list(found.values())).T
     masses = mass * _ratios(motions**2 * mass, inertias)
-    of_damping = _ratios(motions**2 * damping, dampings / np.maximum(motions**2 @ damping, np.finfo(float).tiny))
-    of_friction = _ratios(np.abs(motions) * dry, frictions / np.maximum(np.abs(motions) @ dry, np.finfo(float).tiny))
+    of_damping = _ratios(
+        motions**2 * damping, dampings / np.maximum(motions**2 @ damping, np.finfo(float).tiny)
+    )
+    of_friction = _ratios(
+        np.abs(motions) * dry, frictions / np.maximum(np.abs(motions) @ dry, np.finfo(float).tiny)
+    )
     values: dict[str, float] = {}
     for i, (name, c) in enumerate(zip(names, machine.coordinates, strict=True)):
         values |= {
@@ -330,7 +342,9 @@ def _with_coefficients(machine: Machine, R: Array, found: Mapping[int, tuple[flo
             values[f"{names[leading]}.coulomb"] = float(friction)
     for drive in machine.drives:
         values[f"{drive.name}.Ke"] = float(drive.Ke * of_damping[names.index(drive.coordinate)])
-    return machine.replace({n: v for n, v in values.items() if n in machine.parameters and n not in machine.ties})
+    return machine.replace(
+        {n: v for n, v in values.items() if n in machine.parameters and n not in machine.ties}
+    )
 
 
 def _ratios(shares: Array, ratios: Array) -> Array:

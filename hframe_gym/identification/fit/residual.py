@@ -91,7 +91,9 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
         Errors, m or rad, NaN where not measured, shape (n, sensors).
     """
     start = most_probable_initial_state(machine, run, data)
-    motion = predict(machine, run, SIMULATION, period=data.period, initial_state=start, longest_step=POLISH_STEP)
+    motion = predict(
+        machine, run, SIMULATION, period=data.period, initial_state=start, longest_step=POLISH_STEP
+    )
     error = prediction_error(run, data, motion.readings)[0]
     return np.where(np.isfinite(run.outputs), error, np.nan)
 
@@ -129,7 +131,9 @@ def errors_by_channel(
         channel without measurements.
     """
     error = np.concatenate(by_run)
-    motions = np.concatenate([_motion(*run) for run in zip(measured, by_run, strict=True)]) if measured else None
+    motions = (
+        np.concatenate([_motion(*run) for run in zip(measured, by_run, strict=True)]) if measured else None
+    )
     errors = {}
     for j, channel in enumerate(machine.output_channels):
         column = error[:, j][np.isfinite(error[:, j])]
@@ -156,7 +160,9 @@ def _innovations(
 ) -> Array:
     """Return measured minus predicted values, 0 where not measured, and their change by noise, (1 or 2, n, sensors)."""
     added = None if noise is None else np.stack([np.zeros_like(noise), -noise])
-    motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, extra_measurement=added)
+    motion = predict(
+        machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, extra_measurement=added
+    )
     innovation = _innovation(motion.readings, machine, run, start)
     innovation[1:] -= innovation[:1]
     return innovation
@@ -290,13 +296,17 @@ def sensor_combinations(machine: Machine, data: Dataset) -> Array:
     return combinations
 
 
-def _synthetic_noise(machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator) -> Array:
+def _synthetic_noise(
+    machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator
+) -> Array:
     """Return noise of the measurements of a run, m or rad, shape (n, sensors); quantized sensors round the motion."""
     noise = rng.normal(size=run.outputs.shape) * np.sqrt(np.maximum(run.noise**2 - data.quantum**2 / 12, 0.0))
     exact = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
     for j in np.flatnonzero(data.quantum > 0.0):
         offset, quantum = rng.random(), data.quantum[j]
-        noise[:, j] = (np.round((exact[:, j] + noise[:, j]) / quantum + offset) - offset) * quantum - exact[:, j]
+        noise[:, j] = (np.round((exact[:, j] + noise[:, j]) / quantum + offset) - offset) * quantum - exact[
+            :, j
+        ]
         noise[:, j] -= noise[: max(run.initial.resting_rows, 1), j].mean()  # as the zero of the sensor does
     return noise
 
@@ -332,20 +342,26 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
     pulleys = [names.index(name) for name in pulley_names(machine)] if machine.belts and motions else []
     leading = [names.index(name) for name in motions]
     leading += [i for i in range(len(names)) if i not in leading and i not in pulleys]
-    modes = np.vstack([*motions.values(), *np.eye(len(names))[leading[len(motions) :]]])  # (motions, coordinates)
+    modes = np.vstack(
+        [*motions.values(), *np.eye(len(names))[leading[len(motions) :]]]
+    )  # (motions, coordinates)
     distribution = np.eye(len(names))[leading]
     if pulleys:
         distribution[:, pulleys] = np.linalg.pinv(modes[:, pulleys].T)
     mass, damping = np.array([(c.mass, c.viscous) for c in machine.coordinates], float).T
     for drive in machine.drives:
         damping[names.index(drive.coordinate)] += drive.gain * drive.emf_constant
-    position_gains, velocity_gains = np.split(observer_gains(machine, period) / period, 2)  # (coordinates, sensors)
+    position_gains, velocity_gains = np.split(
+        observer_gains(machine, period) / period, 2
+    )  # (coordinates, sensors)
     measured = machine.sensor_matrix @ modes.T  # (sensors, motions)
     motion_gains = ((modes * mass) @ velocity_gains + (modes * damping) @ position_gains).T
     stiffness = np.sum(motion_gains * measured, axis=0)  # D l1 + M l2
     resistance = np.sum(((modes * mass) @ position_gains).T * measured, axis=0) + modes**2 @ damping
     first, second = (
-        np.divide(values, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0)  # 0 where nothing is measured
+        np.divide(
+            values, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0
+        )  # 0 where nothing is measured
         for values in (resistance, modes**2 @ mass)
     )
     return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, modes, distribution)
@@ -531,7 +547,9 @@ def white_sensors(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
             if not np.isfinite(values).all():
                 squares[j] = np.inf
             elif len(values) >= rows:
-                means, weights = (v[: len(v) // rows * rows].reshape(-1, rows).mean(axis=1) for v in (values, weights))
+                means, weights = (
+                    v[: len(v) // rows * rows].reshape(-1, rows).mean(axis=1) for v in (values, weights)
+                )
                 squares[j] += np.sum(weights * (means - np.average(means, weights=weights)) ** 2)
                 count[j] += weights.sum()
     return np.asarray(np.sqrt(squares / np.where(count > 0.0, count, 1.0)) <= _WHITE * data.noise)

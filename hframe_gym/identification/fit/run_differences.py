@@ -126,7 +126,9 @@ class RunDifferences(NamedTuple):
         chi2 = f"chi-squared per sample {self.chi2:.3g} instead of {self.chi2_before:.3g}"
         if not self.differs:
             amount = self.shared + float(np.mean(list(self.amounts.values())))
-            change = self.quantity.describe(amount) + ("" if self.quantity.additions else " times the fitted value")
+            change = self.quantity.describe(amount) + (
+                "" if self.quantity.additions else " times the fitted value"
+            )
             return (
                 f"One machine explains all runs with another value of {self.quantity.name} than the fit permits, the "
                 f"same in every run: {change} ({chi2}). That is no difference between runs but a common factor, such "
@@ -135,14 +137,20 @@ class RunDifferences(NamedTuple):
             )
         run = self.different_run
         if run is not None:
-            amount = self.amounts[run] - float(np.mean([a for name, a in self.amounts.items() if name != run]))
-            change = self.quantity.describe(amount) + ("" if self.quantity.additions else " times that of the others")
+            amount = self.amounts[run] - float(
+                np.mean([a for name, a in self.amounts.items() if name != run])
+            )
+            change = self.quantity.describe(amount) + (
+                "" if self.quantity.additions else " times that of the others"
+            )
             return (
                 f"{run} differs from the other runs in {self.quantity.name}: {change}. With this, one machine explains "
                 f"all runs ({chi2})."
             )
         runs = ", ".join(f"{run} {self.quantity.describe(amount)}" for run, amount in self.amounts.items())
-        kind = "Difference from the lightest run" if self.quantity.additions else "Ratio to the smallest value"
+        kind = (
+            "Difference from the lightest run" if self.quantity.additions else "Ratio to the smallest value"
+        )
         return (
             f"The runs differ: one machine explains all of them if {self.quantity.name} has a value of its own in each "
             f"run ({chi2}). {kind}: {runs}. Keep it constant while you record, or identify runs with the same value by "
@@ -200,7 +208,9 @@ def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> li
     start = model.linearize(model.start, Quantity("nothing"))
     if not math.isfinite(start.cost):
         return []
-    promising = sorted(_quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity))
+    promising = sorted(
+        _quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity)
+    )
     found: list[RunDifferences] = []
     for quantity in promising[:_CANDIDATES]:
         cost, amounts = model.fit(quantity)
@@ -282,11 +292,15 @@ class _ModelByRun:
         machine, n = fitted.machine, len(data.runs)
         not_fixed = {*(f.name for f in fitted.free), *machine.ties}
         gains = {f"{d.name}.Kt": d.Kt for d in machine.drives}
-        self._fixed = tuple(FreeParameter(name, Kt, 1.0) for name, Kt in gains.items() if name not in not_fixed)
+        self._fixed = tuple(
+            FreeParameter(name, Kt, 1.0) for name, Kt in gains.items() if name not in not_fixed
+        )
         self.free = (*fitted.free, *self._fixed)
         self.start = np.concatenate([fitted.theta, np.zeros(n)])
         self._k, self._count = len(fitted.free), data.count
-        self._models = [ResidualModel(machine, self.free, run, SEARCH_BANDWIDTH) for run in data.single_runs()]
+        self._models = [
+            ResidualModel(machine, self.free, run, SEARCH_BANDWIDTH) for run in data.single_runs()
+        ]
         self._precision = np.diag(np.full(self._k + n, _AMOUNT_PRIOR**-2))
         self._precision[: self._k, : self._k] = prior_precision(fitted.free)
         low, high = np.array([f.theta_limits for f in fitted.free]).T

@@ -98,7 +98,9 @@ def _loss(fitted: Fit, data: Dataset, observers: Observers) -> float:
     bandwidths = np.array(_bandwidths(observers))
     total = float(fitted.theta @ prior_precision(fitted.free) @ fitted.theta)
     for bandwidth in np.unique(bandwidths):
-        of_bandwidth = data.with_runs([r.name for r, b in zip(data.runs, bandwidths, strict=True) if b == bandwidth])
+        of_bandwidth = data.with_runs(
+            [r.name for r, b in zip(data.runs, bandwidths, strict=True) if b == bandwidth]
+        )
         costs = prediction_costs(fitted.machine, of_bandwidth, float(bandwidth), longest_step=POLISH_STEP)
         variances = _variances(fitted, of_bandwidth, float(bandwidth))
         total += float(_losses(costs, counts[bandwidths == bandwidth], variances)[0].sum())

@@ -239,7 +239,11 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     forces, drives = evidence.forces(), evidence.drives()
     if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.structural:
         return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"
-    if criteria.min_promised_force_ratio * forces.residue <= forces.effect < criteria.min_force_ratio * forces.residue:
+    if (
+        criteria.min_promised_force_ratio * forces.residue
+        <= forces.effect
+        < criteria.min_force_ratio * forces.residue
+    ):
         forces = evidence.forces_accurate()  # in doubt
     if forces.effect >= criteria.min_force_ratio * forces.residue:
         return ""

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from .criteria import SelectionCriteria
 
-Measured = Callable[[], float]  # a number that takes seconds to compute; called only if a decision depends on it
+Measured = Callable[
+    [], float
+]  # a number that takes seconds to compute; called only if a decision depends on it
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,9 @@ def is_enough(without: FitError, with_effect: FitError, enough: float) -> bool:
     return not without.cost - with_effect.cost < enough * without.count
 
 
-def explains(error: FitError, initial_chi2: float, criteria: SelectionCriteria, *, without_effects: bool) -> bool:
+def explains(
+    error: FitError, initial_chi2: float, criteria: SelectionCriteria, *, without_effects: bool
+) -> bool:
     """Return whether a machine explains the data: it leaves only noise, or a negligible part of the initial error.
 
     A machine without effects that needs a wide observer explains nothing, although the observer leaves no error: the

@@ -79,7 +79,9 @@ class HeldOutEffect:
     excited: bool
 
 
-def refuted_effects(effects: Mapping[str, HeldOutEffect], worsens: Callable[[], bool]) -> tuple[tuple[str, ...], str]:
+def refuted_effects(
+    effects: Mapping[str, HeldOutEffect], worsens: Callable[[], bool]
+) -> tuple[tuple[str, ...], str]:
     """Return the effects that the held-out runs refute.
 
     These runs never add or change an effect. One that they do not excite is kept: the fitted runs have confirmed it. If

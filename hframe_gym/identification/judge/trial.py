@@ -129,7 +129,9 @@ def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria
     return left > criteria.structural_remainder and excess > criteria.min_structural_excess
 
 
-def is_worth_convergence(error: FitError, trial: FitError, enough: float, criteria: SelectionCriteria) -> bool:
+def is_worth_convergence(
+    error: FitError, trial: FitError, enough: float, criteria: SelectionCriteria
+) -> bool:
     """Return whether the fit of a trial is continued: its first iterations reach a part of the required gain.
 
     Args:

@@ -51,7 +51,11 @@ class Evidence:
     @property
     def in_words(self) -> str:
         """The error that is left, in numbers."""
-        force = f" and {100 * self.lacking:.2g} % of the drives' force are" if math.isfinite(self.lacking) else " is"
+        force = (
+            f" and {100 * self.lacking:.2g} % of the drives' force are"
+            if math.isfinite(self.lacking)
+            else " is"
+        )
         if not math.isfinite(self.left):
             return "the simulation of the held-out runs diverges"
         return f"{self.left:.3g} times the noise of the sensors{force} left on the held-out runs"
@@ -162,7 +166,9 @@ def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> boo
     return wide < limit * wide_before or error < limit * error_before
 
 
-def verdict_of_effects(any_effect: bool, drift: str, explained: Callable[[], bool]) -> tuple[Verdict, str] | None:
+def verdict_of_effects(
+    any_effect: bool, drift: str, explained: Callable[[], bool]
+) -> tuple[Verdict, str] | None:
     """Return the verdict on effects of the library if a table cannot change it, and why its effects are not used.
 
     Args:

@@ -302,7 +302,10 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     free += [FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR) for drive in machine.drives[1:]]
     sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
     resistances = [drive for drive in machine.drives if drive.name in sensed]
-    free += [FreeParameter(f"{drive.name}.resistance", drive.resistance, prior=_MOTOR_PRIOR) for drive in resistances]
+    free += [
+        FreeParameter(f"{drive.name}.resistance", drive.resistance, prior=_MOTOR_PRIOR)
+        for drive in resistances
+    ]
     free += [_damping(f"{drive.name}.Ke", drive.Ke, _MOTOR_PRIOR) for drive in machine.drives if drive.Ke > 0]
     if effects:
         free += _declared_effect_parameters(machine)
@@ -352,5 +355,7 @@ def _declared_effect_parameters(machine: Machine) -> list[FreeParameter]:
             if p.lower < 0.0:  # the sign is free: linear, not logarithmic
                 scale = 1.0 if p.role == "phase" else abs(value)
             name = f"{effect.label}.{p.name}"
-            free.append(FreeParameter(name, value, prior=_EFFECT_PRIOR, scale=scale, lower=p.lower, upper=p.upper))
+            free.append(
+                FreeParameter(name, value, prior=_EFFECT_PRIOR, scale=scale, lower=p.lower, upper=p.upper)
+            )
     return free

@@ -192,11 +192,15 @@ class ResidualModel:
 
         def of_run(run: PreparedRecording) -> tuple[NormalEquations, InitialStateProjection | None]:
             rows = point.linearize_run(run, responses)
-            equations = NormalEquations.from_rows(rows.jacobian, rows.residual, rows.responses, count=run.count)
+            equations = NormalEquations.from_rows(
+                rows.jacobian, rows.residual, rows.responses, count=run.count
+            )
             return equations, rows.projection
 
         parts = list(map_runs(of_run, self.data))
-        projections = {run.name: projection for run, (_, projection) in zip(self.data.runs, parts, strict=True)}
+        projections = {
+            run.name: projection for run, (_, projection) in zip(self.data.runs, parts, strict=True)
+        }
         return Linearization(point, tuple(equations for equations, _ in parts), projections)
 
     @property

@@ -93,7 +93,11 @@ class NormalEquations:
     @property
     def finite(self) -> bool:
         """Whether cost, J^T r and J^T J are finite; if not, a simulation at or near the expansion point diverges."""
-        return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all())
+        return bool(
+            np.isfinite(self.cost)
+            and np.isfinite(self.gradient).all()
+            and np.isfinite(self.information).all()
+        )
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
         """Eliminate the k parameters theta (Schur complement), so that only the amounts a remain unknown.

@@ -36,7 +36,9 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 
 # Bandwidth of lasers relative to that of encoders beside them, whose noise is smaller.
 _LASER_BANDWIDTH_RATIO = 25.0 / 60.0
-_SPEED_RATIO = 0.5  # a sensor of a speed corrects by 2 * bandwidth like one of a position, and has one pole there
+_SPEED_RATIO = (
+    0.5  # a sensor of a speed corrects by 2 * bandwidth like one of a position, and has one pole there
+)
 LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 
@@ -82,7 +84,9 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
         if sensor.of_position:
             ratios.append(1.0 if sensor.incremental else laser)
         else:
-            ratios.append(_SPEED_RATIO if sensor.kind == "speed" and sensor.coordinate not in located else 0.0)
+            ratios.append(
+                _SPEED_RATIO if sensor.kind == "speed" and sensor.coordinate not in located else 0.0
+            )
     return np.asarray(bandwidth * np.array(ratios))
 
 
@@ -175,7 +179,9 @@ def predict(
         states=states,
         parallel=False,
     )
-    return motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
+    return (
+        motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
+    )
 
 
 def measurements_from(start: Array, machine: Machine, run: PreparedRecording) -> Array:
@@ -193,7 +199,9 @@ def measurements_from(start: Array, machine: Machine, run: PreparedRecording) ->
         Measurements, m or rad, shape (n, sensors).
     """
     measured_start = run.initial.position
-    displacement = machine.sensor_matrix[:, : len(measured_start)] @ (start[: len(measured_start)] - measured_start)
+    displacement = machine.sensor_matrix[:, : len(measured_start)] @ (
+        start[: len(measured_start)] - measured_start
+    )
     return run.outputs + np.where([sensor.incremental for sensor in machine.sensors], displacement, 0.0)
 
 
@@ -228,7 +236,9 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
     return max(1, round(seconds / data.period)) * len(machine.sensors)
 
 
-def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False) -> Array:
+def prediction_error(
+    run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False
+) -> Array:
     """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
     A zero is the measurement at position 0. For encoders behind belts, the constant error is the mean error over the
@@ -262,7 +272,12 @@ def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array,
 
 
 def residuals(
-    run: PreparedRecording, data: Dataset, measurements: Array, rows_per_block: int = 1, *, fitted: bool = True
+    run: PreparedRecording,
+    data: Dataset,
+    measurements: Array,
+    rows_per_block: int = 1,
+    *,
+    fitted: bool = True,
 ) -> Array:
     """Return measured minus predicted values, divided by the standard deviations of the measurements' noise.
 
@@ -282,7 +297,9 @@ def residuals(
         zero where a value was not measured.
     """
     scales = np.sqrt(run.weights if fitted else run.weights > 0.0) / run.noise
-    with np.errstate(over="ignore", invalid="ignore"):  # parameters that make a machine diverge cost infinitely much
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # parameters that make a machine diverge cost infinitely much
         error = prediction_error(run, data, measurements, fitted=fitted) * scales
     batch, rows, sensors = error.shape
     if rows_per_block > 1:

@@ -152,7 +152,9 @@ def effect_state_spreads(machine: Machine) -> Array:
         effect, i = equations.instances[k].effect, equations.instances[k].coordinate
         level = machine.coordinates[i].coulomb if i >= 0 else 0.0
         known = effect.definition.initial_spread is None
-        spreads.append(0.0 if known else float(equations.evaluate(effect, "initial_spread", {"level": level})))
+        spreads.append(
+            0.0 if known else float(equations.evaluate(effect, "initial_spread", {"level": level}))
+        )
     return np.array(spreads)
 
 
@@ -215,7 +217,9 @@ class InitialStateProjection:
         return residual - (residual @ self.directions) * self.weights @ self.directions.T
 
 
-def projected(residuals_of_predictions: Array, displacements: int) -> tuple[Array, InitialStateProjection | None]:
+def projected(
+    residuals_of_predictions: Array, displacements: int
+) -> tuple[Array, InitialStateProjection | None]:
     """Remove from residuals what an uncertain initial state explains.
 
     Args:
@@ -272,7 +276,9 @@ def predict_with_displaced_starts(
         period=period,
         parameters=rows,
         initial_state=initial_states,
-        extra_measurement=_displaced_zeros(machine, run, initial_states) if run.bandwidth(bandwidth) else None,
+        extra_measurement=_displaced_zeros(machine, run, initial_states)
+        if run.bandwidth(bandwidth)
+        else None,
         longest_step=longest_step,
         states=states,
     )

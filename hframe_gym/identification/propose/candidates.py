@@ -26,7 +26,9 @@ from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_pe
 
 Array = NDArray[np.float64]
 _MAX_SHAPES = 64  # Sets of starting values per effect and site.
-_END_FRACTION = 0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
+_END_FRACTION = (
+    0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
+)
 
 _LEAST_PERIOD_PRIOR = 0.1  # relative
 _ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels
@@ -136,7 +138,9 @@ def candidates(
         if effect.replaces_model_part or effect.refitted:
             continue
         for site in effect_sites(effect, machine):
-            if f"{effect.name}@{site}" in present or (effect.requires and f"{effect.requires}@{site}" not in present):
+            if f"{effect.name}@{site}" in present or (
+                effect.requires and f"{effect.requires}@{site}" not in present
+            ):
                 continue
             at_site = _scales_at(effect, site, machine, scales)
             for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
@@ -160,7 +164,9 @@ def is_required(machine: Machine, label: str) -> bool:
 def _scales_at(effect: Effect, site: str, machine: Machine, scales: TypicalScales) -> Mapping[str, float]:
     """Return the typical sizes at a site; an effect on all drives together takes those of the first drive."""
     shared = site not in [d.name for d in machine.drives] and site == "drives"
-    return scales.of(machine.coordinate_of_site(machine.drives[0].name if shared else site, effect.site) or "")
+    return scales.of(
+        machine.coordinate_of_site(machine.drives[0].name if shared else site, effect.site) or ""
+    )
 
 
 def _columns(
@@ -236,7 +242,9 @@ def covered_by_runs(parameter: EffectParameter) -> bool:
     Returns:
         True for periods and rates, speed scales, and time constants of changes over the session.
     """
-    return parameter.role in ("period", "rate") or (parameter.role == "shape" and parameter.unit in ("speed", "s"))
+    return parameter.role in ("period", "rate") or (
+        parameter.role == "shape" and parameter.unit in ("speed", "s")
+    )
 
 
 def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[float, float]:
@@ -260,7 +268,9 @@ def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[f
     return -np.inf, scales.get(key, np.inf)
 
 
-def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalScales) -> tuple[FreeParameter, ...]:
+def effect_parameters(
+    effect: AppliedEffect, machine: Machine, scales: TypicalScales
+) -> tuple[FreeParameter, ...]:
     """List the parameters of an effect that a fit changes (free parameters), with their priors and bounds.
 
     The optimizer changes one dimensionless variable theta per parameter. With the starting value and the typical size
@@ -288,11 +298,15 @@ def effect_parameters(effect: AppliedEffect, machine: Machine, scales: TypicalSc
         lower, upper = _bounds(p, value, at_site)
         if effect.definition.family == TABLE_FAMILY:
             # Centered at zero, because the prior of a smooth curve (`along`) penalizes differences of the ordinates.
-            free.append(FreeParameter(name, 0.0, prior=10.0, scale=size, lower=lower, upper=upper, along=effect.label))
+            free.append(
+                FreeParameter(name, 0.0, prior=10.0, scale=size, lower=lower, upper=upper, along=effect.label)
+            )
         elif p.amplitude or p.role == "phase":
             free.append(FreeParameter(name, value, prior=10.0, scale=size, lower=lower, upper=upper))
         elif p.role in ("rate", "period"):
-            free.append(FreeParameter(name, value, prior=_period_prior(p, value, at_site), lower=lower, upper=upper))
+            free.append(
+                FreeParameter(name, value, prior=_period_prior(p, value, at_site), lower=lower, upper=upper)
+            )
         elif p.lower < 0.0 or value == 0.0:
             free.append(FreeParameter(name, value, prior=3.0, scale=size, lower=lower, upper=upper))
         else:

@@ -41,7 +41,9 @@ from ..predict.free_parameters import typical_force
 
 Array = NDArray[np.float64]
 _MOST_ROWS = 10_000  # that are compared; of longer recordings fewer per second
-_ROUNDING_FORCE = 1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
+_ROUNDING_FORCE = (
+    1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
+)
 _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
 _DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
 _PIECES = 6  # fewer runs are divided into at least that many pieces, each of which is left out once
@@ -54,7 +56,10 @@ _RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no f
 _RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
 _HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
 _SLOW_MOTION = 0.2  # fraction of the rows of a motion that are slower
-_PERIODS, _MOST_PERIODS = 2.0, 200.0  # of a periodic cause in the travel, at least; the most, in multiples of that
+_PERIODS, _MOST_PERIODS = (
+    2.0,
+    200.0,
+)  # of a periodic cause in the travel, at least; the most, in multiples of that
 _SCREENED_ROWS = 1500  # among which the period is searched for
 _RESONANCES_HZ = np.geomspace(1.0, 25.0, 30)
 _DAMPING = 0.03  # of a resonance: rubber and steel have 0.01 to 0.1
@@ -181,7 +186,8 @@ class _Evidence:
         self.signals, self._filters = signals, filters
         self._directions, self._pieces = directions / scale[:, None], signals.pieces()
         self._bases = [
-            _orthonormal(np.hstack([self._compared(channel, absorbed), constants])) for channel in range(len(scale))
+            _orthonormal(np.hstack([self._compared(channel, absorbed), constants]))
+            for channel in range(len(scale))
         ]
         self._values = self._without_absorbed(values / scale)
         self._prompt = self._without_absorbed(prompt / scale)
@@ -234,7 +240,9 @@ class _Evidence:
         for first, last in zip(self._pieces, [*self._pieces[1:], len(self._values)], strict=True):
             rows = slice(first, last)
             squares.append(np.sum([d[rows].T @ d[rows] for d in designs], axis=0))
-            products.append(np.sum([d[rows].T @ self._values[rows, c] for c, d in enumerate(designs)], axis=0))
+            products.append(
+                np.sum([d[rows].T @ self._values[rows, c] for c, d in enumerate(designs)], axis=0)
+            )
         all_squares, all_products = np.sum(squares, axis=0), np.sum(products, axis=0)
         of_noise = np.sum([d.T @ self._noise[:, c] for c, d in enumerate(designs)], axis=0)
         best, certain, fraction = 0.0, 0.0, 0.0
@@ -428,14 +436,18 @@ def _clock(machine: Machine, signals: _Signals, acting: list[int]) -> _Cause:
     parts = []
     for i in acting:
         coordinate = machine.coordinates[i]
-        damping = coordinate.viscous + sum(d.gain * d.emf_constant for d in machine.drives if d.coordinate == names[i])
+        damping = coordinate.viscous + sum(
+            d.gain * d.emf_constant for d in machine.drives if d.coordinate == names[i]
+        )
         force = 2.0 * coordinate.mass * signals[f"acceleration of {names[i]}"]
         force += damping * signals[f"velocity of {names[i]}"]
         parts.append((i, force[:, None] * np.hstack([middle, middle**2])))
     return _Cause("clock", "time in the run", names[acting[0]], tuple(parts))
 
 
-def _causes_of_disagreement(machine: Machine, evidence: _Evidence, deviating: NDArray[np.bool_]) -> Iterator[_Cause]:
+def _causes_of_disagreement(
+    machine: Machine, evidence: _Evidence, deviating: NDArray[np.bool_]
+) -> Iterator[_Cause]:
     """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts."""
     signals = evidence.signals
     by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors) if sensor.of_position}
@@ -466,7 +478,9 @@ def _causes_of_disagreement(machine: Machine, evidence: _Evidence, deviating: ND
     if len(loads) > 1 and len({columns.shape for _, columns in loads}) == 1:
         yield _Cause("drives", "load of drives", machine.drives[0].coordinate, tuple(loads))
     if machine.belts and machine.drives:
-        lagged = np.hstack([signals.filtered(f"load of {drive.name}", _Lags(signals)) for drive in machine.drives])
+        lagged = np.hstack(
+            [signals.filtered(f"load of {drive.name}", _Lags(signals)) for drive in machine.drives]
+        )
         name = machine.drives[0].coordinate
         yield _Cause("belts", "tension rate of belts", name, ((None, lagged),))
 
@@ -547,7 +561,12 @@ def _resonance(evidence: _Evidence, index: int, acceleration: str) -> Columns:
     best, most = np.zeros((len(signals[acceleration]), 2)), 0.0
     for hertz in _RESONANCES_HZ:
         w = 2.0 * np.pi * hertz
-        resonator = [[0.0, 1.0], [-w * w, -2.0 * _DAMPING * w]], [[0.0], [-1.0]], np.diag([w * w, w]), np.zeros((2, 1))
+        resonator = (
+            [[0.0, 1.0], [-w * w, -2.0 * _DAMPING * w]],
+            [[0.0], [-1.0]],
+            np.diag([w * w, w]),
+            np.zeros((2, 1)),
+        )
         discrete = signal.cont2discrete(tuple(np.array(matrix) for matrix in resonator), signals.period)
         filters, denominator = signal.ss2tf(*discrete[:4])
         motion = signals.filtered(acceleration, partial(_filtered, filters, denominator))

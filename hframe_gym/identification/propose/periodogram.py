@@ -24,7 +24,9 @@ _ROWS_PER_PERIOD = 4.0  # Minimum number of rows per period. Rows of faster moti
 # Lowest speed that is used, relative to the highest one that is used. Near standstill, the direction of dry friction is
 # uncertain.
 _SLOWEST = 0.02
-_MIN_ROWS = 50  # A period is tried only with this many slow rows: ten for each of the five fitted coefficients.
+_MIN_ROWS = (
+    50  # A period is tried only with this many slow rows: ten for each of the five fitted coefficients.
+)
 _POINTS_PER_PERIOD = 4  # The grid of rates has this many points per additional period over the range.
 _CELLS_PER_POINT = 16  # Least number of cells of the transform's position grid in the shortest period.
 _GROUP_RATIO = 2.0**0.5  # Ratio of the highest to the lowest rate of a group that is fitted to the same rows.
@@ -70,7 +72,9 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
     best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
     peaks: list[int] = []
     for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
-        if all(abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks):  # not the flank of another peak
+        if all(
+            abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks
+        ):  # not the flank of another peak
             peaks.append(int(points[k]))
         if len(peaks) == _MAX_RATES:
             break
@@ -141,7 +145,9 @@ def _explained_power(
     # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
     force = force - basis @ (basis.T @ force)
-    cells = 2 ** int(np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1))))  # over _POINTS_PER_PERIOD times the range
+    cells = 2 ** int(
+        np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1)))
+    )  # over _POINTS_PER_PERIOD times the range
     cell_position = position * (cells / (_POINTS_PER_PERIOD * span))
     lower_cell = cell_position.astype(np.int64)
 

@@ -97,7 +97,9 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
         may_go_on()
-        return _perturbation_responses(model, run, candidate_perturbations(fit.machine, candidates, run, motion))
+        return _perturbation_responses(
+            model, run, candidate_perturbations(fit.machine, candidates, run, motion)
+        )
 
     equations = model.linearize(fit.theta, responses).normal_equations
     # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
@@ -105,7 +107,9 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     reduced = equations.eliminate_parameters(prior_precision(fit.free) + ridge)
     scored, first = [], 0
     for candidate in candidates:
-        columns = np.arange(first, first + len(candidate.columns))  # of this candidate, among all perturbations
+        columns = np.arange(
+            first, first + len(candidate.columns)
+        )  # of this candidate, among all perturbations
         first += len(columns)
         # Square of each response before and after the free parameters took what they can reproduce of it.
         before = equations.response_information[columns, columns]
@@ -126,7 +130,9 @@ class Resemblance(NamedTuple):
     loss: float
 
 
-def resemblances(fit: Fit, effect: AppliedEffect, candidates: Sequence[Candidate], data: Dataset) -> list[Resemblance]:
+def resemblances(
+    fit: Fit, effect: AppliedEffect, candidates: Sequence[Candidate], data: Dataset
+) -> list[Resemblance]:
     """Find the candidates that these runs hardly distinguish from an effect.
 
     What the effect changes in the predictions is a regressor over the recorded motion, as is every basis function of
@@ -148,7 +154,9 @@ def resemblances(fit: Fit, effect: AppliedEffect, candidates: Sequence[Candidate
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
         may_go_on()
-        return _perturbation_responses(model, run, candidate_perturbations(fit.machine, compared, run, motion))
+        return _perturbation_responses(
+            model, run, candidate_perturbations(fit.machine, compared, run, motion)
+        )
 
     equations = model.linearize(fit.theta, responses).normal_equations
     ridge = np.diag(_RIDGE * np.diag(equations.information))
@@ -204,7 +212,9 @@ def candidate_perturbations(
         fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
         scales = {name: fraction if name in effect.amplitudes else 1.0 for name in columns[0]}
         # Shape (columns, 1) each, so that all basis functions are evaluated at all samples at once.
-        parameters = {name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()}
+        parameters = {
+            name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()
+        }
         perturbed = dataclasses.replace(bare, effects=(AppliedEffect(effect, members[0].site, parameters),))
         if effect.measurement or effect.measurement_delay:
             measurement += _measurement_change(perturbed, run, motion)
@@ -245,10 +255,14 @@ def _measurement_change(machine: Machine, run: PreparedRecording, motion: Motion
 
 def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
     """Return the residual of a fit with rows combined to blocks that are short for mechanical effects."""
-    return ResidualModel(fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data))
+    return ResidualModel(
+        fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data)
+    )
 
 
-def _perturbation_responses(model: ResidualModel, run: PreparedRecording, perturbation: Perturbation) -> Array:
+def _perturbation_responses(
+    model: ResidualModel, run: PreparedRecording, perturbation: Perturbation
+) -> Array:
     """Return the derivatives of a run's residual with respect to perturbations, shape (columns, rows)."""
 
     def residual(force: Array, measurement: Array | None) -> Array:
@@ -267,12 +281,16 @@ def _perturbation_responses(model: ResidualModel, run: PreparedRecording, pertur
     unperturbed = residual(np.zeros_like(perturbation.force[:1]), None)
     columns = []
     for first in range(0, len(perturbation.force), _COLUMNS_AT_ONCE):
-        force, measurement = (DIFFERENCE_STEP * part[first : first + _COLUMNS_AT_ONCE] for part in perturbation)
+        force, measurement = (
+            DIFFERENCE_STEP * part[first : first + _COLUMNS_AT_ONCE] for part in perturbation
+        )
         columns.append((residual(force, measurement) - unperturbed) / DIFFERENCE_STEP)
     return np.vstack(columns)
 
 
-def _score(candidate: Candidate, information: Array, gradient: Array, before: Array, chi2: float) -> ScoredCandidate:
+def _score(
+    candidate: Candidate, information: Array, gradient: Array, before: Array, chi2: float
+) -> ScoredCandidate:
     """Return the cost that a candidate would save with its best admissible amounts.
 
     Args:
@@ -311,7 +329,9 @@ def _is_simulated(effect: Effect) -> bool:
     return effect.replaces_model_part or any(p.amplitude and any(p.grid) for p in effect.parameters)
 
 
-def screen_structures(current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float) -> list[Machine]:
+def screen_structures(
+    current: Fit, data: Dataset, scale: TypicalScales, minimum_gain: float
+) -> list[Machine]:
     """Build machines with the most promising effects that replace a part of the nominal model, one effect each.
 
     These effects add coordinates (structural effects) or replace dry friction. The linearization underestimates their
@@ -382,10 +402,14 @@ def _structure_gains(
         predicted = []
         for machine, parameters in batches:
             may_go_on()  # new code may have to be compiled for each
-            predicted.append(predict(machine, run, model.bandwidth, period=data.period, parameters=parameters))
+            predicted.append(
+                predict(machine, run, model.bandwidth, period=data.period, parameters=parameters)
+            )
         expected = model.residuals(run, motion.readings)
         changes = np.vstack([model.residuals(run, moved.readings) for moved in predicted]) - expected
-        return np.where(np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0)  # a variant may diverge
+        return np.where(
+            np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0
+        )  # a variant may diverge
 
     equations = model.linearize(current.theta, responses).normal_equations
     reduced = equations.eliminate_parameters(prior_precision(current.free))
@@ -407,10 +431,16 @@ def _batches(
     for effect, members in itertools.groupby(simulated.items(), key=lambda item: item[0][0]):
         groups = [variants for _, variants in members]
         if effect.replaces_model_part:
-            batches += [(variants[0], np.vstack([parameter_batch(v) for v in variants])) for variants in groups]
+            batches += [
+                (variants[0], np.vstack([parameter_batch(v) for v in variants])) for variants in groups
+            ]
         else:
             everywhere = machine.with_effects(*(variants[0].effects[-1] for variants in groups))
-            none = {f"{e.label}.{name}": 0.0 for e in everywhere.effects[-len(groups) :] for name in effect.amplitudes}
+            none = {
+                f"{e.label}.{name}": 0.0
+                for e in everywhere.effects[-len(groups) :]
+                for name in effect.amplitudes
+            }
             everywhere = everywhere.replace(none)
             rows = [parameter_batch(everywhere.replace(v.parameters)) for v in itertools.chain(*groups)]
             batches.append((everywhere, np.vstack(rows)))

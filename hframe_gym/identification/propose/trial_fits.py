@@ -29,9 +29,16 @@ from .candidates import Candidate, candidates, effect_parameters, is_required
 from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
 Array = NDArray[np.float64]
-_RESEMBLING = 3  # effects that are fitted in place of a selected one because these runs may not distinguish them
+_RESEMBLING = (
+    3  # effects that are fitted in place of a selected one because these runs may not distinguish them
+)
 _SHAPES = 2  # starting values of an effect at a site that are fitted
-_THRESHOLD_CHANGES = (-0.7, -0.35, 0.35, 0.7)  # of its logarithm; a trial is also fitted from these thresholds
+_THRESHOLD_CHANGES = (
+    -0.7,
+    -0.35,
+    0.35,
+    0.7,
+)  # of its logarithm; a trial is also fitted from these thresholds
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
 
 
@@ -55,7 +62,9 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
     at_limit = any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True))
-    if judge.may_be_local_minimum(current.error, criteria, any_trial=bool(trials), parameter_at_limit=at_limit):
+    if judge.may_be_local_minimum(
+        current.error, criteria, any_trial=bool(trials), parameter_at_limit=at_limit
+    ):
         trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
     return trials
 
@@ -73,13 +82,18 @@ def _declared_theta(fitted: Fit) -> Array:
     return np.where([f.of_effect for f in fitted.free], fitted.theta, 0.0)
 
 
-def _trial_fits_from(start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
+def _trial_fits_from(
+    start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria
+) -> list[Fit]:
     """Return fits with the most promising candidates, ranked at the parameters of `start` and fitted from there."""
     trials: list[Fit] = []
     if not math.isfinite(start.cost):
         return trials
     scales, ranked = _ranked_candidates(start, data)
-    best_promise, explaining = 0.0, ""  # largest linearized gain of a candidate that explains the data, and its effect
+    best_promise, explaining = (
+        0.0,
+        "",
+    )  # largest linearized gain of a candidate that explains the data, and its effect
     promising = _promising(start, ranked, data, enough, criteria)
     for i, scored in enumerate(promising):
         # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
@@ -155,7 +169,9 @@ def _proposed_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, li
     return scales, candidates(current.machine, data, scales, motion, slow_friction=slow)
 
 
-def indistinguishable(current: Fit, effect: AppliedEffect, largest_loss: float, data: Dataset) -> list[AppliedEffect]:
+def indistinguishable(
+    current: Fit, effect: AppliedEffect, largest_loss: float, data: Dataset
+) -> list[AppliedEffect]:
     """Return the effects that may take the place of an effect of the machine, as far as these runs show.
 
     Args:
@@ -171,7 +187,9 @@ def indistinguishable(current: Fit, effect: AppliedEffect, largest_loss: float, 
     """
     if effect.definition.replaces_model_part or is_required(current.machine, effect.label):
         return []
-    machine = current.machine.replace(effects=tuple(e for e in current.machine.effects if e.label != effect.label))
+    machine = current.machine.replace(
+        effects=tuple(e for e in current.machine.effects if e.label != effect.label)
+    )
     kept = [f.name in machine.parameters for f in current.free]
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
     without = dataclasses.replace(current, machine=machine, free=free, theta=theta)
@@ -224,7 +242,11 @@ def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Datase
     kept = [f for f in current.free if f.name in machine.parameters and not f.name.startswith(f"{label}.")]
     # The fit continues from the parameters of the other effects; the rival's start at their given values (theta = 0).
     kept_theta = [t for f, t in zip(current.free, current.theta, strict=True) if f in kept]
-    names, scales, step = {f.name for f in kept}, typical_scales(current, data), search_step(current.bandwidth)
+    names, scales, step = (
+        {f.name for f in kept},
+        typical_scales(current, data),
+        search_step(current.bandwidth),
+    )
     added = [f for f in effect_parameters(rival, machine, scales) if f.name not in names]
     theta = np.concatenate([kept_theta, np.zeros(len(added))])
     return fit(machine, (*kept, *added), data, current.bandwidth, theta=theta, longest_step=step)
@@ -273,7 +295,10 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
     free = (*current.free, *added)
     # From a wrong threshold, other parameters may imitate what the right one does.
     switches = [j for j, f in enumerate(free) if f in added and f.switch]
-    starts = [theta, *(theta + change * np.eye(len(free))[j] for j in switches for change in _THRESHOLD_CHANGES)]
+    starts = [
+        theta,
+        *(theta + change * np.eye(len(free))[j] for j in switches for change in _THRESHOLD_CHANGES),
+    ]
     return min((_trial_fit(machine, free, t, current, data) for t in starts), key=lambda trial: trial.cost)
 
 
@@ -294,7 +319,9 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     return _trial_fit(machine, tuple(free), theta, current, data)
 
 
-def _trial_fit(machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset) -> Fit:
+def _trial_fit(
+    machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset
+) -> Fit:
     """Fit a candidate with few iterations, at the bandwidth of the current fit."""
     return fit(
         machine,
@@ -326,7 +353,9 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     return min(fits, key=lambda candidate_fit: candidate_fit.cost)
 
 
-def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True) -> Fit | None:
+def without_effect(
+    current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True
+) -> Fit | None:
     """Remove one effect (deviation from the model) from the machine and fit the remaining free parameters again.
 
     Args:
@@ -350,7 +379,9 @@ def without_effect(current: Fit, label: str, data: Dataset, plain: Machine, *, t
             machine = plain.with_effects(*(e for e in others if e not in plain.effects))
         except ValueError:
             return None  # a site is missing
-        kept_values = {name: value for name, value in current.machine.parameters.items() if name in machine.parameters}
+        kept_values = {
+            name: value for name, value in current.machine.parameters.items() if name in machine.parameters
+        }
         machine = machine.replace(kept_values)
     kept = np.array([free.name in machine.parameters for free in current.free])
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]

@@ -45,7 +45,8 @@ def build_result(
     before, after, data = outcome.before, outcome.after, outcome.data
     corrected = evaluated.after.machine
     experiments = (
-        design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined) for s in selected
+        design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
+        for s in selected
     )
     validation = refine_dataset(evaluated.validation, corrected, data)
     drives = drive_force(corrected, data)
@@ -83,7 +84,9 @@ def _hint(result: IdentificationResult) -> Hint | None:
     return Hint(component, strongest.variable, strongest.explained, tuple(labels)[:_MAX_NEAREST])
 
 
-def _rejected(entry: ConsideredEffect, data: Dataset, validation: Dataset, bandwidth: float) -> RejectedEffect:
+def _rejected(
+    entry: ConsideredEffect, data: Dataset, validation: Dataset, bandwidth: float
+) -> RejectedEffect:
     """Return a rejected effect with its size and its gain on the held-out runs."""
     return RejectedEffect(
         entry.effect,
@@ -101,5 +104,7 @@ def unexcited_effects(result: IdentificationResult, bandwidth: float) -> tuple[s
         bandwidth: Bandwidth of the observer of the final fit, rad/s; 0 for a simulation.
     """
     machine = result.after.machine
-    effects = [s.effect.label for s in result.effects if not is_excited(s, machine, result.held_out, bandwidth)]
+    effects = [
+        s.effect.label for s in result.effects if not is_excited(s, machine, result.held_out, bandwidth)
+    ]
     return (_UNEXCITED.format(", ".join(effects)),) if effects else ()

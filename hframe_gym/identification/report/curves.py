@@ -61,7 +61,11 @@ def channel_noise(report: Mapping[str, Any], channel: str) -> float | None:
 
 
 def run_ratio(
-    report: Mapping[str, Any], curves: Mapping[str, Array], run: str, channels: Sequence[str], stage: str = "after"
+    report: Mapping[str, Any],
+    curves: Mapping[str, Array],
+    run: str,
+    channels: Sequence[str],
+    stage: str = "after",
 ) -> float | None:
     """Return the simulation error of a held-out run over the sensors' noise, root mean square over the channels.
 
@@ -100,7 +104,9 @@ def worst_first(report: Mapping[str, Any], curves: Mapping[str, Array], channels
     return sorted(ratios, key=lambda run: -(ratios[run] or 0.0))
 
 
-def page_curves(report: Mapping[str, Any], curves: Mapping[str, Array], channels: Sequence[str]) -> dict[str, Any]:
+def page_curves(
+    report: Mapping[str, Any], curves: Mapping[str, Array], channels: Sequence[str]
+) -> dict[str, Any]:
     """Return what the script of the page draws, as content of a JSON document.
 
     Every run and channel has one set of rows for all its curves: the first of each interval of time, and those with the
@@ -148,7 +154,9 @@ def _far(
     report: Mapping[str, Any], curves: Mapping[str, Array], runs: Sequence[str], channels: Sequence[str]
 ) -> set[str]:
     """Return the machines whose errors on the worst run are so large that those of the others would look like zero."""
-    ratios = {key: run_ratio(report, curves, runs[0], channels, key) for key in compared_machines(report, curves)}
+    ratios = {
+        key: run_ratio(report, curves, runs[0], channels, key) for key in compared_machines(report, curves)
+    }
     limit = _FAR * (ratios["before"] or math.inf)
     return {key for key in ("declared", "plain") if (ratios.get(key) or 0.0) > limit}
 

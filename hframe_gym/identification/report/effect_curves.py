@@ -109,7 +109,11 @@ def _coordinate(effect: AppliedEffect, machine: Machine) -> Coordinate | None:
 
 
 def _axis(
-    symbol: str, effect: AppliedEffect, machine: Machine, coordinate: Coordinate | None, curves: Mapping[str, Array]
+    symbol: str,
+    effect: AppliedEffect,
+    machine: Machine,
+    coordinate: Coordinate | None,
+    curves: Mapping[str, Array],
 ) -> tuple[Array, str] | None:
     """Return the values of a variable at which an effect is drawn, and the name of the variable with its unit."""
     if symbol == "V":
@@ -168,7 +172,9 @@ def _value(
             return (lambda e, _: np.broadcast_to(e(hook, **{symbol: x}), x.shape)), f"force on {site}, {unit}"
         sign = np.sign(x) if symbol == "v" else 1.0
         return (
-            lambda e, level: sign * (level + e(hook, **{symbol: np.abs(x) if symbol == "v" else x}, level=level)),
+            lambda e, level: (
+                sign * (level + e(hook, **{symbol: np.abs(x) if symbol == "v" else x}, level=level))
+            ),
             f"dry friction on {site}, {unit}",
         )
     return (lambda e, _: e(hook, **{symbol: x}) - x), f"change of the command of {effect.site},"

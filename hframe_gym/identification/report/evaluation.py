@@ -75,10 +75,13 @@ def evaluate(
         criteria: Thresholds of the identification.
     """
     refined = refine_dataset(outcome.data, outcome.after.machine)
-    corrected, selected = _corrected(outcome.after, outcome.selected, ranges, refined, f"{machine.name}-identified")
+    corrected, selected = _corrected(
+        outcome.after, outcome.selected, ranges, refined, f"{machine.name}-identified"
+    )
     refitted = outcome.before.machine.replace(name=f"{machine.name}-refitted")
     declared, before, after = (
-        evaluate_held_out(m, outcome.data, validation, recordings, criteria) for m in (machine, refitted, corrected)
+        evaluate_held_out(m, outcome.data, validation, recordings, criteria)
+        for m in (machine, refitted, corrected)
     )
     return Evaluated(outcome, selected, machine, declared, before, after, refined, validation)
 
@@ -174,11 +177,17 @@ def _remaining_prediction(evaluated: Evaluated, names: Sequence[str], criteria: 
     some tenths of a second, and fast enough that its errors do not add up over the run, where parameters fitted beside
     a wrong effect compensate for it.
     """
-    validation = refine_dataset(evaluated.validation, evaluated.after.machine, evaluated.outcome.data).with_runs(names)
-    quiet = [dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape)) for r in validation.runs]
+    validation = refine_dataset(
+        evaluated.validation, evaluated.after.machine, evaluated.outcome.data
+    ).with_runs(names)
+    quiet = [
+        dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape))
+        for r in validation.runs
+    ]
     validation = dataclasses.replace(validation, runs=tuple(quiet))
     after, before = (
-        prediction_cost(model.machine, validation, JUDGING_BANDWIDTH, longest_step=POLISH_STEP) / validation.count
+        prediction_cost(model.machine, validation, JUDGING_BANDWIDTH, longest_step=POLISH_STEP)
+        / validation.count
         for model in (evaluated.after, evaluated.before)
     )
     return remaining(after, before, 1.0)

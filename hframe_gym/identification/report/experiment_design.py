@@ -129,7 +129,9 @@ def design_discriminating_experiment(
     rival_fit = fit_in_place_of(current, label, alternatives[0], data)
     if not math.isfinite(rival_fit.cost):
         return None
-    return separate_machines(corrected, with_uncertainty(rival_fit, data), (label, alternatives[0].label), data)
+    return separate_machines(
+        corrected, with_uncertainty(rival_fit, data), (label, alternatives[0].label), data
+    )
 
 
 def separate_machines(
@@ -222,7 +224,9 @@ def _forms(time_s: Array) -> list[Array]:
     ramps = [signal.sawtooth(2 * np.pi * t / period + np.pi / 2, 0.5) for period in (0.6, 1.3)]
     stairs = [np.sign(np.cos(2 * np.pi * t / period)) * np.ceil(8 * t / length) / 8 for period in (0.3, 0.7)]
     sines = [np.cos(2 * np.pi * t / period) for period in (0.5, 1.3)]
-    chirps = [signal.chirp(np.maximum(t, 0.0), 0.5, length, top, "logarithmic", phi=90) for top in (8.0, 50.0)]
+    chirps = [
+        signal.chirp(np.maximum(t, 0.0), 0.5, length, top, "logarithmic", phi=90) for top in (8.0, 50.0)
+    ]
     return steps + ramps + stairs + sines + chirps
 
 

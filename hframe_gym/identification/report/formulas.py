@@ -334,7 +334,9 @@ class _Runs:
         return tuple(free)
 
 
-def _refitted(effect: FormulaEffect, machine: Machine, runs: _Runs, *, table_error: float) -> ProposedFormula | None:
+def _refitted(
+    effect: FormulaEffect, machine: Machine, runs: _Runs, *, table_error: float
+) -> ProposedFormula | None:
     """Fit a machine with a formula in the place of its table; None if the machine diverges."""
     applied = effect.applied()
     effects = tuple(applied if e.label == effect.table.label else e for e in machine.effects)

@@ -34,7 +34,10 @@ _MOTIONS = {  # by the quantity of a variable: the run that shows a dependence o
 _MEASUREMENTS = (  # by the ending of a parameter's name, those first that are measured most easily
     (".rest_length", "measure it with a ruler"),
     (".mass", "weigh the part, or compute its inertia from its drawing"),
-    (".Ke", "take it from the data sheet of the motor, or turn the motor by hand and measure its voltage and speed"),
+    (
+        ".Ke",
+        "take it from the data sheet of the motor, or turn the motor by hand and measure its voltage and speed",
+    ),
     (".Kt", "take it from the data sheet of the motor"),
     (".R", "measure it with an ohmmeter"),
     (".EA", "take it from the data sheet of the belt, or load the belt and measure how much it stretches"),
@@ -58,14 +61,18 @@ def next_steps(
     report, machine = saved.report, saved.machine
     findings = []
     if report["warnings"]:
-        text = f"Read the findings about the recordings ({len(report['warnings'])}) in the section Recordings."
+        text = (
+            f"Read the findings about the recordings ({len(report['warnings'])}) in the section Recordings."
+        )
         findings = [_step(text)]
     steps = _recordings(saved, folder, effects)
     if (report.get("left") or 0.0) > SelectionCriteria().max_noise_ratio_explained and report[
         "verdict"
     ] != "unexplained":
         steps.append(
-            _step(f"Look at {runs[0]}, the run with the largest error, where measured and simulated curves part.")
+            _step(
+                f"Look at {runs[0]}, the run with the largest error, where measured and simulated curves part."
+            )
         )
     if report["proposed_formulas"]:
         text = "A formula is proposed in place of the table; review it and write it as an effect."
@@ -81,7 +88,9 @@ def _step(text: str, command: str = "") -> dict[str, str]:
     return {"text": text, "command": command}
 
 
-def _recordings(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+def _recordings(
+    saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]
+) -> list[dict[str, str]]:
     """Return what to record: a proposed experiment, or runs that show what the missing force depends on."""
     report = saved.report
     if report["next_experiment"]:
@@ -114,7 +123,9 @@ def _measurements(report: Mapping[str, Any]) -> list[dict[str, str]]:
     """Return the parameters that a user should measure, because the recordings determine only sums with them."""
     steps = []
     for group in report["not_separable"]:
-        found = [(name, how) for end, how in _MEASUREMENTS for name in group["parameters"] if name.endswith(end)]
+        found = [
+            (name, how) for end, how in _MEASUREMENTS for name in group["parameters"] if name.endswith(end)
+        ]
         name, how = found[0] if found else (group["parameters"][0], "measure it by itself")
         sums = " and ".join(sum_text(entry["weights"]) for entry in group["determined"]) or "nothing of them"
         text = (
@@ -131,13 +142,16 @@ def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) ->
     command = next_command(verdict, machine, folder)
     if not command.startswith("hframe evaluate"):
         text = (
-            f"Simulate the {which} machine with other inputs (it has no workspace in which a controller is evaluated)."
+            f"Simulate the {which} machine with other inputs (it has no workspace in which a controller is "
+            "evaluated)."
         )
         return _step(
             text,
             f"hframe simulate --machine {shlex.quote(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv",
         )
-    text = f"Design and compare controllers on the {which} machine, pid first, with a control period of 10 ms."
+    text = (
+        f"Design and compare controllers on the {which} machine, pid first, with a control period of 10 ms."
+    )
     return _step(f'{text}{_textbook_period(machine)} In Python: gym.make("HFrame-v0", machine=...).', command)
 
 

@@ -28,7 +28,11 @@ _HEADINGS = {
     "no_effect": "No missing effect found",
     "unexplained": "Unexplained error",
 }
-_LEFT = {"good": "", "neutral": ", a small error is left", "warning": ", a large error is left"}  # by tone of the page
+_LEFT = {
+    "good": "",
+    "neutral": ", a small error is left",
+    "warning": ", a large error is left",
+}  # by tone of the page
 # Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
 _SMALL_PERCENT_OF_MOTION = 1.0
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
@@ -37,8 +41,12 @@ _DEVIATING = (
     "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
     "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
 )
-_CLEARLY_BETTER = 0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
-_MAX_NOISE_RATIO = 50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
+_CLEARLY_BETTER = (
+    0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
+)
+_MAX_NOISE_RATIO = (
+    50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
+)
 
 
 def build_report(folder: Path, final_folder: Path | None = None) -> Path:
@@ -133,13 +141,17 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     by_force = _drifts(report, channels)
     unit = "% of the drives' force" if by_force else "times the sensors' noise"
     errors = {
-        stage: 100 * report[stage]["held_out"]["force_error"] if by_force else _noise_ratio(report, stage, channels)
+        stage: 100 * report[stage]["held_out"]["force_error"]
+        if by_force
+        else _noise_ratio(report, stage, channels)
         for stage in STAGES
     }
     before, after = (number(errors[stage], _DIVERGES) for stage in ("before", "after"))
     declared, refitted = errors["declared"], errors["before"]
     if declared is not None and refitted is not None and declared < _CLEARLY_BETTER * refitted:
-        before += f" (with the declared parameters: {number(declared)})"  # The refit minimizes short predictions.
+        before += (
+            f" (with the declared parameters: {number(declared)})"  # The refit minimizes short predictions.
+        )
     if report["verdict"] == "effect_found":
         names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
         single = len(report["effects"]) == 1
@@ -171,7 +183,9 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
 def _left_in_words(report: Mapping[str, Any]) -> list[str]:
     """Return a sentence about the error that is left in the user's terms, if it is known."""
     errors = report["after"]["held_out"]
-    motions = [e["percent_of_motion"] for e in errors.values() if isinstance(e, dict) and e.get("percent_of_motion")]
+    motions = [
+        e["percent_of_motion"] for e in errors.values() if isinstance(e, dict) and e.get("percent_of_motion")
+    ]
     force = report["after"].get("missing_force_percent")
     if report.get("left") is None or not (motions or force):
         return []
@@ -186,13 +200,17 @@ def _left_in_words(report: Mapping[str, Any]) -> list[str]:
 def _nearest(report: Mapping[str, Any]) -> list[str]:
     """Return a sentence about the effects of the library that describe a part of the missing force."""
     labels = (report.get("hint") or {}).get("nearest")
-    return [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
+    return (
+        [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
+    )
 
 
 def _unfinished(report: Mapping[str, Any]) -> list[str]:
     """Return a sentence about a search that ended early."""
     unfinished = report.get("unfinished")
-    return [f"The search is not complete: {unfinished['reason']} ({unfinished['stage']})."] if unfinished else []
+    return (
+        [f"The search is not complete: {unfinished['reason']} ({unfinished['stage']})."] if unfinished else []
+    )
 
 
 def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float | None:
@@ -212,7 +230,9 @@ def _remainder(report: Mapping[str, Any]) -> str:
     """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
     if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
         return ""
-    error = f"{number(left)} times the sensors' noise ({_largest_position_error(report['after']['held_out'])})"
+    error = (
+        f"{number(left)} times the sensors' noise ({_largest_position_error(report['after']['held_out'])})"
+    )
     if not (runs := report.get("contradicting", [])):
         return f" An error of {error} is left{reason_of_remainder(report)}."
     subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
@@ -226,7 +246,9 @@ def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str,
     by_force = _drifts(report, channels)
     stages = ("declared", "Error as declared"), ("before", "Error refitted")
     tiles = []
-    for stage, name in (("before", "Error before"), ("after", "Error after")) if report["effects"] else stages:
+    for stage, name in (
+        (("before", "Error before"), ("after", "Error after")) if report["effects"] else stages
+    ):
         errors = report[stage]["held_out"]
         if by_force:
             value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
@@ -294,11 +316,15 @@ def _plain_sentence(report: Mapping[str, Any]) -> str:
         return ""
     terms = ", ".join(term.replace("_", " ").replace("@", " at ") for term in plain["terms"])
     beside = f", with {terms}" if terms else ""
-    delivered = " It is the machine that is delivered, because it predicts best." if plain["delivered"] else ""
+    delivered = (
+        " It is the machine that is delivered, because it predicts best." if plain["delivered"] else ""
+    )
     return f"The plain fit has inertia and friction from the recordings alone{beside}, and no effects.{delivered}"
 
 
-def _run_row(report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str], run: str) -> dict[str, Any]:
+def _run_row(
+    report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str], run: str
+) -> dict[str, Any]:
     """Return the errors of one held-out run before and after, by channel in units of the noise."""
 
     def ratio(stage: str, j: int) -> str:
@@ -309,7 +335,10 @@ def _run_row(report: Mapping[str, Any], curves: Mapping[str, Array], channels: l
             return ""
         return f"{float(np.sqrt(np.mean(residual**2))) / noise:.3g}"
 
-    return {"name": run, "errors": [f"{ratio('before', j)} → {ratio('after', j)}" for j in range(len(channels))]}
+    return {
+        "name": run,
+        "errors": [f"{ratio('before', j)} → {ratio('after', j)}" for j in range(len(channels))],
+    }
 
 
 def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, Any]]:
@@ -319,7 +348,11 @@ def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, 
     for e in sorted(report["effects"], key=lambda e: -e["held_out_gain"]):
         definition = definitions[f"{e['name']}@{e['site']}"]
         table = definition.family == TABLE_FAMILY
-        size = "" if e["size"] is None else f"Its force is {number(100 * e['size'])} % of the drives' force (rms)."
+        size = (
+            ""
+            if e["size"] is None
+            else f"Its force is {number(100 * e['size'])} % of the drives' force (rms)."
+        )
         parameters = [
             {
                 "name": key,
@@ -367,7 +400,9 @@ def _remaining_error(report: Mapping[str, Any]) -> list[str]:
     correlated = ", but it is correlated in time: a small systematic part is left"
     small = left is not None and left < _NOTICEABLE_ERROR
     sentences = [text.format("about as large as", correlated) if small else text.format("larger than", "")]
-    return sentences + (_dependence_sentences(report) if report["verdict"] == "no_effect" else [])  # or said already
+    return sentences + (
+        _dependence_sentences(report) if report["verdict"] == "no_effect" else []
+    )  # or said already
 
 
 def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:

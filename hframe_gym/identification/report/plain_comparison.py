@@ -78,7 +78,9 @@ def at_least_plain(
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
     if not machine.belts:
-        described = _described(evaluated, plain, reference, machine, ranges, recordings, criteria, log, budget)
+        described = _described(
+            evaluated, plain, reference, machine, ranges, recordings, criteria, log, budget
+        )
         if described is not None:
             return result, *described
     if not is_worse(evaluated.after):
@@ -90,7 +92,9 @@ def at_least_plain(
         again = evaluate(refined, machine, ranges, validation, recordings, criteria)
         if not is_worse(again.after):
             return result, again, _REFINED
-    sentence = _PLAIN_DELIVERED.format(error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none")
+    sentence = _PLAIN_DELIVERED.format(
+        error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none"
+    )
     log(sentence)
     outcome = without_names(outcome, _WORSE_THAN_PLAIN) if outcome.selected else outcome
     outcome = outcome._replace(after=plain.simulated)
@@ -118,7 +122,9 @@ def _described(
         return None
     refit = refined_equally(outcome.before, outcome.data)
     equal = equally_weighted(outcome.data)
-    start = min((plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION))
+    start = min(
+        (plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
+    )
     found = describe_remainder(start, outcome.data, criteria, log, budget)
     if found is None:
         return None
@@ -126,7 +132,9 @@ def _described(
     plain_is_better = is_worse_than_plain(
         error_ratio(evaluated.before, reference), evaluated.before.held_out.noise_ratio, criteria
     )
-    again = evaluate(outcome._replace(after=fitted), machine, ranges, evaluated.validation, recordings, criteria)
+    again = evaluate(
+        outcome._replace(after=fitted), machine, ranges, evaluated.validation, recordings, criteria
+    )
     ratio = error_ratio(again.after, reference if plain_is_better else evaluated.before)
     log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
     return (again, _DESCRIPTION.format(", ".join(labels), ratio)) if description_helps(ratio) else None

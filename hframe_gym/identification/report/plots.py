@@ -20,13 +20,18 @@ from .effect_curves import effect_curve
 Array = NDArray[np.float64]
 Panels = dict[str, list[Panel]]
 _STAGES = {"declared": "as declared", "before": "before (refitted)", "after": "after (with effects)"}
-_STAGES_WITHOUT_EFFECT = {"declared": "as declared", "before": "refitted"}  # nothing was added: no machine "after"
+_STAGES_WITHOUT_EFFECT = {
+    "declared": "as declared",
+    "before": "refitted",
+}  # nothing was added: no machine "after"
 _SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
 _SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_RUNS = 2  # Held-out runs whose errors are drawn over time.
 _MEAN_BINS = 40  # Points of the mean curve through the residual force.
 _MAX_DOTS = 1000  # Points of the residual force that a panel shows of each machine.
-_MAX_BUCKETS = 350  # Intervals of a curve over time, of which a panel shows the smallest and the largest value.
+_MAX_BUCKETS = (
+    350  # Intervals of a curve over time, of which a panel shows the smallest and the largest value.
+)
 _UNITS_ANYWHERE = {"current": "A", "heat": "A^2", "power": "W", "dwell": "s"}
 _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows its unit
     "velocity": ("speed", ""),
@@ -131,7 +136,9 @@ def readable_unit(channel: str, largest: float) -> tuple[float, str]:
 def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
     """Draw the error of each channel in multiples of the noise, for each machine."""
     stages = _STAGES if report["effects"] else _STAGES_WITHOUT_EFFECT
-    ratios = {stage: [report[stage]["held_out"][c]["noise_ratio"] or np.nan for c in channels] for stage in stages}
+    ratios = {
+        stage: [report[stage]["held_out"][c]["noise_ratio"] or np.nan for c in channels] for stage in stages
+    }
 
     def draw(axes: Any) -> None:
         for k, (stage, label) in enumerate(stages.items()):
@@ -157,7 +164,10 @@ def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
     )
     description = f"Bar chart of the error on the held-out runs in multiples of the sensor noise. {values}."
     return Panel(
-        "Error on the held-out runs, in multiples of the sensor noise", description, draw, 1.0 + 0.5 * len(channels)
+        "Error on the held-out runs, in multiples of the sensor noise",
+        description,
+        draw,
+        1.0 + 0.5 * len(channels),
     )
 
 
@@ -166,7 +176,9 @@ def _compared_stages(report: Mapping[str, Any]) -> dict[str, str]:
     return {"before": "before", "after": "after"} if report["effects"] else {"before": "refitted"}
 
 
-def _error_over_time(curves: Mapping[str, Array], run: str, channel: str, j: int, stages: dict[str, str]) -> Panel:
+def _error_over_time(
+    curves: Mapping[str, Array], run: str, channel: str, j: int, stages: dict[str, str]
+) -> Panel:
     """Draw the errors of a channel, for each machine, over the time of a held-out run."""
     time_s = curves[f"{run}/time_s"] - curves[f"{run}/time_s"][0]
     errors = {stage: curves[f"{run}/{stage}"][:, j] for stage in stages}
@@ -216,7 +228,9 @@ def _residual_force(report: Mapping[str, Any], curves: Mapping[str, Array], mach
             axes.plot(variable[::thin], force[::thin], ".", ms=2, alpha=0.25, color=color(stage))
             means = [[values[rows].mean() for rows in bins] for values in (variable, force)]
             axes.plot(*means, color=color(stage), lw=2, label=f"{stages[stage]} (line: mean)")
-        axes.set(xlabel=label, ylabel=f"missing force on {coordinate}, {unit}", ylim=(-1.2 * size, 1.2 * size))
+        axes.set(
+            xlabel=label, ylabel=f"missing force on {coordinate}, {unit}", ylim=(-1.2 * size, 1.2 * size)
+        )
         legend_above(axes)
 
     rms = {stage: float(np.sqrt(np.mean(force**2))) for stage, force in forces.items()}
@@ -274,7 +288,9 @@ def _coverage(label: str, values: Array) -> Panel:
         axes.yaxis.set_major_formatter(lambda value, _: number(value))
         axes.minorticks_off()
 
-    description = f"Histogram of {label} in the fitted runs, from {number(values.min())} to {number(values.max())}."
+    description = (
+        f"Histogram of {label} in the fitted runs, from {number(values.min())} to {number(values.max())}."
+    )
     return Panel(label, description, draw, 1.7)
 
 

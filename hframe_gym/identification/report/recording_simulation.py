@@ -120,7 +120,9 @@ class ModelEvaluation:
         def is_refuted(channel: str, motion: Array) -> bool:
             """Return whether other sensors exclude that the error of a sensor is one of this motion."""
             amount = rmse[channel] / abs(float(rows[channel] @ motion))
-            expected = {other: amount * abs(float(rows[other] @ motion)) for other in rmse if other != channel}
+            expected = {
+                other: amount * abs(float(rows[other] @ motion)) for other in rmse if other != channel
+            }
             seen = [rmse[other] < _AGREEING * change for other, change in expected.items() if change > 0.0]
             return bool(seen) and all(seen)
 
@@ -203,7 +205,12 @@ def simulate_recording(
     cleaned = _cleaned(recording, machine, criteria)
     initial = _initial_state(machine, cleaned, criteria)
     motion = simulate(
-        machine, cleaned.time_s, cleaned.inputs, initial.start(machine), offset=initial.zeros, longest_step=POLISH_STEP
+        machine,
+        cleaned.time_s,
+        cleaned.inputs,
+        initial.start(machine),
+        offset=initial.zeros,
+        longest_step=POLISH_STEP,
     )
     recorded = np.isin(cleaned.time_s, recording.time_s)  # the rows that `fill_gaps` did not insert
     trajectory = dataclasses.replace(
@@ -280,7 +287,9 @@ def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCr
     def weighted_errors(states: Array, count: int) -> Array:
         """Return errors without those of the zeros, in units of the noise, shape (B, count * sensors)."""
         error, valid = errors(states, usable.outputs[:count]), measured[:count]
-        error = np.where(valid, error - sensor_zero_error(error, valid * zeroed, rows, max_means, quanta), 0.0)
+        error = np.where(
+            valid, error - sensor_zero_error(error, valid * zeroed, rows, max_means, quanta), 0.0
+        )
         return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
 
     start = most_probable_start(machine, initial, state, weighted_errors, recording.time_s)
@@ -339,10 +348,14 @@ def evaluate_held_out(
     results = list(map_runs(simulated, refined))
     errors = {run.name: error for run, (error, *_) in zip(refined.runs, results, strict=True)}
     diverged = tuple(run.name for run, (*_, infinite) in zip(refined.runs, results, strict=True) if infinite)
-    channels = errors_by_channel(list(errors.values()), machine, held_out.noise, [run.outputs for run in refined.runs])
+    channels = errors_by_channel(
+        list(errors.values()), machine, held_out.noise, [run.outputs for run in refined.runs]
+    )
     if diverged:  # an error over the other runs would be compared with those of other machines over all runs
         channels = dict.fromkeys(channels, ChannelError(None, None))
-    warnings = tuple((run.name, w) for run, (_, texts, _) in zip(refined.runs, results, strict=True) for w in texts)
+    warnings = tuple(
+        (run.name, w) for run, (_, texts, _) in zip(refined.runs, results, strict=True) for w in texts
+    )
     return ModelEvaluation(
         machine,
         PredictionErrors(channels, force_error(machine, refined), lacking_force(machine, refined)),

@@ -21,7 +21,13 @@ from ...recordings import save_machine
 from ...web_page import number
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.parameter_diagnostics import inseparable_parameters, parameters_at_limit
-from ..fit.residual import Dependence, dependence_variables, errors_by_channel, simulation_error, smooth_force_residual
+from ..fit.residual import (
+    Dependence,
+    dependence_variables,
+    errors_by_channel,
+    simulation_error,
+    smooth_force_residual,
+)
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import Verdict
 from .experiment_design import FILE, ExperimentDesign
@@ -246,7 +252,9 @@ class IdentificationResult:
         models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
         why = "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
         text = f"The simulation of the {{}} machine diverges on {{}}, so it has no error: {why}."
-        return tuple(text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged)
+        return tuple(
+            text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged
+        )
 
     @property
     def run_warnings(self) -> tuple[str, ...]:
@@ -264,12 +272,19 @@ class IdentificationResult:
         machine = self.after.machine
         groups = inseparable_parameters(machine, self.declared.machine)
         errors = {stage: evaluation.held_out.as_json() for stage, evaluation in self.evaluations.items()}
-        for error in errors.values() if any(e.held_out.force is None for e in self.evaluations.values()) else ():
-            error.pop("force_error", None)  # one machine has none: an effect added a coordinate without a drive
+        for error in (
+            errors.values() if any(e.held_out.force is None for e in self.evaluations.values()) else ()
+        ):
+            error.pop(
+                "force_error", None
+            )  # one machine has none: an effect added a coordinate without a drive
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
-            "runs": {"fitted": [r.name for r in self.fitted.runs], "held_out": [r.name for r in self.held_out.runs]},
+            "runs": {
+                "fitted": [r.name for r in self.fitted.runs],
+                "held_out": [r.name for r in self.held_out.runs],
+            },
             "reason": self.reason,
             "unfinished": self.unfinished.as_json() if self.unfinished else None,
             "contradicting": list(self.contradicting),
@@ -357,7 +372,13 @@ def write_result(
     """
     arrays: dict[str, Any] = {name: _stored(name, values) for name, values in plot_data(result).items()}
     unfinished = [str(result.unfinished)] if result.unfinished else []
-    warnings = [*unfinished, *warnings, *result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
+    warnings = [
+        *unfinished,
+        *warnings,
+        *result.limit_warnings,
+        *result.divergence_warnings,
+        *result.run_warnings,
+    ]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
     report["made"] = provenance(files)
     with output_batch(folder):
@@ -394,7 +415,9 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
     """
     tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
     formulas = {
-        math.sqrt(sum(error**2 for error in f["held_out"].values()) / len(f["held_out"])): " + ".join(f["terms"])
+        math.sqrt(sum(error**2 for error in f["held_out"].values()) / len(f["held_out"])): " + ".join(
+            f["terms"]
+        )
         for table in report.get("proposed_formulas", ())
         for f in table["formulas"]
         if f["recommended"] and f["held_out"]
@@ -437,12 +460,16 @@ def plot_data(result: IdentificationResult) -> dict[str, Array]:
         plain = {"plain": result.plain.evaluation} if result.plain else {}
         for name, evaluation in (result.evaluations | plain).items():
             evaluated = evaluation.errors.get(run.name)
-            error = simulation_error(evaluation.machine, run, result.held_out) if evaluated is None else evaluated
+            error = (
+                simulation_error(evaluation.machine, run, result.held_out) if evaluated is None else evaluated
+            )
             curves[f"{run.name}/{name}"] = error
     if result.dependence:
         data, strongest = result.fitted, result.dependence[0]
         i = result.declared.machine.coordinate_names.index(strongest.coordinate)
-        by_run = [dependence_variables(result.before.machine, run, data)[strongest.variable] for run in data.runs]
+        by_run = [
+            dependence_variables(result.before.machine, run, data)[strongest.variable] for run in data.runs
+        ]
         thin = max(1, sum(map(len, by_run)) // _MAX_POINTS)
         curves["force/variable"] = np.concatenate(by_run)[::thin]
         for name in ("before", "after"):
@@ -456,9 +483,12 @@ def _coverage(result: IdentificationResult) -> dict[str, Array]:
     """Return positions, velocities and inputs of the fitted runs, thinned."""
     machine, data = result.before.machine, result.fitted
     linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-    names = [f"{what} of {c}" for what in ("position", "velocity") for c in linear or machine.coordinate_names]
+    names = [
+        f"{what} of {c}" for what in ("position", "velocity") for c in linear or machine.coordinate_names
+    ]
     by_run = [dependence_variables(machine, run, data) for run in data.runs]
     thin = max(1, sum(len(run.time_s) for run in data.runs) // _MAX_POINTS)
     return {
-        name: np.concatenate([values[name] for values in by_run])[::thin] for name in (*names, *machine.input_channels)
+        name: np.concatenate([values[name] for values in by_run])[::thin]
+        for name in (*names, *machine.input_channels)
     }

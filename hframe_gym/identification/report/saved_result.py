@@ -257,7 +257,9 @@ def load_result(folder: Path) -> SavedResult:
     with warnings.catch_warnings():
         # What is not plausible about the machine was said when its declaration was read.
         warnings.simplefilter("ignore", UserWarning)
-        machine, declared = (load_machine(newest(folder / name)) for name in ("machine.json", "declared.json"))
+        machine, declared = (
+            load_machine(newest(folder / name)) for name in ("machine.json", "declared.json")
+        )
     saved = SavedResult(report, machine, declared, _load_curves(folder / "evidence.npz"))
     _check_report(saved, folder / "report.json")
     _check_curves(saved, folder / "evidence.npz")
@@ -287,16 +289,22 @@ def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[Propos
     saved = load_result(folder)
     tables = {e.label: e for e in tables_of(saved.machine)}
     if not tables:
-        raise InputError(f"{folder}: the identified machine has no table for which a formula could be proposed")
+        raise InputError(
+            f"{folder}: the identified machine has no table for which a formula could be proposed"
+        )
     label = table or next(iter(tables))
     if label not in tables:
         raise InputError(f"--table {label}: no such table; the identified machine has {', '.join(tables)}")
     if name in EFFECTS:
         raise InputError(f"{name}: an effect of this name exists; choose another name")
     compared: dict[str, Any] = next((t for t in saved.report["proposed_formulas"] if t["table"] == label), {})
-    proposed = [ProposedFormula.from_json(f, saved.machine, tables[label]) for f in compared.get("formulas", ())]
+    proposed = [
+        ProposedFormula.from_json(f, saved.machine, tables[label]) for f in compared.get("formulas", ())
+    ]
     table_error = mean_error(compared.get("held_out", {}))
-    return tuple(p.with_name(name, table_error) for p in proposed or propose_formulas(saved.machine, tables[label]))
+    return tuple(
+        p.with_name(name, table_error) for p in proposed or propose_formulas(saved.machine, tables[label])
+    )
 
 
 def _damaged(path: Path, problem: str) -> InputError:
@@ -347,7 +355,9 @@ def _check_report(saved: SavedResult, path: Path) -> None:
         coordinate = dependence["coordinate"]
         names = {coordinate, dependence["variable"].partition(" of ")[2] or coordinate}
         if not names <= known or coordinate not in machine.coordinate_names:
-            raise _damaged(path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}")
+            raise _damaged(
+                path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}"
+            )
 
 
 def _check_curves(saved: SavedResult, path: Path) -> None:

@@ -111,7 +111,9 @@ def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: Log) ->
     start = better_start(machine, data, plain)
     if start is not machine:
         values, declared = start.parameters, machine.parameters
-        changed = ", ".join(f"{n} {v / declared[n]:.2g}" for n, v in values.items() if declared.get(n) not in (0.0, v))
+        changed = ", ".join(
+            f"{n} {v / declared[n]:.2g}" for n, v in values.items() if declared.get(n) not in (0.0, v)
+        )
         log(f"the fit starts from values that follow from the motion; times the declared ones: {changed}")
     return start
 
@@ -131,7 +133,9 @@ def comparable_runs(checked: CheckedOutcome, all_runs: Dataset) -> Dataset:
     """
     used = {run.name: run for run in (*checked.outcome.data.runs, *checked.held_out.runs)}
     names = [*used, checked.outcome.contradiction]
-    return dataclasses.replace(all_runs, runs=tuple(used.get(r.name, r) for r in all_runs.runs if r.name in names))
+    return dataclasses.replace(
+        all_runs, runs=tuple(used.get(r.name, r) for r in all_runs.runs if r.name in names)
+    )
 
 
 def hint_of_differing_runs(
@@ -154,7 +158,9 @@ def hint_of_differing_runs(
     if not exchanges_held_out(len(checked.differing), len(checked.held_out.runs), len(fitted)):
         return ()
     names, others = ", ".join(checked.differing), fitted[: len(checked.differing)]
-    log(f"all held-out runs contradict the fitted ones ({names}); searching with {', '.join(others)} held out instead")
+    log(
+        f"all held-out runs contradict the fitted ones ({names}); searching with {', '.join(others)} held out instead"
+    )
     exchanged = search(others)
     outcome = exchanged.outcome
     if not outcome.selected or not outcome.explained or outcome.contradiction or exchanged.differing:
@@ -186,7 +192,9 @@ def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -
             )
             for s in selected
         }
-        refuted, reason = refuted_effects(shown, partial(worsens_simulation, before.machine, after.machine, runs))
+        refuted, reason = refuted_effects(
+            shown, partial(worsens_simulation, before.machine, after.machine, runs)
+        )
         refined = refine_dataset(data, after.machine)
         ordered = (next(s for s in selected if s.effect.label == label) for label in refuted)
         fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)

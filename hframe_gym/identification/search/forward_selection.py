@@ -16,7 +16,13 @@ import math
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..budget import note_error
-from ..evidence.rivals import close_rivals, compare_rivals, rivals_in_combination, selected_first, simplest_first
+from ..evidence.rivals import (
+    close_rivals,
+    compare_rivals,
+    rivals_in_combination,
+    selected_first,
+    simplest_first,
+)
 from ..evidence.significance import doubt_about_candidate, doubt_beside_others, long_run_variance
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
 from ..fit.estimation import Fit, describe_gain
@@ -97,7 +103,9 @@ class EffectSearch:
         while judge.search_goes_on(current.error, len(selected), criteria):
             self.reached = current, selected
             found = self._next_effect(current)
-            extended = self._next_pair(current, selected) if found is None else self._extended(selected, *found)
+            extended = (
+                self._next_pair(current, selected) if found is None else self._extended(selected, *found)
+            )
             if extended is None:
                 break
             best, selected = extended
@@ -233,7 +241,9 @@ class EffectSearch:
                 self._doubted = gain, (current, selected_first(fitted, trials))
         return None
 
-    def with_indistinguishable(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> tuple[SelectedEffect, ...]:
+    def with_indistinguishable(
+        self, current: Fit, selected: tuple[SelectedEffect, ...]
+    ) -> tuple[SelectedEffect, ...]:
         """Add to the rivals of each selected effect those that these runs may not distinguish from it.
 
         The trial fits of the search show rivals only among the few best candidates of one step. Here all candidates are
@@ -251,7 +261,9 @@ class EffectSearch:
         extended = []
         for s in selected:
             known = {s.effect.label, *(e.label for e in (*current.machine.effects, *s.rival_effects))}
-            loss = largest_resembling_loss(long_run_variance(current, s.effect.label, self.data), self._criteria)
+            loss = largest_resembling_loss(
+                long_run_variance(current, s.effect.label, self.data), self._criteria
+            )
             found = indistinguishable(current, s.effect, loss, self.data) if math.isfinite(loss) else []
             further = tuple(effect for effect in found if effect.label not in known)
             if further:
@@ -282,7 +294,9 @@ class EffectSearch:
             compared = compare_rivals(*case, in_combination=further)
             if compared.better is not None:
                 effect = compared.better.machine.effects[-1]
-                self._log(f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects")
+                self._log(
+                    f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects"
+                )
                 remaining = tuple(rival for rival in compared.remaining if rival.label != effect.label)
                 new = SelectedEffect(effect, old.gain, old.machine_without, remaining)
                 return self.settle_rivals(compared.better, (*(s for s in selected if s is not old), new))
@@ -313,6 +327,8 @@ class EffectSearch:
                 self.considered[candidate.effect.label] = ConsideredEffect(
                     candidate.effect, current.machine, reduced.machine, doubt
                 )
-                others = (s for s in selected if s is not candidate)  # those that passed beside it may fail without it
+                others = (
+                    s for s in selected if s is not candidate
+                )  # those that passed beside it may fail without it
                 return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
         return current, tuple(s.with_values(current.machine) for s in selected)

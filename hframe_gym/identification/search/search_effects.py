@@ -26,7 +26,14 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.error import explains, required_gain
 from ..judge.run import differs_in_a_parameter, uses_all_runs
 from ..judge.table import TableEvidence, accepts_table
-from ..judge.verdict import DriftEvidence, PartialEvidence, Verdict, imitates_drift, verdict_of_effects, verdict_of_rest
+from ..judge.verdict import (
+    DriftEvidence,
+    PartialEvidence,
+    Verdict,
+    imitates_drift,
+    verdict_of_effects,
+    verdict_of_rest,
+)
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from ..propose.trial_fits import converge
@@ -136,7 +143,9 @@ def _search_with_suspect(
         return outcome if confirmed is None or confirmed(outcome) else in_all_runs()
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
-    others = _Search(machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log)
+    others = _Search(
+        machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log
+    )
     others.suspect = suspect
     searches.append(others)
     if not others.needs_no_effect and all_runs.runs_differ:
@@ -176,7 +185,9 @@ def _explains_all(fitted: Fit, others: _Search, criteria: SelectionCriteria) -> 
     return explains(fitted.error, others.base.chi2, criteria, without_effects=False)
 
 
-def _differs_in_a_parameter(suspect: str, outcome: SearchOutcome, data: Dataset, criteria: SelectionCriteria) -> bool:
+def _differs_in_a_parameter(
+    suspect: str, outcome: SearchOutcome, data: Dataset, criteria: SelectionCriteria
+) -> bool:
     """Return whether a run is explained as well as the others by another value of one parameter in this run alone."""
     difference = find_run_differences(outcome.after, data, criteria)
     if difference is None:
@@ -250,7 +261,9 @@ class _Search:
         if search and effects:
             self._data_after = search.data
             after, effects = search.prune(polish(after, search.data), effects)
-        rejected = tuple(entry for label, entry in considered.items() if label not in {s.effect.label for s in effects})
+        rejected = tuple(
+            entry for label, entry in considered.items() if label not in {s.effect.label for s in effects}
+        )
         decided = self._decided(after, effects, rejected) or self._partial(after, effects, rejected)
         return decided._replace(contradiction=self.suspect)
 
@@ -258,7 +271,9 @@ class _Search:
         self, after: Fit, effects: tuple[SelectedEffect, ...], considered: tuple[ConsideredEffect, ...]
     ) -> SearchOutcome | None:
         """Return the outcome if a table cannot change it: effects explain the data, or only imitate a drift."""
-        decision = verdict_of_effects(bool(effects), self._imitated_drift(after), lambda: self._explains(after))
+        decision = verdict_of_effects(
+            bool(effects), self._imitated_drift(after), lambda: self._explains(after)
+        )
         return decision and self._decide(decision, after, effects, considered)
 
     def _partial(
@@ -283,7 +298,9 @@ class _Search:
             considered, effects = considered + self._removed(after, effects, reason), ()
         return self._outcome(verdict, after if effects else self.before, effects, considered)
 
-    def _removed(self, after: Fit, effects: tuple[SelectedEffect, ...], reason: str) -> tuple[ConsideredEffect, ...]:
+    def _removed(
+        self, after: Fit, effects: tuple[SelectedEffect, ...], reason: str
+    ) -> tuple[ConsideredEffect, ...]:
         """Log that effects are removed, and return them as considered; the reason is a clause that follows "it "."""
         for s in effects:
             self._log(f"  {s.effect.label} is removed: it {reason}")
@@ -295,7 +312,9 @@ class _Search:
         evidence = DriftEvidence(
             depends_on_time=any(hook and "t" in argument_names(hook) for hook in hooks),
             explained=lambda: self._explains(self._refined(after)),
-            wide=lambda: dataclasses.replace(after, bandwidth=SEARCH_BANDWIDTH, cost=self._wide_cost(after)).error,
+            wide=lambda: (
+                dataclasses.replace(after, bandwidth=SEARCH_BANDWIDTH, cost=self._wide_cost(after)).error
+            ),
             by_run=lambda: self._difference.chi2 if self._difference else None,
         )
         imitated = imitates_drift(evidence, self._criteria)
@@ -332,7 +351,9 @@ class _Search:
         before_explains, explained = self._explains(self.before), self._explains(after)
         before, after = (self._final(f) for f in (self.before, after))
         selected = tuple(s.with_values(after.machine) for s in selected)
-        return SearchOutcome(before, before_explains, explained, verdict, after, selected, considered, self._data_after)
+        return SearchOutcome(
+            before, before_explains, explained, verdict, after, selected, considered, self._data_after
+        )
 
     def _final(self, fitted: Fit) -> Fit:
         """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires."""
@@ -372,7 +393,9 @@ class _Search:
             lower = current.chi2 < found_at.chi2 - required_gain(found_at.error, criteria)
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)
-        if effects or self._explains(current):  # starts that a wrong machine estimates compensate what it lacks
+        if effects or self._explains(
+            current
+        ):  # starts that a wrong machine estimates compensate what it lacks
             self._data_after = search.data
         if not effects and start is None and self._explains(current):
             self.before, self._data = current, search.data
@@ -407,7 +430,9 @@ class _Search:
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
                 replaced = len(effects) if start is self.base else 0
                 errors = self._wide_cost(candidate), self.base.cost, wide.cost
-                if kept and accepts_table(TableEvidence(self._explains(candidate), *errors, replaced), criteria):
+                if kept and accepts_table(
+                    TableEvidence(self._explains(candidate), *errors, replaced), criteria
+                ):
                     return candidate, kept
         return None
 

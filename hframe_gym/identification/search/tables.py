@@ -34,11 +34,17 @@ from ..propose.screening import screen
 from ..propose.trial_fits import fit_with_candidate
 
 Array = NDArray[np.float64]
-_BINS = 4 * KNOTS  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
+_BINS = (
+    4 * KNOTS
+)  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
 _BASE_KNOT_DENSITY = 0.15  # Relative density of knots where the curve is straight; the sharpest bend adds 1.
 _MIN_BIN_SAMPLES = 21  # The mean of a bin with fewer samples is too noisy to be used.
-_CURVATURE_POWER = 0.4  # Knots at a density of this power of the curvature leave the smallest mean squared error.
-_EVEN_KNOTS = 1.0 / 6.0  # Fraction of the knots that are spread evenly, so that bends between the others are seen.
+_CURVATURE_POWER = (
+    0.4  # Knots at a density of this power of the curvature leave the smallest mean squared error.
+)
+_EVEN_KNOTS = (
+    1.0 / 6.0
+)  # Fraction of the knots that are spread evenly, so that bends between the others are seen.
 _SIGNIFICANT = 2.0  # Standard deviations by which the curvature of a fitted table must exceed zero.
 _KNOT_MOVES = 6  # Largest number of times that the knots of a table move; two or three suffice.
 
@@ -93,14 +99,18 @@ def table_candidates(
         for name, variable in variables.items():
             # Friction opposes the motion: to the missing force f belongs the Coulomb friction force -f sign(v).
             for kind, samples in (("smooth_force", force), ("smooth_friction", -force * np.sign(velocity))):
-                fraction, knots = _explained_fraction(variable, samples, symmetric=name.startswith("velocity"))
+                fraction, knots = _explained_fraction(
+                    variable, samples, symmetric=name.startswith("velocity")
+                )
                 ranked.append((fraction, Table(f"{kind}[{name}]", site, knots)))
         tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
         chosen += tables[:max_per_site]
         remaining = tables[max_per_site:]
         chosen += [table for table in remaining if table.effect.endswith("[time]")][:1]
         chosen += [table for table in remaining if table.effect.endswith(f"[position of {site}]")]
-    return [_candidate(table, scales) for table in chosen if f"{table.effect}@{table.site}" not in existing_labels]
+    return [
+        _candidate(table, scales) for table in chosen if f"{table.effect}@{table.site}" not in existing_labels
+    ]
 
 
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
@@ -144,7 +154,9 @@ def _explained_fraction(variable: Array, samples: Array, *, symmetric: bool) -> 
         Fraction between 0 and 1, in addition to what the mean over all samples explains, and knots, denser where the
         means bend, shape (knots,).
     """
-    low, high = np.percentile(variable, [0.05, 99.95])  # outliers do not widen the range; they count in the end bins
+    low, high = np.percentile(
+        variable, [0.05, 99.95]
+    )  # outliers do not widen the range; they count in the end bins
     if symmetric:
         high = max(high, -low)
         low = -high
@@ -160,7 +172,9 @@ def _explained_fraction(variable: Array, samples: Array, *, symmetric: bool) -> 
     centers = 0.5 * (edges[1:] + edges[:-1])
     smooth = bin_means
     if usable.any():
-        smooth = np.convolve(np.interp(centers, centers[usable], bin_means[usable]), [0.25, 0.5, 0.25], "same")
+        smooth = np.convolve(
+            np.interp(centers, centers[usable], bin_means[usable]), [0.25, 0.5, 0.25], "same"
+        )
     # The error of linear interpolation is proportional to curvature times interval squared. A density of knots that is
     # proportional to the root of the curvature makes it equal everywhere.
     curvature = np.abs(np.gradient(np.gradient(smooth)))
@@ -220,7 +234,9 @@ def add_tables(
         min_gain = judge.required_table_gain(current.error, criteria)
         proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)
         trials = (fit_with_candidate(current, s, scales, data) for s in proposed)
-        confirmed = (t for t in trials if judge.confirms_table(_left_out_ratio(t, current, data, criteria), criteria))
+        confirmed = (
+            t for t in trials if judge.confirms_table(_left_out_ratio(t, current, data, criteria), criteria)
+        )
         trial = next(confirmed, None)
         if trial is None:
             break
@@ -295,7 +311,9 @@ def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
     """
     spacing = np.diff(knots)
     slopes = np.diff(np.eye(KNOTS), axis=0) / spacing[:, None]
-    operator = np.diff(slopes, axis=0) / (0.5 * (spacing[1:] + spacing[:-1]))[:, None]  # second derivative of values
+    operator = (
+        np.diff(slopes, axis=0) / (0.5 * (spacing[1:] + spacing[:-1]))[:, None]
+    )  # second derivative of values
     variance = np.einsum("ij,jk,ik->i", operator, covariance, operator)
     curvature = np.sqrt(np.maximum((operator @ values) ** 2 - _SIGNIFICANT**2 * variance, 0.0))
     if not np.any(curvature):

@@ -152,7 +152,9 @@ def headers_text(columns: Sequence[LogColumn]) -> str:
         Headers separated by commas; a unit from a row of units follows its header in brackets. Beyond 200 columns their
         number is given.
     """
-    listed = [c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]]
+    listed = [
+        c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]
+    ]
     more = [f"and {len(columns) - _LISTED} more"] if len(columns) > _LISTED else []
     return ", ".join([*listed, *more])
 

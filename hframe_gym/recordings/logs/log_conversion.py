@@ -96,9 +96,13 @@ class LogConverter:
             raise InputError(_unit_advice(error, sources)) from None
         except InputError as error:
             message = str(error)
-            header_of = {s.channel: s.column.header for s in sources if s.column and s.column.header != s.channel}
+            header_of = {
+                s.channel: s.column.header for s in sources if s.column and s.column.header != s.channel
+            }
             origins = [
-                f"{channel} is the column {header!r}" for channel, header in header_of.items() if channel in message
+                f"{channel} is the column {header!r}"
+                for channel, header in header_of.items()
+                if channel in message
             ]
             raise InputError("; ".join([message, *origins])) from None
 
@@ -108,14 +112,18 @@ class LogConverter:
         """Return times, s, and the values of each channel in its unit; append to the remarks and empty `by_header`."""
         times = [source for source in sources if source.channel == TIME and source.column is not None]
         tables = [self._table(log, time, sources, by_header, remarks) for time in times]
-        if self.day is not None and any(time.column is not None and time.column.kind == "stamp" for time in times):
+        if self.day is not None and any(
+            time.column is not None and time.column.kind == "stamp" for time in times
+        ):
             date = f" of {self.day}" if self.day > np.datetime64("1970-01-01") else ""
             remarks.append(f"time_s counts from midnight{date}; time zones are ignored")
         by_header.clear()  # so that the values of a long log are in memory only once
         if len(tables) > 1:
             time_s, columns = _without_false_gaps(*_merge(tables), [times for times, _ in tables])
             lengths = [
-                f"{len(t)} of {time.column.header}" for (t, _), time in zip(tables, times, strict=True) if time.column
+                f"{len(t)} of {time.column.header}"
+                for (t, _), time in zip(tables, times, strict=True)
+                if time.column
             ]
             remarks.append(f"several columns of time, merged to {len(time_s)} rows ({', '.join(lengths)})")
         else:
@@ -123,7 +131,12 @@ class LogConverter:
         return _hold_inputs(time_s, columns, self.machine, remarks)
 
     def _table(
-        self, log: Log, time: ChannelSource, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
+        self,
+        log: Log,
+        time: ChannelSource,
+        sources: Sequence[ChannelSource],
+        by_header: Values,
+        remarks: list[str],
     ) -> tuple[Array, dict[str, Array]]:
         """Return one column of time, s, and the values of its channels, without rows that have no time."""
         time_s = self._seconds(log, time, by_header, remarks)
@@ -131,7 +144,9 @@ class LogConverter:
         if not has_time.all():
             count = int(np.sum(~has_time))
             remarks.append(f"{count} row{'s' if count > 1 else ''} without a time left out")
-        own = [s for s in sources if s.time is not None and s.time.column is time.column and s.column is not None]
+        own = [
+            s for s in sources if s.time is not None and s.time.column is time.column and s.column is not None
+        ]
         repeated = _repeated_rows(time_s, [by_header[s.column.header] for s in own if s.column is not None])
         if repeated.any():
             count = int(np.sum(repeated))
@@ -152,7 +167,9 @@ class LogConverter:
                 values, remark = self._without_wrap(source.channel, values)
                 remarks += [remark] * bool(remark)
             if source.column.unit == "%" and not source.set_by_user and _is_fraction(values):
-                remarks.append(f"{source.channel}: never exceeds 1 %; if 1 is full, add --unit {source.channel}=pu")
+                remarks.append(
+                    f"{source.channel}: never exceeds 1 %; if 1 is full, add --unit {source.channel}=pu"
+                )
             values = source.conversion.apply(values)[rows]
             channels[source.channel] = _integrate(time_s, values) if source.integrate else values
         return time_s, channels
@@ -165,12 +182,16 @@ class LogConverter:
             return values, ""
         angle = channel_dimension(self.machine, channel) == "angle" or sensor.kind == "encoder"
         measured = values[np.isfinite(values)]
-        quantum = 1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)  # 1 for counts
+        quantum = (
+            1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)
+        )  # 1 for counts
         wrap = find_wrap(values, known_moduli(quantum, angle=angle))
         if wrap is None:
             return values, ""
         jumps = f"{wrap.jumps} jump{'s' if wrap.jumps > 1 else ''}"
-        return unwrapped(values, wrap.modulus), f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
+        return unwrapped(
+            values, wrap.modulus
+        ), f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
 
     def _seconds(self, log: Log, source: ChannelSource, by_header: Values, remarks: list[str]) -> Array:
         """Return the times of a column, s; NaN where a cell is empty. A clock that starts anew is continued."""
@@ -191,7 +212,9 @@ class LogConverter:
         finite = time_s[np.isfinite(time_s)]
         step = float(np.median(np.diff(finite))) if len(finite) > 1 else 0.0
         if source.column.kind != "stamp" and source.unit_is_assumed and step >= _LONG_STEP:
-            unit, factor = next(((u, f) for longest, u, f in _TIME_UNITS if step < longest), _TIME_UNITS[-1][1:])
+            unit, factor = next(
+                ((u, f) for longest, u, f in _TIME_UNITS if step < longest), _TIME_UNITS[-1][1:]
+            )
             raise InputError(
                 f"{log.place}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
                 f"seconds; state its unit by --unit {TIME}={unit} (rows at {factor / step:.4g} Hz), or ms, us, ns, s"
@@ -219,19 +242,25 @@ def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str
     """
     wrong = [source for source in sources if source.channel in error.channels and source.column is not None]
     origins = "; ".join(
-        f"{source.channel} is the column {source.column.header!r}" + (f" ({source.remark})" if source.remark else "")
+        f"{source.channel} is the column {source.column.header!r}"
+        + (f" ({source.remark})" if source.remark else "")
         for source in wrong
         if source.column is not None
     )
     from_user = [source.channel for source in wrong if source.set_by_user]
     if from_user:
-        return f"{error.problem}. Correct --unit {from_user[0]}=UNIT or --scale {from_user[0]}=FACTOR: {origins}"
-    read_as_si = [source.channel for source in wrong if source.conversion == Conversion() and not source.integrate]
+        return (
+            f"{error.problem}. Correct --unit {from_user[0]}=UNIT or --scale {from_user[0]}=FACTOR: {origins}"
+        )
+    read_as_si = [
+        source.channel for source in wrong if source.conversion == Conversion() and not source.integrate
+    ]
     if read_as_si:
         return f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in read_as_si)}: {origins}"
     options = f"--unit {wrong[0].channel}=UNIT or --scale {wrong[0].channel}=FACTOR"
     return (
-        f"{error.problem}. The values in the log are suspect; check them, or correct their unit by {options}: {origins}"
+        f"{error.problem}. The values in the log are suspect; check them, or correct their unit by "
+        f"{options}: {origins}"
     )
 
 
@@ -263,7 +292,9 @@ def _common_length(log: Log, by_header: Values) -> int:
     return next(iter(lengths.values()))
 
 
-def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> tuple[list[Recording], list[str]]:
+def split_at_rests(
+    recording: Recording, machine: Machine, min_rest: float
+) -> tuple[list[Recording], list[str]]:
     """Cut a recording into runs that begin at rest and, except perhaps the last one, end at rest.
 
     The machine rests where no voltage and no measurement changes by more than noise and resolution for `min_rest` or
@@ -288,7 +319,9 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
     edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(np.int8), [0]])))
     first, last = edges[::2], edges[1::2] - 1  # first and last row of each rest
     if len(first) == 0:
-        raise InputError(f"{recording.name}: nothing rests for {min_rest:g} s: reduce --min-rest, or --split-every 10")
+        raise InputError(
+            f"{recording.name}: nothing rests for {min_rest:g} s: reduce --min-rest, or --split-every 10"
+        )
     if resting.all():
         raise InputError(f"{recording.name}: nothing moves, so there are no runs to cut")
     begins_at_rest, ends_at_rest = first[0] == 0, last[-1] == len(time_s) - 1
@@ -310,7 +343,9 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
         pieces.append((begins[-1], len(time_s)))
         remarks.append("the last run does not end at rest")
     if not pieces:
-        raise InputError(f"{recording.name}: rests only at its end, so no run begins at rest; reduce --min-rest")
+        raise InputError(
+            f"{recording.name}: rests only at its end, so no run begins at rest; reduce --min-rest"
+        )
     digits = max(2, len(str(len(pieces))))
     runs = []
     for number, (begin, end) in enumerate(pieces, start=1):
@@ -320,7 +355,9 @@ def split_at_rests(recording: Recording, machine: Machine, min_rest: float) -> t
     seconds = [float(run.time_s[-1] - run.time_s[0]) for run in runs]
     left_out = time_s[-1] - time_s[0] - sum(seconds)
     count = "1 run of" if len(runs) == 1 else f"{len(runs)} runs of {min(seconds):.3g} to"
-    remarks.append(f"cut at rests of {min_rest:g} s and more: {count} {max(seconds):.3g} s, {left_out:.4g} s left out")
+    remarks.append(
+        f"cut at rests of {min_rest:g} s and more: {count} {max(seconds):.3g} s, {left_out:.4g} s left out"
+    )
     return runs, remarks
 
 
@@ -424,8 +461,12 @@ def _channels_with_tolerance(recording: Recording, machine: Machine) -> list[tup
         if len(measured) == 0:
             continue
         declared = max(_REST_NOISE * sensor.noise, _REST_STEPS * sensor.resolution)
-        estimated = min(_variation_at_rest(values[measured]), _MAX_REST_SPAN * float(np.ptp(values[measured])))
-        held = values[measured[np.clip(np.searchsorted(measured, np.arange(len(values)), "right") - 1, 0, None)]]
+        estimated = min(
+            _variation_at_rest(values[measured]), _MAX_REST_SPAN * float(np.ptp(values[measured]))
+        )
+        held = values[
+            measured[np.clip(np.searchsorted(measured, np.arange(len(values)), "right") - 1, 0, None)]
+        ]
         channels.append((held, max(declared, estimated)))
     return channels
 

@@ -71,11 +71,15 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
         for file in files:
             if file.name.lower().endswith(FOREIGN_SUFFIXES):
                 open_logs(file)  # which says why it is not read
-        endings = sorted({suffix for kind in formats for suffix in kind.suffixes if not suffix.endswith(".gz")})
+        endings = sorted(
+            {suffix for kind in formats for suffix in kind.suffixes if not suffix.endswith(".gz")}
+        )
         raise InputError(f"{path}: no logs ({', '.join(endings)}) in this folder")
     for first, second in pairwise(sorted((p for p in logs if p.parent == path), key=log_name)):
         if log_name(first) == log_name(second):
-            raise InputError(f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one")
+            raise InputError(
+                f"{second}: would be the same run {log_name(first)!r} as {first.name}; rename one"
+            )
     return logs, [p for p in files if p not in logs]
 
 
@@ -114,7 +118,9 @@ def log_size(path: Path) -> int:
     Returns:
         Number of bytes.
     """
-    return sum(p.stat().st_size for p in path.iterdir() if p.is_file()) if path.is_dir() else path.stat().st_size
+    return (
+        sum(p.stat().st_size for p in path.iterdir() if p.is_file()) if path.is_dir() else path.stat().st_size
+    )
 
 
 def _formats() -> list[LogFormat]:

@@ -66,7 +66,9 @@ def parse_interval(text: str) -> Interval:
     try:
         interval = Interval(name.strip(), float(first), float(last))
     except ValueError:
-        raise InputError(f"--cut {text}: write FROM:TO or LOG=FROM:TO with times in s, such as 2.5:10") from None
+        raise InputError(
+            f"--cut {text}: write FROM:TO or LOG=FROM:TO with times in s, such as 2.5:10"
+        ) from None
     if not interval.begin < interval.end:  # also if one is not a number
         raise InputError(f"--cut {text}: the end must be after the beginning")
     return interval
@@ -132,7 +134,9 @@ def import_logs(
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}: is a file, but must be a folder")
-    existing = {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
+    existing = (
+        {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
+    )
     if other_files:
         log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
     # Each byte counts twice: once for reading, once for writing, which take about as long.
@@ -143,7 +147,9 @@ def import_logs(
         for path in paths:
             for run in importer.runs(path):
                 if run.name in existing:
-                    raise InputError(f"{folder}: the run {run.name!r} exists; choose another --out or delete it")
+                    raise InputError(
+                        f"{folder}: the run {run.name!r} exists; choose another --out or delete it"
+                    )
                 file = folder / f"{run.name}.{settings.run_format}"
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
@@ -179,9 +185,14 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
         raise InputError(f"{path}: has no tables; {contents}")
     for name, table in content.items():
         if name not in tables or not isinstance(table, dict):
-            raise InputError(f"{path}, {name}: {'not a table' if name in tables else 'unknown table'}; {contents}")
+            raise InputError(
+                f"{path}, {name}: {'not a table' if name in tables else 'unknown table'}; {contents}"
+            )
         tables[name] = table
-    scales = {channel: parse_factor(f"{path}, scale.{channel}", factor) for channel, factor in tables["scale"].items()}
+    scales = {
+        channel: parse_factor(f"{path}, scale.{channel}", factor)
+        for channel, factor in tables["scale"].items()
+    }
     columns, units = ({c: str(value) for c, value in tables[name].items()} for name in ("map", "unit"))
     return MappingOptions(columns, units, scales)
 
@@ -291,7 +302,9 @@ def _column_table(log: Log, sources: Sequence[ChannelSource], machine: Machine) 
         meaning = source.column.meaning
         quantity = meaning.quantity or channel_dimension(machine, source.channel)
         role = f", {meaning.role}" * bool(meaning.role)
-        rows.append((source.column.header, f"{quantity}{role}", source.column.unit, f"{source.channel}{remark}"))
+        rows.append(
+            (source.column.header, f"{quantity}{role}", source.column.unit, f"{source.channel}{remark}")
+        )
     used = [source.column for source in sources]
     unused = [column for column in log.columns if column not in used]
     for column in unused[:_UNUSED_ROWS]:
@@ -311,7 +324,9 @@ def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[Recordin
     """Return the parts of a recording within intervals, named NAME_01, NAME_02, ... if there are several."""
     time_s, runs = recording.time_s, []
     for number, interval in enumerate(intervals, start=1):
-        rows = slice(np.searchsorted(time_s, interval.begin), np.searchsorted(time_s, interval.end, side="right"))
+        rows = slice(
+            np.searchsorted(time_s, interval.begin), np.searchsorted(time_s, interval.end, side="right")
+        )
         if len(time_s[rows]) < 2:
             span = f"{time_s[0]:g} to {time_s[-1]:g} s"
             raise InputError(

@@ -30,7 +30,16 @@ from .possible_maps import obstacle
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
 # Names of a column of sample times, in lower case, without blanks and punctuation.
-_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue")  # the last: LabVIEW
+_TIME_NAMES = (
+    "time",
+    "t",
+    "timestamp",
+    "zeit",
+    "elapsedtime",
+    "seconds",
+    "sec",
+    "xvalue",
+)  # the last: LabVIEW
 # First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for lengths; "phi",
 # "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms it.
 _FIRST_LETTERS: dict[Dimension, str] = {
@@ -157,7 +166,9 @@ class _LogMapping:
         self._refuse_back_emf()
         times = self._time_columns()
         columns = self._assigned_columns(times)
-        time_of = {column.header: self._time_of(column, times) for column in columns.values() if column is not None}
+        time_of = {
+            column.header: self._time_of(column, times) for column in columns.values() if column is not None
+        }
         times = [*times, *(time for time in self.log.times if time in time_of.values())]
         time_sources = {time.header: self._source(TIME, time, None) for time in times}
         sources = []
@@ -182,7 +193,9 @@ class _LogMapping:
         unused = [c for c in self.log.columns if c.header not in taken and c.kind != "text"]
         missing = [channel for channel in (TIME, *self.channels) if channel not in assigned]
         proposed = self._proposed_headers(missing, unused)
-        return ProposedColumns(assigned, {c: header for c, header in proposed.items() if header != _NO_PROPOSAL})
+        return ProposedColumns(
+            assigned, {c: header for c, header in proposed.items() if header != _NO_PROPOSAL}
+        )
 
     def _refuse_unknown_channels(self) -> None:
         """Refuse options for channels that the machine does not have."""
@@ -315,10 +328,14 @@ class _LogMapping:
             return equal[0]
         if equal:
             choices = " or ".join(_map_option(TIME, time.header) for time in equal)
-            raise InputError(f"{self.log.path}: several times have the length of {column.header}: add {choices}")
+            raise InputError(
+                f"{self.log.path}: several times have the length of {column.header}: add {choices}"
+            )
         lengths = ", ".join(f"{time.header} {time.rows}" for time in times)
         problem = f"has {column.rows} values, but the times have: {lengths}"
-        raise InputError(f"{self.log.path}, {column.header}: {problem}; {self._advice_about_time(column, times)}")
+        raise InputError(
+            f"{self.log.path}, {column.header}: {problem}; {self._advice_about_time(column, times)}"
+        )
 
     def _advice_about_time(self, column: LogColumn, times: Sequence[LogColumn]) -> str:
         """Say how to give a column a time, if none of the times has its length."""
@@ -342,11 +359,15 @@ class _LogMapping:
             if channel == TIME:
                 return ChannelSource(channel, column, None, Conversion(), "time stamps to s")
             problem = f"contains dates or times of day; {channel} needs numbers. Map another column to it"
-            raise InputError(f"{self.log.path}, column {column.header}: {problem}{self._if_not_measured(channel)}")
+            raise InputError(
+                f"{self.log.path}, column {column.header}: {problem}{self._if_not_measured(channel)}"
+            )
         problem = self._obstacle(channel, column)
         if problem:
             place = _map_option(channel, self.options.columns.get(channel, column.header))
-            raise InputError(f"{self.log.path}: {place}: {column.header} is {problem}{self._if_not_measured(channel)}")
+            raise InputError(
+                f"{self.log.path}: {place}: {column.header} is {problem}{self._if_not_measured(channel)}"
+            )
         set_by_user = channel in self.options.units or channel in self.options.scales
         is_assumed = self._stated_unit(channel, column) is None and channel not in self.options.scales
         conversion, integrate, remark = self._conversion(channel, column)
@@ -385,7 +406,9 @@ class _LogMapping:
         """Return the message about channels without a column, with options to complete."""
         similar = {channel: self._named_like(channel) for channel in missing if channel != TIME}
         ambiguous = [
-            f"{channel} may be {headers_text(columns)}" for channel, columns in similar.items() if len(columns) > 1
+            f"{channel} may be {headers_text(columns)}"
+            for channel, columns in similar.items()
+            if len(columns) > 1
         ]
         problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
         return (
@@ -399,7 +422,9 @@ class _LogMapping:
         if not unused and TIME not in missing:
             inputs = [channel for channel in missing if channel in self.machine.input_channels]
             problem = f"No column is unassigned, but {', '.join(inputs)} {'has' if len(inputs) == 1 else 'have'} none"
-            return f"{problem}. Voltages must be recorded; add a column of zeros for a drive that was not used"
+            return (
+                f"{problem}. Voltages must be recorded; add a column of zeros for a drive that was not used"
+            )
         proposals = self._proposed_headers(missing, unused)
         advice = f"Check and add: {' '.join(_map_option(channel, proposals[channel]) for channel in missing)}"
         outputs = [channel for channel in missing if channel in self.machine.output_channels]
@@ -433,7 +458,9 @@ class _LogMapping:
             competitors = [other for other in unserved if set(candidates[other]) <= set(free)]
             if free and len(competitors) <= len(free):
                 proposed[channel] = free[0]
-        return {channel: proposed[channel].header if channel in proposed else _NO_PROPOSAL for channel in missing}
+        return {
+            channel: proposed[channel].header if channel in proposed else _NO_PROPOSAL for channel in missing
+        }
 
     def _candidates(self, channel: str, unused: Sequence[LogColumn]) -> list[LogColumn]:
         """Return the columns that may be a channel, the likeliest kind only.

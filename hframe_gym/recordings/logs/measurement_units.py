@@ -29,7 +29,9 @@ Dimension = Literal[
     "angular acceleration",
 ]
 
-UNITS: dict[Dimension, Factors] = {dimension: QUANTITIES[dimension].units for dimension in get_args(Dimension)}
+UNITS: dict[Dimension, Factors] = {
+    dimension: QUANTITIES[dimension].units for dimension in get_args(Dimension)
+}
 # Units of speeds, which `hframe import` integrates to positions.
 SPEED_UNITS: dict[Dimension, Factors] = {
     "length": QUANTITIES["linear speed"].units,
@@ -198,7 +200,9 @@ def _input_units(machine: Machine, channel: str, dimension: Dimension) -> dict[s
     if drive.Ke == 0.0 and dimension == "voltage":
         for unit, factors in UNITS["current"].items():
             current = Conversion(factors[0] * drive.resistance, factors[1])
-            conversions[unit] = UnitConversion(current, False, f"current of {drive.name} in {unit}, which Ke 0 allows")
+            conversions[unit] = UnitConversion(
+                current, False, f"current of {drive.name} in {unit}, which Ke 0 allows"
+            )
     si_unit = SI_UNITS[dimension]
     what = "duty cycle" if dimension == "voltage" else dimension
     remark = f"{what}, 100 % is {drive.rated_voltage:.6g} {si_unit}, the rated {dimension} of {drive.name}"
@@ -245,7 +249,9 @@ def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
     if unit in accepted_units(machine, channel):
         return f"{problem}. Add --unit {channel}={unit} to integrate it to {channel}"
     si_unit = next(iter(SPEED_UNITS[dimension]))
-    advice = f"If the factor converts it to {si_unit}, add --unit {channel}={si_unit} to integrate it to {channel}"
+    advice = (
+        f"If the factor converts it to {si_unit}, add --unit {channel}={si_unit} to integrate it to {channel}"
+    )
     return f"{problem}. {advice}"
 
 

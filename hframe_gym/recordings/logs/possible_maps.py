@@ -51,7 +51,9 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
     dimension, family = channel_dimension(machine, channel), column.family
     if family == (QUANTITIES[dimension].family or dimension):
         # A name may say that the motion is of the other kind, which only a unit or a factor converts.
-        other_motion = column.evidence == "name" and column.quantity in _MOTIONS and column.quantity != dimension
+        other_motion = (
+            column.evidence == "name" and column.quantity in _MOTIONS and column.quantity != dimension
+        )
         return not other_motion or scaled or unit is not None
     if channel == TIME:
         return family in _COUNTS and (scaled or unit is not None)
@@ -77,7 +79,9 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
     if unit in ("%", "pu"):
         return family in _FRACTION_OF_VOLTAGE
     if scaled and unit is None:
-        return family in _WRITTEN_TO_PWM or (family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel))
+        return family in _WRITTEN_TO_PWM or (
+            family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel)
+        )
     return unit is not None and unit in accepted_units(machine, channel) and family in _COMMANDED
 
 
@@ -101,7 +105,9 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
     if channel in machine.input_channels:
         if family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel):
             units = ", ".join(accepted_units(machine, channel))
-            return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
+            return (
+                f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"
+            )
         if family in _AMPLIFIER_COMMANDS:
             return _advice_about_commands(channel, column)
         if family == "duty cycle":

@@ -61,15 +61,27 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
     [
         ({}, ""),
         ({"confirmed": 0.31 * 2000.0}, ""),
-        ({"confirmed": 0.29 * 2000.0}, "is not confirmed by runs that it was not fitted to (29 % of the gain)"),
-        ({"confirmed": -4e6}, "is not confirmed by runs that it was not fitted to (their error grows with it)"),
+        (
+            {"confirmed": 0.29 * 2000.0},
+            "is not confirmed by runs that it was not fitted to (29 % of the gain)",
+        ),
+        (
+            {"confirmed": -4e6},
+            "is not confirmed by runs that it was not fitted to (their error grows with it)",
+        ),
         ({"fault": "makes the machine diverge"}, "makes the machine diverge"),
         ({"chance": Chance(2000.0, 65.0)}, ""),  # the smallest gain is 30 times the variance
         ({"chance": Chance(2000.0, 68.0)}, CHANCE),
-        ({"chance": Chance(2000.0, 68.0), "chance_narrower": Chance(2100.0, 69.0)}, ""),  # in doubt, the slow error
+        (
+            {"chance": Chance(2000.0, 68.0), "chance_narrower": Chance(2100.0, 69.0)},
+            "",
+        ),  # in doubt, the slow error
         ({"chance": Chance(2000.0, 68.0), "chance_narrower": Chance(2000.0, 69.0)}, CHANCE),
         ({"forces": Forces(0.202, 0.2)}, ""),
-        ({"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)}, ""),  # measured again in doubt
+        (
+            {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)},
+            "",
+        ),  # measured again in doubt
         (
             {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.2)},
             "has a force of 0.2 N, where 0.2 N remain unexplained",
@@ -77,7 +89,10 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
         ({"forces": Forces(0.09, 0.2)}, "has a force of 0.09 N, where 0.2 N remain unexplained"),  # no doubt
         ({"forces": Forces(2.1e-4, 0.0)}, ""),
         ({"forces": Forces(1.9e-4, 0.0)}, "has a force of 0.00019 N, 2e-05 of that of the drives"),
-        ({"forces": Forces(1.9e-4, 0.0), "structural": True}, ""),  # it has no force at the machine's coordinates
+        (
+            {"forces": Forces(1.9e-4, 0.0), "structural": True},
+            "",
+        ),  # it has no force at the machine's coordinates
         (
             {"forces": Forces(0.1, 0.3), "structural": True},
             "explains a force of 0.1 N, where 0.3 N remain unexplained",
@@ -119,12 +134,15 @@ def test_an_effect_must_reduce_the_error_beside_all_others(without: float, doubt
 
 
 @pytest.mark.parametrize(
-    ("without", "with_effect", "sure"), [(60.0, 1.1, True), (60.0, 3.0, False), (5.1, 1.0, True), (4.9, 1.0, False)]
+    ("without", "with_effect", "sure"),
+    [(60.0, 1.1, True), (60.0, 3.0, False), (5.1, 1.0, True), (4.9, 1.0, False)],
 )
 def test_an_effect_that_removes_a_clear_error_is_no_correction_of_a_form(
     without: float, with_effect: float, sure: bool
 ) -> None:
-    reason = judge.doubt_about_candidate(evidence(without, with_effect, additions=[Addition("a@x", 0.05)]), CRITERIA)
+    reason = judge.doubt_about_candidate(
+        evidence(without, with_effect, additions=[Addition("a@x", 0.05)]), CRITERIA
+    )
     assert ("the form of that effect may be in error" not in reason) == sure
 
 

@@ -38,7 +38,12 @@ def test_simulations_are_compared_in_the_geometric_mean(ratios: list[float], wor
     ("effects", "worsens", "refuted", "reason"),
     [
         ({"a": (0.5, True), "b": (-0.1, True)}, True, ("b",), "does not reduce"),
-        ({"a": (-0.2, True), "b": (-0.1, True), "c": (-0.3, True)}, False, ("c", "a", "b"), "does not reduce"),
+        (
+            {"a": (-0.2, True), "b": (-0.1, True), "c": (-0.3, True)},
+            False,
+            ("c", "a", "b"),
+            "does not reduce",
+        ),
         ({"a": (-0.5, False)}, False, (), ""),  # not excited: the fitted runs have confirmed it
         ({"a": (0.5, True), "b": (0.2, True)}, True, ("b", "a"), "worse with all effects together than"),
         ({"a": (0.5, True)}, True, ("a",), "worse with it than"),

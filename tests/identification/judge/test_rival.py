@@ -20,7 +20,11 @@ def test_the_margin_is_three_percent_of_the_gain_or_a_little_per_sample(best: fl
 
 def test_of_equally_good_trials_the_simplest_comes_first() -> None:
     trials = [(1.031, 1), (1.0, 5), (1.029, 3)]
-    assert sorted(trials, key=lambda t: judge.preference(*t, limit=1.03)) == [(1.029, 3), (1.0, 5), (1.031, 1)]
+    assert sorted(trials, key=lambda t: judge.preference(*t, limit=1.03)) == [
+        (1.029, 3),
+        (1.0, 5),
+        (1.031, 1),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,9 @@ CRITERIA = SelectionCriteria()
         ({"a": 0.2, "b": 1.0, "c": math.inf}, "c"),
     ],
 )
-def test_a_run_with_ten_times_the_error_of_the_others_contradicts(ratios: dict[str, float], name: str | None) -> None:
+def test_a_run_with_ten_times_the_error_of_the_others_contradicts(
+    ratios: dict[str, float], name: str | None
+) -> None:
     assert judge.contradicting_run(ratios) == name
 
 
@@ -51,14 +53,17 @@ def test_a_held_out_run_contradicts_unless_effects_cause_its_error(
     assert judge.contradicts(run) == contradicts
 
 
-@pytest.mark.parametrize(("explained", "chi2", "used"), [(True, 1e6, True), (False, 99.0, True), (False, 101.0, False)])
+@pytest.mark.parametrize(
+    ("explained", "chi2", "used"), [(True, 1e6, True), (False, 99.0, True), (False, 101.0, False)]
+)
 def test_a_suspect_is_used_unless_it_spoils_everything(explained: bool, chi2: float, used: bool) -> None:
     """The others leave an error of 10; together with the suspect, more than ten times that is too much."""
     assert judge.uses_all_runs(10.0, explained, lambda: chi2) == used
 
 
 @pytest.mark.parametrize(
-    ("different", "chi2", "differs"), [("c", 2.38, True), ("c", 2.42, False), ("a", 2.0, False), (None, 2.0, False)]
+    ("different", "chi2", "differs"),
+    [("c", 2.38, True), ("c", 2.42, False), ("a", 2.0, False), (None, 2.0, False)],
 )
 def test_a_suspect_that_differs_in_a_parameter(different: str | None, chi2: float, differs: bool) -> None:
     assert judge.differs_in_a_parameter("c", different, chi2, 2.0) == differs
@@ -87,7 +92,9 @@ def test_how_a_quantity_differs_between_runs(
     assert judge.different_run(dict(zip("abcd", amounts, strict=True))) == different
 
 
-@pytest.mark.parametrize(("ratio", "accepted"), [(1.9, True), (2.1, False), (math.nan, False), (math.inf, False)])
+@pytest.mark.parametrize(
+    ("ratio", "accepted"), [(1.9, True), (2.1, False), (math.nan, False), (math.inf, False)]
+)
 def test_observers_of_the_runs_must_not_double_the_simulation_error(ratio: float, accepted: bool) -> None:
     assert judge.accepts_run_observers(math.log(ratio)) == accepted
 
@@ -95,5 +102,7 @@ def test_observers_of_the_runs_must_not_double_the_simulation_error(ratio: float
 @pytest.mark.parametrize(
     ("differing", "held_out", "fitted", "exchanged"), [(2, 2, 6, True), (1, 2, 6, False), (2, 2, 2, False)]
 )
-def test_other_runs_are_held_out_if_all_contradict(differing: int, held_out: int, fitted: int, exchanged: bool) -> None:
+def test_other_runs_are_held_out_if_all_contradict(
+    differing: int, held_out: int, fitted: int, exchanged: bool
+) -> None:
     assert judge.exchanges_held_out(differing, held_out, fitted) == exchanged

@@ -50,13 +50,20 @@ def test_a_replacement_promises_three_fifths(promise: float, may: bool) -> None:
 
 @pytest.mark.parametrize(
     ("chi2", "any_trial", "at_limit", "elsewhere"),
-    [(1.0, True, True, True), (9.0, False, False, True), (9.0, True, False, False), (1.2, False, False, False)],
+    [
+        (1.0, True, True, True),
+        (9.0, False, False, True),
+        (9.0, True, False, False),
+        (1.2, False, False, False),
+    ],
 )
 def test_when_candidates_are_also_tried_from_the_declared_parameters(
     chi2: float, any_trial: bool, at_limit: bool, elsewhere: bool
 ) -> None:
     """If a parameter is at its limit, or if nothing is promising although much error is left."""
-    found = judge.may_be_local_minimum(error(chi2), CRITERIA, any_trial=any_trial, parameter_at_limit=at_limit)
+    found = judge.may_be_local_minimum(
+        error(chi2), CRITERIA, any_trial=any_trial, parameter_at_limit=at_limit
+    )
     assert found == elsewhere
 
 
@@ -80,7 +87,10 @@ def test_when_structures_are_worth_a_trial(chi2: float, bandwidth: float, left: 
     present = error(chi2, bandwidth)
     floor = 1.1 if bandwidth == 60.0 else 1.0
     best = error(floor + left * (chi2 - floor), bandwidth)
-    assert judge.is_worth_structures(StructureEvidence(present, best, False, math.nan, math.inf), CRITERIA) == worth
+    assert (
+        judge.is_worth_structures(StructureEvidence(present, best, False, math.nan, math.inf), CRITERIA)
+        == worth
+    )
 
 
 @pytest.mark.parametrize(
@@ -125,8 +135,12 @@ def test_pairs_are_searched_for_where_much_is_left(chi2: float, selected: int, w
     assert judge.is_worth_pairs(error(chi2), selected, CRITERIA) == worth
 
 
-@pytest.mark.parametrize(("chi2", "bandwidth", "worth"), [(1.4, 15.0, True), (1.6, 15.0, False), (1.4, 0.0, False)])
-def test_rivals_are_compared_as_soon_as_the_model_nearly_explains(chi2: float, bandwidth: float, worth: bool) -> None:
+@pytest.mark.parametrize(
+    ("chi2", "bandwidth", "worth"), [(1.4, 15.0, True), (1.6, 15.0, False), (1.4, 0.0, False)]
+)
+def test_rivals_are_compared_as_soon_as_the_model_nearly_explains(
+    chi2: float, bandwidth: float, worth: bool
+) -> None:
     """A wrong one of two rivals may be all that is left; narrower observers would be tried for nothing."""
     assert judge.is_worth_comparing_rivals(error(chi2, bandwidth), CRITERIA) == worth
 

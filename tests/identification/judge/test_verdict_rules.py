@@ -58,7 +58,9 @@ def test_the_verdict_on_effects_of_the_library(
         (False, False, 0.1, "unexplained"),
     ],
 )
-def test_the_verdict_where_an_error_remains(any_effect: bool, runs_differ: bool, wide: float, verdict: Verdict) -> None:
+def test_the_verdict_where_an_error_remains(
+    any_effect: bool, runs_differ: bool, wide: float, verdict: Verdict
+) -> None:
     partial = PartialEvidence((wide, 10.0), (10.0, 10.0))
     decided, reason = judge.verdict_of_rest(any_effect, lambda: runs_differ, lambda: partial, CRITERIA)
     assert decided == verdict

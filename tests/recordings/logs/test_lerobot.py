@@ -89,13 +89,17 @@ def test_lists_of_different_lengths_are_refused(tmp_path: Path) -> None:
     lists = pyarrow.array([[1.0, 2.0]] * (ROWS - 1) + [[1.0]])
     pyarrow.parquet.write_table(episodes(0, state=lists), tmp_path / "log.parquet")
     (log,) = open_logs(tmp_path / "log.parquet")
-    with pytest.raises(InputError, match=r"log.parquet, row 30, column observation.state: has a list of 1 items, .* 2"):
+    with pytest.raises(
+        InputError, match=r"log.parquet, row 30, column observation.state: has a list of 1 items, .* 2"
+    ):
         log.read(log.columns[:1])
 
 
 def test_episodes_whose_rows_are_mixed_are_refused(tmp_path: Path) -> None:
     table = episodes(0, 1)
-    pyarrow.parquet.write_table(table.take(np.arange(2 * ROWS).reshape(2, ROWS).T.ravel()), tmp_path / "log.parquet")
+    pyarrow.parquet.write_table(
+        table.take(np.arange(2 * ROWS).reshape(2, ROWS).T.ravel()), tmp_path / "log.parquet"
+    )
     with pytest.raises(InputError, match=r"column episode_index: the rows of an episode are not together"):
         open_logs(tmp_path / "log.parquet")
 

@@ -52,7 +52,9 @@ def test_seconds_of_the_day_go_on_after_midnight(axis: Machine, tmp_path: Path) 
 
 def test_a_time_of_day_that_goes_back_by_hours_is_refused(axis: Machine, tmp_path: Path) -> None:
     seconds = [*(50_000 + 0.01 * np.arange(20)), *(0.01 * np.arange(20))]
-    with pytest.raises(InputError, match=r"row 21, column time_s: 0 goes back.*did the clock restart\? Cut the file"):
+    with pytest.raises(
+        InputError, match=r"row 21, column time_s: 0 goes back.*did the clock restart\? Cut the file"
+    ):
         imported(tmp_path, axis, "Time", [time_of_day(s) for s in seconds])
 
 
@@ -74,7 +76,9 @@ def test_a_counter_that_starts_anew_is_continued(
         ticks = np.rint(ticks)
     run, lines = imported(tmp_path, axis, header, [form.format(t % modulus) for t in ticks])
     np.testing.assert_allclose(run.time_s, ticks / per_second, rtol=1e-8)
-    assert any("time_s goes on where a counter of" in line and "started anew (once)" in line for line in lines)
+    assert any(
+        "time_s goes on where a counter of" in line and "started anew (once)" in line for line in lines
+    )
 
 
 def test_a_counter_that_starts_anew_several_times_is_continued(axis: Machine, tmp_path: Path) -> None:
@@ -107,7 +111,9 @@ def test_stamps_that_repeat_name_the_rate_that_repairs_them(axis: Machine, tmp_p
 def test_rows_that_repeat_completely_are_left_out(axis: Machine, tmp_path: Path) -> None:
     rows = [f"{0.001 * k:.3f};{0.01 * k:.2f};{1e-4 * k:.4f};" for k in range(50)]
     doubled = [rows[0], *(row for row in rows for _ in range(2)), rows[-1]]
-    (tmp_path / "log.csv").write_text("\n".join(["t_s;v_V;x_m;note", *(f"{row}{k}" for k, row in enumerate(doubled))]))
+    (tmp_path / "log.csv").write_text(
+        "\n".join(["t_s;v_V;x_m;note", *(f"{row}{k}" for k, row in enumerate(doubled))])
+    )
     lines: list[str] = []
     import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, log=lines.append)
     (run,) = load_recordings(tmp_path / "runs", axis)
@@ -117,7 +123,9 @@ def test_rows_that_repeat_completely_are_left_out(axis: Machine, tmp_path: Path)
 
 def test_a_single_repeated_row_may_be_deleted(axis: Machine, tmp_path: Path) -> None:
     times = [str(k if k < 50 else k - 1) for k in range(100)]
-    with pytest.raises(InputError, match=r"row 51, .*repeats row 50; .*delete one of the two rows or, if all rows are"):
+    with pytest.raises(
+        InputError, match=r"row 51, .*repeats row 50; .*delete one of the two rows or, if all rows are"
+    ):
         imported(tmp_path, axis, "t_ms", times)
 
 
@@ -125,7 +133,9 @@ def test_a_single_repeated_row_may_be_deleted(axis: Machine, tmp_path: Path) -> 
 def test_a_time_without_a_unit_is_refused_with_its_likely_unit(
     step: int, unit: str, axis: Machine, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=rf"has no unit and steps of {step:g}, .* by --unit time_s={unit} \(rows at"):
+    with pytest.raises(
+        InputError, match=rf"has no unit and steps of {step:g}, .* by --unit time_s={unit} \(rows at"
+    ):
         imported(tmp_path, axis, "t", [str(k * step) for k in range(100)])
 
 

@@ -27,7 +27,8 @@ def rows(separator: str, form: str = "{:.7g}", end: str = "", first: np.ndarray 
 def plotted(separator: str, colon: str) -> str:
     """Return rows as Arduino's serial plotter reads them, with a name before each number."""
     return "".join(
-        separator.join(f"{name}{colon}{value:.7g}" for name, value in zip(("t", "u", "x"), row, strict=True)) + "\n"
+        separator.join(f"{name}{colon}{value:.7g}" for name, value in zip(("t", "u", "x"), row, strict=True))
+        + "\n"
         for row in zip(TIME, VOLTAGE, POSITION, strict=True)
     )
 
@@ -93,16 +94,25 @@ DIALECTS = {
         ("#", "V", "rev"),
         "a row of units is below the header in a comment line",
     ),
-    "Klipper": Dialect("#time,u,x\n" + rows(","), ("time", "u", "x"), ("", "", ""), "the header is in a comment line"),
-    "SimpleFOC": Dialect("Target\tVoltage q\tAngle\n" + rows("\t"), ("Target", "Voltage q", "Angle"), ("", "", "")),
+    "Klipper": Dialect(
+        "#time,u,x\n" + rows(","), ("time", "u", "x"), ("", "", ""), "the header is in a comment line"
+    ),
+    "SimpleFOC": Dialect(
+        "Target\tVoltage q\tAngle\n" + rows("\t"), ("Target", "Voltage q", "Angle"), ("", "", "")
+    ),
     "serial plotter, commas": Dialect(plotted(",", ":"), ("t", "u", "x"), ("", "", ""), "name of its column"),
     "serial plotter, tabs": Dialect(plotted("\t", ":"), ("t", "u", "x"), ("", "", ""), "name of its column"),
-    "serial plotter, blanks": Dialect(plotted(" ", ": "), ("t", "u", "x"), ("", "", ""), "name of its column"),
+    "serial plotter, blanks": Dialect(
+        plotted(" ", ": "), ("t", "u", "x"), ("", "", ""), "name of its column"
+    ),
     "MATLAB": Dialect("% time u x\n" + rows("   ", "{: .7e}"), ("time", "u", "x"), ("", "", "")),
     "NumPy": Dialect("# t [s], u [V], x [mm]\n" + rows(" ", "{:.9e}"), ("t", "u", "x"), ("s", "V", "mm")),
     "LabVIEW": Dialect(LABVIEW + rows("\t"), ("X_Value", "Voltage", "Position"), ("", "", "")),
     "LabVIEW, German": Dialect(
-        LABVIEW + rows("\t").replace(".", ","), ("X_Value", "Voltage", "Position"), ("", "", ""), "decimal commas"
+        LABVIEW + rows("\t").replace(".", ","),
+        ("X_Value", "Voltage", "Position"),
+        ("", "", ""),
+        "decimal commas",
     ),
     "LabVIEW, column of comments": Dialect(
         LABVIEW + rows("\t", end="\t"), ("X_Value", "Voltage", "Position"), ("", "", "")
@@ -113,20 +123,32 @@ DIALECTS = {
         ("us", "V", "mV"),
         "a row of units is below the header",
     ),
-    "Saleae": Dialect("Time [s],Channel 0,Channel 1\n" + rows(","), ("Time", "Channel 0", "Channel 1"), ("s", "", "")),
-    "Tektronix": Dialect(TEKTRONIX + rows(","), ("TIME", "CH1", "CH2"), ("", "", ""), "other lines are above"),
+    "Saleae": Dialect(
+        "Time [s],Channel 0,Channel 1\n" + rows(","), ("Time", "Channel 0", "Channel 1"), ("s", "", "")
+    ),
+    "Tektronix": Dialect(
+        TEKTRONIX + rows(","), ("TIME", "CH1", "CH2"), ("", "", ""), "other lines are above"
+    ),
     "Rigol": Dialect(
         "Time(s),CH1(V),CH2(V),t0 =-1.2e-02, tInc = 1e-05,\n" + rows(",", end=","),
         ("Time", "CH1", "CH2"),
         ("s", "V", "V"),
     ),
     "Rigol, old": Dialect(RIGOL_OLD + rows(",", end=","), ("X", "CH1", "CH2"), ("Sequence", "V", "V")),
-    "Siglent": Dialect("Source,CH1,CH2\nSecond,Volt,Volt\n" + rows(","), ("Source", "CH1", "CH2"), ("s", "V", "V")),
+    "Siglent": Dialect(
+        "Source,CH1,CH2\nSecond,Volt,Volt\n" + rows(","), ("Source", "CH1", "CH2"), ("s", "V", "V")
+    ),
     "units above the names": Dialect(
-        "s,V,mm\ntime,u,x\n" + rows(","), ("time", "u", "x"), ("s", "V", "mm"), "a row of units is above the header"
+        "s,V,mm\ntime,u,x\n" + rows(","),
+        ("time", "u", "x"),
+        ("s", "V", "mm"),
+        "a row of units is above the header",
     ),
     "units in a comment below the names": Dialect(
-        "time,u,x\n# s,V,mm\n" + rows(","), ("time", "u", "x"), ("s", "V", "mm"), "below the header in a comment line"
+        "time,u,x\n# s,V,mm\n" + rows(","),
+        ("time", "u", "x"),
+        ("s", "V", "mm"),
+        "below the header in a comment line",
     ),
     "units without names": Dialect(
         "[s],[V],[mm]\n" + rows(","), ("#1", "#2", "#3"), ("s", "V", "mm"), "a row of units is above the data"
@@ -185,7 +207,9 @@ HEADERS = {
 
 @pytest.mark.parametrize("header", HEADERS)
 @pytest.mark.parametrize("number", range(40))
-def test_tables_of_random_dialects_are_read_as_they_were_written(header: str, number: int, tmp_path: Path) -> None:
+def test_tables_of_random_dialects_are_read_as_they_were_written(
+    header: str, number: int, tmp_path: Path
+) -> None:
     random = np.random.default_rng([number, len(header)])
 
     def choose(*texts: str) -> str:
@@ -211,7 +235,9 @@ def test_tables_of_random_dialects_are_read_as_they_were_written(header: str, nu
         "units": separator.join(bracket.format(UNITS[k]) for k in columns),
     }
     above, has_units = HEADERS[header]
-    title = choose("", "Bench 3\n" if separator != " " else "", f"{sign}logger 7, run 3\n", f"{sign}date: 2024\n\n")
+    title = choose(
+        "", "Bench 3\n" if separator != " " else "", f"{sign}logger 7, run 3\n", f"{sign}date: 2024\n\n"
+    )
     text = title + "\n".join([*(line.format(**parts) for line in above), *(line + end for line in lines)])
     text = (text + choose("", "\n", "\n\n")).replace("\n", choose("\n", "\r\n"))
     (tmp_path / "log.txt").write_bytes(text.encode(choose("utf-8", "utf-8-sig", "utf-16")))
@@ -225,7 +251,9 @@ def test_tables_of_random_dialects_are_read_as_they_were_written(header: str, nu
 
 
 def test_the_serial_monitor_puts_an_arrow_after_its_time_stamps(tmp_path: Path) -> None:
-    text = "".join(f"12:00:{t:06.3f} -> {u:.2f},{x:.7f}\n" for t, u, x in zip(TIME, VOLTAGE, POSITION, strict=True))
+    text = "".join(
+        f"12:00:{t:06.3f} -> {u:.2f},{x:.7f}\n" for t, u, x in zip(TIME, VOLTAGE, POSITION, strict=True)
+    )
     log = opened(tmp_path, text)
     assert [column.kind for column in log.columns] == ["stamp", "number", "number"]
     stamps, voltage, position = log.read(log.columns)[0]
@@ -241,7 +269,9 @@ def test_a_row_of_numbers_with_commas_is_not_one_number(tmp_path: Path) -> None:
     assert detect_format(tmp_path / "log.txt").separator == ","
 
 
-@pytest.mark.parametrize("line", ["a " * 15_000, "_" * 30_000, "a: " * 10_000, " " * 30_000 + "a", "/" * 30_000])
+@pytest.mark.parametrize(
+    "line", ["a " * 15_000, "_" * 30_000, "a: " * 10_000, " " * 30_000 + "a", "/" * 30_000]
+)
 def test_long_lines_above_a_table_take_no_time(line: str, tmp_path: Path) -> None:
     begin = time.process_time()
     log = opened(tmp_path, f"{line}\n{line}\n" + "1,2,3\n2,3,4\n" * 500)

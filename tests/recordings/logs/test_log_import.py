@@ -58,7 +58,9 @@ def text_of(table: Table, separator: str = ",", decimal: str = ".", header: str 
     return "\n".join([first, *(row.replace(".", decimal) for row in rows)]) + "\n"
 
 
-def convert(path: Path, machine: Machine, *, lines: list[str] | None = None, **options: dict[str, object]) -> Recording:
+def convert(
+    path: Path, machine: Machine, *, lines: list[str] | None = None, **options: dict[str, object]
+) -> Recording:
     """Import a log into a new folder and load the only run."""
     out = path.parent / "runs"
     settings = ImportSettings(MappingOptions(**options))  # type: ignore[arg-type]
@@ -117,9 +119,15 @@ FORMATS: dict[str, tuple[Callable[[Table], str | bytes], str]] = {
     "Windows line ends": (lambda t: text_of(t).replace("\n", "\r\n").encode(), "300 rows"),
     "sep= line": (lambda t: "sep=;\n" + text_of(t, ";"), "first line is sep="),
     "comment lines": (lambda t: "# bench 3\n# 2024\n" + text_of(t), "2 comment lines are above the data"),
-    "comment line between rows": (lambda t: with_line(t, 40, "# pause"), "1 comment line between the rows left out"),
+    "comment line between rows": (
+        lambda t: with_line(t, 40, "# pause"),
+        "1 comment line between the rows left out",
+    ),
     "header in a comment": (lambda t: "# " + text_of(t), "the header is in a comment line"),
-    "lines of the logger": (lambda t: "Bench;3\nOperator;A. B.\n\n" + text_of(t, ";"), "2 other lines are above"),
+    "lines of the logger": (
+        lambda t: "Bench;3\nOperator;A. B.\n\n" + text_of(t, ";"),
+        "2 other lines are above",
+    ),
     "units row": (lambda t: with_line(t, 1, "s,V,V,rad,rad,m,m"), "a row of units is below the header"),
     "units row in brackets": (lambda t: with_line(t, 1, "[s],[V],[V],[rad],[rad],[m],[m]"), "a row of units"),
     "trailing separators": (lambda t: text_of(t).replace("\n", ",\n"), "rows end with a separator"),
@@ -153,7 +161,11 @@ COLUMNS: dict[str, tuple[Callable[[Table], str], dict[str, dict[str, object]], s
         {"columns": {"v1_V": "U1", "v2_V": "u2", "x_m": "Laser X"}},
         "Zeit time - time_s (no unit, taken as s)",
     ),
-    "other case": (lambda t: text_of(t, header="TIME_S,V1_v,V2_V,Phi1_RAD,PHI2_rad,X_M,Y_m"), {}, "X_M length m x_m"),
+    "other case": (
+        lambda t: text_of(t, header="TIME_S,V1_v,V2_V,Phi1_RAD,PHI2_rad,X_M,Y_m"),
+        {},
+        "X_M length m x_m",
+    ),
     "units in brackets": (
         lambda t: text_of(t | {"x_m": t["x_m"] * 1000, "time_s": t["time_s"] * 1000}).replace(
             text_of(t).split("\n")[0], "Time [ms],V1 [V],V2 [V],Phi1 (rad),Phi2 (rad),X [mm],Y [m]"
@@ -164,7 +176,8 @@ COLUMNS: dict[str, tuple[Callable[[Table], str], dict[str, dict[str, object]], s
     "units as endings": (
         lambda t: text_of(
             {
-                ("y_um" if c == "y_m" else "time_ms" if c == "time_s" else c): v * {"y_m": 1e6, "time_s": 1e3}.get(c, 1)
+                ("y_um" if c == "y_m" else "time_ms" if c == "time_s" else c): v
+                * {"y_m": 1e6, "time_s": 1e3}.get(c, 1)
                 for c, v in t.items()
             }
         ),
@@ -207,7 +220,9 @@ COLUMNS: dict[str, tuple[Callable[[Table], str], dict[str, dict[str, object]], s
 
 
 @pytest.mark.parametrize("case", COLUMNS)
-def test_columns_of_any_name_and_unit_are_imported(case: str, table: Table, hframe: Machine, tmp_path: Path) -> None:
+def test_columns_of_any_name_and_unit_are_imported(
+    case: str, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
     edit, options, said = COLUMNS[case]
     lines: list[str] = []
     run = convert(in_text(edit)(tmp_path, table), hframe, lines=lines, **options)
@@ -245,7 +260,10 @@ def test_missing_outputs_stay_empty_and_missing_inputs_are_held(
 def test_several_rates_in_one_table_hold_inputs_and_leave_outputs_empty(
     table: Table, hframe: Machine, tmp_path: Path
 ) -> None:
-    slow = {c: np.where(np.arange(300) % 5 == 2, v, np.nan) if c in ("v1_V", "x_m") else v for c, v in table.items()}
+    slow = {
+        c: np.where(np.arange(300) % 5 == 2, v, np.nan) if c in ("v1_V", "x_m") else v
+        for c, v in table.items()
+    }
     path = in_text(lambda t: text_of(t).replace("nan", ""))(tmp_path, slow)
     lines: list[str] = []
     run = convert(path, hframe, lines=lines)
@@ -259,7 +277,8 @@ def test_several_rates_in_one_table_hold_inputs_and_leave_outputs_empty(
 def test_several_columns_of_time_are_merged(table: Table, hframe: Machine, tmp_path: Path) -> None:
     fast = [[repr(float(v)) for v in row] for row in zip(*(table[c] for c in PLAIN[:5]), strict=True)]
     slow = [
-        [repr(float(v)) for v in row] for row in zip(*(table[c][::5] for c in ("time_s", "x_m", "y_m")), strict=True)
+        [repr(float(v)) for v in row]
+        for row in zip(*(table[c][::5] for c in ("time_s", "x_m", "y_m")), strict=True)
     ]
     slow += [["", "", ""]] * (len(fast) - len(slow))
     rows = [",".join([*a, *b]) for a, b in zip(fast, slow, strict=True)]
@@ -267,7 +286,9 @@ def test_several_columns_of_time_are_merged(table: Table, hframe: Machine, tmp_p
     path.write_text("\n".join(["Time [s],v1_V,v2_V,phi1_rad,phi2_rad,Time [s],x_m,y_m", *rows]))
     lines: list[str] = []
     run = convert(path, hframe, lines=lines)
-    assert "several columns of time, merged to 300 rows (300 of Time [s], 60 of Time [s].2)" in "\n".join(lines)
+    assert "several columns of time, merged to 300 rows (300 of Time [s], 60 of Time [s].2)" in "\n".join(
+        lines
+    )
     np.testing.assert_array_equal(run.time_s, table["time_s"])
     np.testing.assert_array_equal(run.inputs[:, 0], table["v1_V"])
     np.testing.assert_array_equal(run.outputs[::5, 2], table["x_m"][::5])
@@ -301,7 +322,9 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
     header, *rows = text_of(table).split("\n")[:-1]
     (tmp_path / "logs").mkdir()
     for name, day in (("a.csv", 1), ("b.csv", 2)):
-        stamps = [f"2024-05-0{day}T00:00:{float(row.split(',')[0]):06.3f},{row.partition(',')[2]}" for row in rows]
+        stamps = [
+            f"2024-05-0{day}T00:00:{float(row.split(',')[0]):06.3f},{row.partition(',')[2]}" for row in rows
+        ]
         (tmp_path / "logs" / name).write_text("\n".join([header, *stamps]))
     for name in ("notes.md", "README.txt"):
         (tmp_path / "logs" / name).write_text("Both logs were recorded in May.")
@@ -313,7 +336,9 @@ def test_logs_with_time_stamps_share_a_clock(table: Table, hframe: Machine, tmp_
     assert "b.csv: same format and columns as the log before" in lines
 
 
-def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: Machine, tmp_path: Path) -> None:
+def test_matlab_arrays_structs_and_matrices_are_imported(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
     named = {"t": table["time_s"], **{c: table[c] for c in PLAIN[1:]}}
     matrix = np.column_stack(list(table.values()))
     short = {"t_slow": table["time_s"][::5], "x_m": table["x_m"][::5]}
@@ -334,7 +359,8 @@ def test_matlab_arrays_structs_and_matrices_are_imported(table: Table, hframe: M
     assert_equal(convert(tmp_path / "desk/desk.mat", hframe, columns={"time_s": "desk.X.Data"}), table)
     savemat(tmp_path / "rates.mat", {**named, **short})
     with pytest.raises(
-        InputError, match=r"x_m: has 60 values, .* rename its time to t or time in the log, or .* --map time_s=t,t_slow"
+        InputError,
+        match=r"x_m: has 60 values, .* rename its time to t or time in the log, or .* --map time_s=t,t_slow",
     ):
         convert(tmp_path / "rates.mat", hframe)
     run = convert(tmp_path / "rates.mat", hframe, columns={"time_s": "t,t_slow"})
@@ -361,17 +387,23 @@ def test_files_that_cannot_be_read_are_refused_with_advice(
         convert(path, hframe)
 
 
-def test_parquet_with_time_stamps_and_other_types_is_imported(table: Table, hframe: Machine, tmp_path: Path) -> None:
+def test_parquet_with_time_stamps_and_other_types_is_imported(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
     start = np.datetime64("2024-05-01T06:00:00", "ns")
     stamps = start + np.round(table["time_s"] * 1e9).astype("timedelta64[ns]")
     columns = {"timestamp": pyarrow.array(stamps), **{c: pyarrow.array(table[c]) for c in PLAIN[1:]}}
     columns["note"] = pyarrow.array(["run"] * 300)
     pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "log.parquet")
-    assert_equal(convert(tmp_path / "log.parquet", hframe), table | {"time_s": np.round(21600 + table["time_s"], 3)})
+    assert_equal(
+        convert(tmp_path / "log.parquet", hframe), table | {"time_s": np.round(21600 + table["time_s"], 3)}
+    )
 
 
 @pytest.mark.parametrize("run_format", ["csv", "csv.gz", "parquet"])
-def test_recordings_are_written_without_loss(run_format: str, table: Table, hframe: Machine, tmp_path: Path) -> None:
+def test_recordings_are_written_without_loss(
+    run_format: str, table: Table, hframe: Machine, tmp_path: Path
+) -> None:
     exact = {c: v + np.where(c == "x_m", 1e-17 + v / 3, 0.0) for c, v in table.items()}
     path = in_text(text_of)(tmp_path, exact)
     settings = ImportSettings(run_format=run_format)  # type: ignore[arg-type]
@@ -410,13 +442,20 @@ def test_a_log_with_unknown_names_is_refused_with_a_line_to_paste(
     ],
 )
 def test_a_wrong_unit_that_the_user_states_is_named(
-    units: dict[str, str], scales: dict[str, float], remark: str, table: Table, hframe: Machine, tmp_path: Path
+    units: dict[str, str],
+    scales: dict[str, float],
+    remark: str,
+    table: Table,
+    hframe: Machine,
+    tmp_path: Path,
 ) -> None:
     columns = {c: v for c, v in table.items() if c != "x_m"} | {"X": table["x_m"] * 1e5}
     path = in_text(text_of)(tmp_path, columns)
     with pytest.raises(InputError) as error:
         convert(path, hframe, units=units, scales=scales)
-    assert f". Correct --unit x_m=UNIT or --scale x_m=FACTOR: x_m is the column 'X' ({remark})" in str(error.value)
+    assert f". Correct --unit x_m=UNIT or --scale x_m=FACTOR: x_m is the column 'X' ({remark})" in str(
+        error.value
+    )
     assert "millimeters" not in str(error.value)
 
 
@@ -438,7 +477,9 @@ def test_the_angle_of_a_motor_on_an_axis_becomes_travel_by_the_gear_ratio(tmp_pa
         for line in lines
     )
     path.write_text(path.read_text().replace("Winkel [deg]", "Winkel [N]"))
-    with pytest.raises(InputError, match=r"--map x_encoder_m=COLUMN --map x_m=COLUMN"):  # one length for two channels
+    with pytest.raises(
+        InputError, match=r"--map x_encoder_m=COLUMN --map x_m=COLUMN"
+    ):  # one length for two channels
         convert(path, machine)
 
 
@@ -462,7 +503,9 @@ def test_the_speed_of_a_motor_on_an_axis_is_integrated_to_travel(tmp_path: Path)
     np.testing.assert_allclose(run.outputs[:, 0], expected, atol=2e-3 * np.ptp(expected))
     assert any(f"speed of {drive.name} in rpm, converted by its gear ratio" in line for line in lines)
     scales = {"x_encoder_m": 0.01}
-    with pytest.raises(InputError, match=r"rpm is a speed, not a length. Add --unit x_encoder_m=rpm to integrate it"):
+    with pytest.raises(
+        InputError, match=r"rpm is a speed, not a length. Add --unit x_encoder_m=rpm to integrate it"
+    ):
         convert(path, machine, columns={"x_encoder_m": "n"}, scales=scales)
 
 
@@ -470,7 +513,9 @@ def test_the_angle_of_two_motors_of_different_gear_ratios_is_no_travel() -> None
     machine = new_machine("axis", "stage", MachineOptions(encoder_lines=500))
     (drive,) = machine.drives
     for ratio, accepted in ((1.0, True), (2.0, False)):
-        second = dataclasses.replace(drive, name="second", channel="v2_V", gear_ratio=ratio * drive.gear_ratio)
+        second = dataclasses.replace(
+            drive, name="second", channel="v2_V", gear_ratio=ratio * drive.gear_ratio
+        )
         both = dataclasses.replace(machine, drives=(drive, second))
         assert ("deg" in accepted_units(both, "x_encoder_m")) == accepted
         assert ("rpm" in accepted_units(both, "x_encoder_m")) == accepted
@@ -481,7 +526,9 @@ def test_a_speed_of_another_quantity_is_not_taken_as_a_position_by_a_factor(
 ) -> None:
     speed = {"enc [rpm]": np.gradient(table["x_m"], table["time_s"]) * 100}
     path = in_text(text_of)(tmp_path, {c: v for c, v in table.items() if c != "x_m"} | speed)
-    message = r"rpm is a speed, not a length. If the factor converts it to m/s, add --unit x_m=m/s to integrate it"
+    message = (
+        r"rpm is a speed, not a length. If the factor converts it to m/s, add --unit x_m=m/s to integrate it"
+    )
     with pytest.raises(InputError, match=message):
         convert(path, hframe, columns={"x_m": "enc"}, scales={"x_m": 0.01})
     run = convert(path, hframe, columns={"x_m": "enc"}, scales={"x_m": 0.01}, units={"x_m": "m/s"})
@@ -506,7 +553,10 @@ def test_values_that_do_not_fit_the_unit_in_the_log_are_suspect(
     with pytest.raises(InputError) as error:
         convert(in_text(text_of)(tmp_path, values), hframe, columns={"x_m": "x"})
     text = str(error.value)
-    assert "cannot be m. The values in the log are suspect; check them, or correct their unit by --unit x_m=" in text
+    assert (
+        "cannot be m. The values in the log are suspect; check them, or correct their unit by --unit x_m="
+        in text
+    )
     assert f"--scale x_m=FACTOR: x_m is the column '{header}' ({remark}" in text
     assert "millimeters" not in text
 
@@ -547,7 +597,12 @@ def test_the_time_of_a_column_is_the_nearest_one_to_its_left_in_any_order_of_the
     table: Table, hframe: Machine, tmp_path: Path
 ) -> None:
     slow = np.round(np.linspace(0, table["time_s"][-1], 300), 9) * 0.5
-    columns = {"time_s": table["time_s"], **{c: table[c] for c in PLAIN[1:6]}, "t2": slow, "y_m": table["y_m"]}
+    columns = {
+        "time_s": table["time_s"],
+        **{c: table[c] for c in PLAIN[1:6]},
+        "t2": slow,
+        "y_m": table["y_m"],
+    }
     path = in_text(text_of)(tmp_path, columns)
     lines: list[str] = []
     run = convert(path, hframe, lines=lines, columns={"time_s": "t2,time_s"})
@@ -563,22 +618,30 @@ def test_a_wrong_unit_error_can_be_pickled() -> None:
     assert (copy.problem, copy.channels, copy.unit) == (error.problem, error.channels, error.unit)
 
 
-def test_a_log_without_a_voltage_says_that_it_must_be_recorded(table: Table, hframe: Machine, tmp_path: Path) -> None:
+def test_a_log_without_a_voltage_says_that_it_must_be_recorded(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
     path = in_text(text_of)(tmp_path, {c: v for c, v in table.items() if c != "v2_V"})
     with pytest.raises(InputError, match=r"Not assigned: none.*No column is unassigned, but v2_V has none"):
         convert(path, hframe)
 
 
-def test_a_log_without_times_is_imported_at_a_stated_rate(table: Table, hframe: Machine, tmp_path: Path) -> None:
+def test_a_log_without_times_is_imported_at_a_stated_rate(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
     values = {channel: column for channel, column in table.items() if channel != "time_s"}
     path = in_text(text_of)(tmp_path, values)
-    with pytest.raises(InputError, match=r"--map time_s=COLUMN; if the log has no time column, state the rate, e.g. "):
+    with pytest.raises(
+        InputError, match=r"--map time_s=COLUMN; if the log has no time column, state the rate, e.g. "
+    ):
         convert(path, hframe)
     lines: list[str] = []
     assert_equal(convert(path, hframe, lines=lines, columns={"time_s": "1 kHz"}), table)
     assert "row number at 1 kHz row number - time_s (to s)" in squeezed(lines)
     savemat(tmp_path / "rates.mat", values | {"y_m": table["y_m"][::5]})
-    with pytest.raises(InputError, match=r"rates.mat: the columns have different numbers of rows .*y_m has 60"):
+    with pytest.raises(
+        InputError, match=r"rates.mat: the columns have different numbers of rows .*y_m has 60"
+    ):
         convert(tmp_path / "rates.mat", hframe, columns={"time_s": "1000Hz"})
 
 
@@ -591,7 +654,9 @@ def test_a_speed_is_integrated_to_a_position_only_where_its_unit_is_stated(
     path = in_text(text_of)(tmp_path, logged)
     with pytest.raises(InputError, match=r"no column is named like phi1_rad.*--map 'phi1_rad=phi1 \[rpm\]'"):
         convert(path, hframe)
-    with pytest.raises(InputError, match=r"rpm is a speed, not an angle. Add --unit phi1_rad=rpm to integrate it"):
+    with pytest.raises(
+        InputError, match=r"rpm is a speed, not an angle. Add --unit phi1_rad=rpm to integrate it"
+    ):
         convert(path, hframe, columns={"phi1_rad": "phi1"}, scales={"phi1_rad": 0.1})
     lines: list[str] = []
     run = convert(path, hframe, columns={"phi1_rad": "phi1"}, lines=lines)
@@ -599,7 +664,9 @@ def test_a_speed_is_integrated_to_a_position_only_where_its_unit_is_stated(
     assert taken in squeezed(lines)
     expected = table["phi1_rad"] - table["phi1_rad"][0]
     assert np.isnan(run.outputs[7, 0])
-    np.testing.assert_allclose(np.delete(run.outputs[:, 0], 7), np.delete(expected, 7), atol=2e-3 * np.ptp(expected))
+    np.testing.assert_allclose(
+        np.delete(run.outputs[:, 0], 7), np.delete(expected, 7), atol=2e-3 * np.ptp(expected)
+    )
 
 
 def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
@@ -621,7 +688,11 @@ def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
 @pytest.mark.parametrize(
     ("header", "options", "message"),
     [
-        ("Time,T,v1,v2,phi1,phi2,x,y", {}, "several columns may be the time .Time, T.: add --map time_s=Time or"),
+        (
+            "Time,T,v1,v2,phi1,phi2,x,y",
+            {},
+            "several columns may be the time .Time, T.: add --map time_s=Time or",
+        ),
         ("time_s,v1,v2,phi1,phi2,x [m],x [mm],y", {}, r"x_m may be x \[m\], x \[mm\]"),
         (
             "time_s,v1,v2,phi1,phi2,x [inc],z,y",
@@ -639,8 +710,16 @@ def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
             "--map x_m=z --map y_m=z: one column cannot be two measurements",
         ),
         ("time_s,v1,v2,phi1 [mm],phi2,x,z,y", {}, "'mm' is not a unit of phi1_rad"),
-        ("time_s,v1,v2,phi1,phi2,x,z,y", {"columns": {"x_m": "w"}}, "--map x_m=w: there is no such column; the col"),
-        ("time_s,v1,v2,phi1,phi2,x,z,y", {"columns": {"u_V": "z"}}, "--map u_V=...: no such channel; Machine 'hframe'"),
+        (
+            "time_s,v1,v2,phi1,phi2,x,z,y",
+            {"columns": {"x_m": "w"}},
+            "--map x_m=w: there is no such column; the col",
+        ),
+        (
+            "time_s,v1,v2,phi1,phi2,x,z,y",
+            {"columns": {"u_V": "z"}},
+            "--map u_V=...: no such channel; Machine 'hframe'",
+        ),
         (
             "time_s,v1,v2,phi1,phi2,x,z,y",
             {"columns": {"v1_V": "none"}},
@@ -665,7 +744,10 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
     [
         (lambda t: with_line(t, 40, "0.0385,1,2"), "row 40: 3 cells under 7 columns"),
         (lambda t: with_line(t, 40, "0.0385,1,2,a,1,1,1"), "row 40, column phi1_rad: 'a' is not a number"),
-        (lambda t: with_line(t, 40, "0.0005,1,2,1,1,1,1"), "row 40, column time_s: 0.0005 goes back.*clock restart"),
+        (
+            lambda t: with_line(t, 40, "0.0005,1,2,1,1,1,1"),
+            "row 40, column time_s: 0.0005 goes back.*clock restart",
+        ),
         (
             lambda t: text_of(t, ";", ",").replace("0,04;", "1.000,04;"),
             "row 41, column time_s: '1.000,04' is not a number; export it without marks that separate thousands",
@@ -674,7 +756,10 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
             lambda t: text_of(t).replace("\n0.0", "\nMay 1 0:00:0"),
             "column time_s: 'May 1 0:00:0' is not .*dates and times",
         ),
-        (lambda t: text_of(t, ",", ","), "rows have 14 cells under 7 names; if commas are also decimal marks"),
+        (
+            lambda t: text_of(t, ",", ","),
+            "rows have 14 cells under 7 names; if commas are also decimal marks",
+        ),
         (
             lambda t: text_of({("t" if c == "time_s" else c): v * 1000 for c, v in t.items()}),
             "has no unit and steps of 1",
@@ -720,7 +805,12 @@ def test_existing_runs_are_not_replaced(table: Table, hframe: Machine, tmp_path:
     ],
 )
 def test_an_angle_or_counter_that_starts_anew_is_made_continuous(
-    header: str, per_rad: float, modulus: float, options: dict[str, dict[str, object]], what: str, tmp_path: Path
+    header: str,
+    per_rad: float,
+    modulus: float,
+    options: dict[str, dict[str, object]],
+    what: str,
+    tmp_path: Path,
 ) -> None:
     machine = BUILTIN_MACHINES["hframe"]()
     time_s = np.arange(2000) * 1e-3
@@ -736,7 +826,9 @@ def test_an_angle_or_counter_that_starts_anew_is_made_continuous(
     assert re.search(rf"phi1_rad: starts anew after {what}, made continuous \(\d+ jumps\)", "\n".join(lines))
 
 
-def test_a_percentage_that_never_exceeds_one_is_doubted(table: Table, hframe: Machine, tmp_path: Path) -> None:
+def test_a_percentage_that_never_exceeds_one_is_doubted(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
     logged = {("v1 [%]" if c == "v1_V" else c): (v / 12 if c == "v1_V" else v) for c, v in table.items()}
     lines: list[str] = []
     convert(in_text(text_of)(tmp_path, logged), hframe, lines=lines)
@@ -784,14 +876,20 @@ def test_a_long_log_is_cut_where_the_machine_rests(
     runs = load_recordings(tmp_path / "runs", axis)
     assert [run.name for run in runs] == ["log_01", "log_02", "log_03"]
     assert any("cut at rests of 0.5 s and more: 3 runs of" in line for line in lines)
-    moves = [(edges[0], edges[1]), (edges[2], edges[5]), (edges[6], edges[7])]  # the rest of 0.2 s is too short
+    moves = [
+        (edges[0], edges[1]),
+        (edges[2], edges[5]),
+        (edges[6], edges[7]),
+    ]  # the rest of 0.2 s is too short
     for run, (start, stop) in zip(runs, moves, strict=True):
         assert start - 0.52 < run.time_s[0] < start - 0.4
         assert stop + 0.45 < run.time_s[-1] < stop + 0.75  # the carriage coasts for 0.2 s
         rows = np.isin(recording.time_s, run.time_s)
         np.testing.assert_array_equal(run.outputs, recording.outputs[rows])
         np.testing.assert_array_equal(run.inputs, recording.inputs[rows])
-    import_logs(tmp_path / "log.csv", tmp_path / "fine", axis, ImportSettings(split=True, min_rest=0.02), lines.append)
+    import_logs(
+        tmp_path / "log.csv", tmp_path / "fine", axis, ImportSettings(split=True, min_rest=0.02), lines.append
+    )
     assert len(list((tmp_path / "fine").iterdir())) == 4
 
 
@@ -817,7 +915,10 @@ def test_a_log_that_begins_in_motion_loses_its_beginning(
     recording, edges = session
     rows = slice(1500, 6500)  # from the first move into the third
     cut = dataclasses.replace(
-        recording, time_s=recording.time_s[rows], inputs=recording.inputs[rows], outputs=recording.outputs[rows]
+        recording,
+        time_s=recording.time_s[rows],
+        inputs=recording.inputs[rows],
+        outputs=recording.outputs[rows],
     )
     runs, remarks = split_at_rests(cut, axis, 0.5)
     assert [run.name for run in runs] == ["log_01"]
@@ -837,7 +938,9 @@ def test_a_long_rest_at_either_end_is_left_out(session: tuple[Recording, np.ndar
     assert 5.0 + edges[7] + 0.45 < runs[-1].time_s[-1] < 5.0 + edges[7] + 0.75
 
 
-def test_a_log_that_rests_only_at_its_end_has_no_run(session: tuple[Recording, np.ndarray], axis: Machine) -> None:
+def test_a_log_that_rests_only_at_its_end_has_no_run(
+    session: tuple[Recording, np.ndarray], axis: Machine
+) -> None:
     recording, _ = session
     rows = slice(1500, 4000)  # from the first move into the rest after it
     part = Recording("log", recording.time_s[rows], recording.inputs[rows], recording.outputs[rows])
@@ -867,7 +970,10 @@ def test_a_mapping_file_states_columns_units_and_factors(ending: str, tmp_path: 
     ("text", "message"),
     [
         ("[map\n", "is not a valid TOML file"),
-        ("[columns]\nv1_V = 'U1'\n", "columns: unknown table; a mapping file may have map, unit and scale, each with"),
+        (
+            "[columns]\nv1_V = 'U1'\n",
+            "columns: unknown table; a mapping file may have map, unit and scale, each with",
+        ),
         ("map = 'U1'\n", "map: not a table; a mapping file may have map, unit and scale"),
         ("[scale]\nx_m = 'mm'\n", "scale.x_m: 'mm' is not a factor"),
         ("[scale]\nx_m = 0\n", "scale.x_m: 0 is not a factor"),
@@ -885,7 +991,9 @@ def test_an_invalid_mapping_file_is_refused(text: str, message: str, tmp_path: P
 
 def test_a_mapping_file_that_is_a_list_is_refused(tmp_path: Path) -> None:
     (tmp_path / "map.json").write_text("[]")
-    with pytest.raises(InputError, match=r"map.json: has no tables; a mapping file may have map, unit and scale"):
+    with pytest.raises(
+        InputError, match=r"map.json: has no tables; a mapping file may have map, unit and scale"
+    ):
         read_mapping_file(tmp_path / "map.json")
 
 

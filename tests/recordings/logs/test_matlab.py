@@ -74,5 +74,7 @@ def test_arrays_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_matlab(tmp_path / "log.mat", t=TIME)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"log.mat: .*needs pip install 'hframe_gym\[hdf5\]'; or save it as version 7"):
+    with pytest.raises(
+        InputError, match=r"log.mat: .*needs pip install 'hframe_gym\[hdf5\]'; or save it as version 7"
+    ):
         open_logs(tmp_path / "log.mat")

@@ -23,7 +23,9 @@ def units(path: Path) -> dict[str, str]:
     return {column.header: column.unit for column in log.columns}
 
 
-def write(path: Path, header: str, *columns: np.ndarray, separator: str = ",", begin: str = "", end: str = "") -> Path:
+def write(
+    path: Path, header: str, *columns: np.ndarray, separator: str = ",", begin: str = "", end: str = ""
+) -> Path:
     """Write a table."""
     rows = (separator.join(f"{value:.4f}" for value in row) for row in zip(*columns, strict=True))
     path.write_text(header + "".join(f"{begin}{row}{end}\n" for row in rows))
@@ -43,7 +45,9 @@ def test_properties_of_odrive_have_their_units(tmp_path: Path) -> None:
         "error": "",
     }
     (log,) = open_logs(path)
-    assert any("units of ODrive since its firmware 0.5.1 for odrv0.axis0.pos_estimate, vel" in r for r in log.remarks)
+    assert any(
+        "units of ODrive since its firmware 0.5.1 for odrv0.axis0.pos_estimate, vel" in r for r in log.remarks
+    )
 
 
 def test_units_in_the_header_win(tmp_path: Path) -> None:

@@ -40,7 +40,10 @@ def bag(kind: str, folder: Path) -> Path:
 def test_a_bag_becomes_a_recording(kind: str, tmp_path: Path) -> None:
     axis = BUILTIN_MACHINES["axis"]()
     columns = dict.fromkeys(axis.output_channels, "none")
-    columns |= {axis.input_channels[0]: "/motor/command/data", axis.output_channels[0]: "/joint_states/slide/position"}
+    columns |= {
+        axis.input_channels[0]: "/motor/command/data",
+        axis.output_channels[0]: "/joint_states/slide/position",
+    }
     lines: list[str] = []
     settings = ImportSettings(MappingOptions(columns))
     import_logs(bag(kind, tmp_path), tmp_path / "runs", axis, settings, lines.append)
@@ -163,7 +166,10 @@ def test_an_old_bag_without_definitions_has_the_usual_types(tmp_path: Path) -> N
     (log,) = open_logs(path)
     values = read_all(log)
     np.testing.assert_allclose(values["/joint_states/slide/position"], POSITION)
-    assert "topics that are left out: /status (own_msgs/msg/Status: its definition is not in the file)" in log.remarks
+    assert (
+        "topics that are left out: /status (own_msgs/msg/Status: its definition is not in the file)"
+        in log.remarks
+    )
 
 
 def test_a_database_without_messages_is_refused(tmp_path: Path) -> None:
@@ -177,7 +183,9 @@ def test_a_missing_extra_is_named(module: str, tmp_path: Path, monkeypatch: pyte
     path = bag("ros1" if module == "rosbags" else "mcap file", tmp_path)
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == module else found(name))
-    with pytest.raises(InputError, match=r"needs pip install 'hframe_gym\[ros\]'; or export its signals as CSV"):
+    with pytest.raises(
+        InputError, match=r"needs pip install 'hframe_gym\[ros\]'; or export its signals as CSV"
+    ):
         open_logs(path)
 
 

@@ -54,7 +54,12 @@ def settings(**columns: str) -> ImportSettings:
     ],
 )
 def test_the_tests_of_a_file_become_runs(
-    columns: int, names: tuple[str, str], units: dict[str, Any], per_rotation: float, axis: Machine, tmp_path: Path
+    columns: int,
+    names: tuple[str, str],
+    units: dict[str, Any],
+    per_rotation: float,
+    axis: Machine,
+    tmp_path: Path,
 ) -> None:
     (tmp_path / "drive.json").write_text(json.dumps(sysid_file(columns, **units), indent=2))
     lines: list[str] = []
@@ -92,7 +97,10 @@ def test_the_columns_of_a_sysid_file_are_proposed(axis: Machine, tmp_path: Path)
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ('{"schema": 1}', "is a JSON file without tests of SysId; of JSON files only those of WPILib's SysId are read"),
+        (
+            '{"schema": 1}',
+            "is a JSON file without tests of SysId; of JSON files only those of WPILib's SysId are read",
+        ),
         ("[1, 2]", "is a JSON file without tests of SysId"),
         ('{"t": 1}\n{"t": 2}\n', "is not valid JSON: .*of JSON files only"),
         ('{"sysid": true}', "is a JSON file without tests of SysId"),
@@ -100,16 +108,24 @@ def test_the_columns_of_a_sysid_file_are_proposed(axis: Machine, tmp_path: Path)
         (sysid_file(4, unitsPerRotation=0), "unitsPerRotation: 0 is not a number of units"),
         (sysid_file(4, unitsPerRotation=10**400), "is not a number of units"),
         (sysid_file(4, unitsPerRotation=True), "unitsPerRotation: True is not a number of units"),
-        (sysid_file(4, **{"slow-forward": [[1, 2, 3]]}), "slow-forward, row 1: must be a list of 4 or 9 numbers"),
+        (
+            sysid_file(4, **{"slow-forward": [[1, 2, 3]]}),
+            "slow-forward, row 1: must be a list of 4 or 9 numbers",
+        ),
         (sysid_file(4, **{"slow-forward": [7]}), "slow-forward, row 1: must be a list of 4 or 9 numbers"),
         (
             sysid_file(4, **{"slow-forward": [[0, 0, 0, 0], [0, None, 0, 0]]}),
             "slow-forward, row 2: must be a list of 4 numbers",
         ),
-        (sysid_file(4, **{"slow-forward": [[0, 0, 0, 10**400]]}), "slow-forward: has an integer beyond the range"),
+        (
+            sysid_file(4, **{"slow-forward": [[0, 0, 0, 10**400]]}),
+            "slow-forward: has an integer beyond the range",
+        ),
     ],
 )
-def test_other_json_is_refused(content: str | dict[str, Any], message: str, axis: Machine, tmp_path: Path) -> None:
+def test_other_json_is_refused(
+    content: str | dict[str, Any], message: str, axis: Machine, tmp_path: Path
+) -> None:
     path = tmp_path / "log.json"
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(InputError, match=message) as error:
@@ -120,7 +136,9 @@ def test_other_json_is_refused(content: str | dict[str, Any], message: str, axis
 def test_an_error_names_the_test(axis: Machine, tmp_path: Path) -> None:
     rows = [[0.0, 0, 0, 0], [0.1, 0, 0, 0], [0.1, 1, 0, 0]]
     (tmp_path / "drive.json").write_text(json.dumps(sysid_file(4, **{"fast-forward": rows})))
-    with pytest.raises(InputError, match=r"drive.json, fast-forward, row 3, column time_s: 0.1 repeats row 2"):
+    with pytest.raises(
+        InputError, match=r"drive.json, fast-forward, row 3, column time_s: 0.1 repeats row 2"
+    ):
         import_logs(tmp_path / "drive.json", tmp_path / "runs", axis, settings(v_V="voltage", x_m="position"))
     assert not (tmp_path / "runs").exists()
 

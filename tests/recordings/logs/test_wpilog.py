@@ -23,7 +23,9 @@ def axis() -> Machine:
 def test_entries_become_a_recording(tmp_path: Path, axis: Machine) -> None:
     (tmp_path / "match.wpilog").write_bytes(wpilog_of_a_drive())
     lines: list[str] = []
-    columns = dict(zip((*axis.input_channels, *axis.output_channels), ["/drive/voltage", *["none"] * 9], strict=False))
+    columns = dict(
+        zip((*axis.input_channels, *axis.output_channels), ["/drive/voltage", *["none"] * 9], strict=False)
+    )
     columns[axis.output_channels[0]] = "/drive/position"
     settings = ImportSettings(MappingOptions(columns))
     import_logs(tmp_path / "match.wpilog", tmp_path / "runs", axis, settings, lines.append)
@@ -31,15 +33,24 @@ def test_entries_become_a_recording(tmp_path: Path, axis: Machine) -> None:
     assert run.name == "match"
     measured = np.isfinite(run.outputs[:, 0])
     np.testing.assert_allclose(run.time_s[measured], 0.02 * np.arange(COUNT) + 0.003, atol=1e-12)
-    np.testing.assert_allclose(run.outputs[measured, 0], 0.01 * np.maximum(np.arange(COUNT) - 10, 0), atol=1e-7)
-    np.testing.assert_array_equal(run.inputs[measured, 0], 6.0 * (np.arange(COUNT) >= 10))  # held between its records
+    np.testing.assert_allclose(
+        run.outputs[measured, 0], 0.01 * np.maximum(np.arange(COUNT) - 10, 0), atol=1e-7
+    )
+    np.testing.assert_array_equal(
+        run.inputs[measured, 0], 6.0 * (np.arange(COUNT) >= 10)
+    )  # held between its records
     assert any("/mode (string), /raw (raw)" in line for line in lines)
 
 
 def test_arrays_have_a_column_for_each_item(tmp_path: Path) -> None:
     (tmp_path / "match.wpilog").write_bytes(wpilog_of_a_drive())
     (log,) = open_logs(tmp_path / "match.wpilog")
-    assert [column.header for column in log.columns] == ["/drive/voltage", "/drive/position", "/all[0]", "/all[1]"]
+    assert [column.header for column in log.columns] == [
+        "/drive/voltage",
+        "/drive/position",
+        "/all[0]",
+        "/all[1]",
+    ]
     (first, second), _ = log.read(log.columns[2:])
     np.testing.assert_array_equal(first, 0.5 * np.arange(COUNT))
     np.testing.assert_array_equal(np.isnan(second), np.arange(COUNT) % 2 == 0)  # of the shorter arrays
@@ -103,7 +114,10 @@ def test_each_test_of_sysid_becomes_a_run(tmp_path: Path, axis: Machine) -> None
 
 
 def test_rows_are_sorted_and_repeated_times_left_out(tmp_path: Path) -> None:
-    records = [wpilog_record(1, time, struct.pack("<q", value)) for time, value in [(30, 3), (10, 1), (20, 2), (20, 4)]]
+    records = [
+        wpilog_record(1, time, struct.pack("<q", value))
+        for time, value in [(30, 3), (10, 1), (20, 2), (20, 4)]
+    ]
     (tmp_path / "log.wpilog").write_bytes(wpilog(wpilog_start(1, "n", "int64"), *records))
     (log,) = open_logs(tmp_path / "log.wpilog")
     (times, values), remarks = log.read([log.times[0], log.columns[0]])
@@ -128,10 +142,16 @@ def test_an_incomplete_record_is_left_out(tmp_path: Path) -> None:
         (b"WPILOG\0\1", "ends within its header"),
         (b"WPILOG\0\2\0\0\0\0", "version 2"),
         (wpilog(), "has no entries of numbers; entries: none"),
-        (wpilog(wpilog_start(1, "text", "string"), wpilog_record(1, 5, b"hello")), r"entries: text \(string\)"),
+        (
+            wpilog(wpilog_start(1, "text", "string"), wpilog_record(1, 5, b"hello")),
+            r"entries: text \(string\)",
+        ),
         (wpilog(wpilog_record(7, 5, b"hello")), "byte 27: has a record of the entry 7, which is not started"),
         (wpilog(wpilog_record(0, 5, b"\0\1")), "has a damaged control record"),
-        (wpilog(wpilog_start(1, "x", "double"), wpilog_record(1, 5, b"1234")), "x, record 1: has 4 bytes, not 8"),
+        (
+            wpilog(wpilog_start(1, "x", "double"), wpilog_record(1, 5, b"1234")),
+            "x, record 1: has 4 bytes, not 8",
+        ),
     ],
 )
 def test_damaged_files_are_refused(tmp_path: Path, content: bytes, problem: str) -> None:

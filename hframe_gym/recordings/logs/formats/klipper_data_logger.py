@@ -82,7 +82,9 @@ class KlipperDataLogs(LogFormat):
                 blocks[name].append(params)
             else:
                 unread.add(name)
-        tables = [_TABLES[name.partition(":")[0]](path, name, params) for name, params in sorted(blocks.items())]
+        tables = [
+            _TABLES[name.partition(":")[0]](path, name, params) for name, params in sorted(blocks.items())
+        ]
         if not tables:
             problem = f"subscriptions: {', '.join(sorted(unread)) or 'none'}"
             raise InputError(f"{path}: has no motions or measurements of Klipper ({problem})")
@@ -163,7 +165,11 @@ def _steps(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTabl
             raise InputError(f"{path}, {name}, block {number}: has more than {_MOST_STEPS} steps in a row")
         total += int(counts.sum())
         refuse_many_values(path, total, 2)
-        k = np.concatenate([np.arange(1, count + 1) for count in counts.tolist()]) if len(rows) else np.empty(0)
+        k = (
+            np.concatenate([np.arange(1, count + 1) for count in counts.tolist()])
+            if len(rows)
+            else np.empty(0)
+        )
         interval, add = (np.repeat(rows[:, column], counts) for column in (0, 2))
         lengths = counts * rows[:, 0] + rows[:, 2] * counts * (counts - 1) // 2  # ticks of each row
         before = np.repeat(np.array([0, *accumulate(lengths.tolist())])[:-1], counts)
@@ -181,13 +187,17 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTab
     """
     rows = [row for block in params if isinstance(block.get("data"), list) for row in block["data"]]
     try:
-        table = np.array([[*row[:4], *row[4][:3], *row[5][:3]] for row in rows], np.float64).reshape(len(rows), 10)
+        table = np.array([[*row[:4], *row[4][:3], *row[5][:3]] for row in rows], np.float64).reshape(
+            len(rows), 10
+        )
     except (ValueError, TypeError, IndexError):
         raise InputError(f"{path}, {name}: its data are not pieces of a motion") from None
     table = table[np.argsort(table[:, 0], kind="stable")]
     duration = float(table[-1, 0] + table[-1, 1] - table[0, 0]) if len(table) else 0.0
     if not duration <= _LONGEST:
-        raise InputError(f"{path}, {name}: lasts {duration:.6g} s; a recording lasts at most {_LONGEST:.6g} s")
+        raise InputError(
+            f"{path}, {name}: lasts {duration:.6g} s; a recording lasts at most {_LONGEST:.6g} s"
+        )
 
     def read(indices: Sequence[int], progress: Progress | None) -> tuple[Array, list[Array], list[str]]:
         if not len(table):

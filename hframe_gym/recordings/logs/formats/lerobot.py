@@ -84,7 +84,9 @@ def _episode(
 
 def _item_names(path: Path) -> dict[str, list[str]]:
     """Return the names of the items of each column of lists, from the description of the data set if there is one."""
-    info = next((folder / _INFO for folder in list(path.parents)[:_LEVELS] if (folder / _INFO).is_file()), None)
+    info = next(
+        (folder / _INFO for folder in list(path.parents)[:_LEVELS] if (folder / _INFO).is_file()), None
+    )
     content = read_json(info) if info is not None else {}
     features = content.get("features") if isinstance(content, Mapping) else None
     if not isinstance(features, Mapping):

@@ -62,7 +62,8 @@ def _open_mat(path: Path) -> Log:
     vectors = _mat_vectors(path, kind)
     if not vectors:
         advice = (
-            "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in MATLAB"
+            "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in "
+            "MATLAB"
         )
         raise InputError(f"{path}: has no arrays of numbers; {advice}")
     kinds = ["number"] * len(vectors)
@@ -89,7 +90,13 @@ def _mat_vectors(path: Path, kind: str) -> list[tuple[str, NDArray[np.float64]]]
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "vectors.npz")
         # -P keeps the script's folder off sys.path, so that its modules cannot shadow others.
-        command = [sys.executable, "-P", str(Path(__file__).with_name("matlab_vectors.py")), str(path), str(target)]
+        command = [
+            sys.executable,
+            "-P",
+            str(Path(__file__).with_name("matlab_vectors.py")),
+            str(path),
+            str(target),
+        ]
         command.append(str(expansion_limit(path)))
         run = subprocess.run(command, check=False, capture_output=True, text=True)
         if run.returncode:

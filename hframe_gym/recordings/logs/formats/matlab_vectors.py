@@ -88,7 +88,9 @@ def hdf5_content(path: str, limit: int) -> dict[str, Any]:
         if "MATLAB_empty" in item.attrs:
             return None
         if h5py.check_ref_dtype(item.dtype) is not None:
-            members = [convert(item.file[reference], depth + 1) for reference in item[()].ravel() if reference]
+            members = [
+                convert(item.file[reference], depth + 1) for reference in item[()].ravel() if reference
+            ]
             return members[0] if len(members) == 1 else members
         if kind == b"char":
             return "".join(map(chr, item[()].ravel()))
@@ -119,7 +121,9 @@ def main() -> None:
     except Exception as error:  # the readers raise many types for damaged files
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(2)
-    pairs = [pair for key, value in content.items() if not key.startswith("__") for pair in vectors(key, value)]
+    pairs = [
+        pair for key, value in content.items() if not key.startswith("__") for pair in vectors(key, value)
+    ]
     np.savez(target, *[vector for _, vector in pairs], names=np.array([name for name, _ in pairs], dtype=str))
 
 

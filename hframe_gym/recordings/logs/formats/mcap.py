@@ -49,7 +49,9 @@ class _McapFile(MessageSource):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._decode: dict[tuple[str, int], Callable[[bytes], Any] | str] = {}  # or why there is none, by schema
+        self._decode: dict[
+            tuple[str, int], Callable[[bytes], Any] | str
+        ] = {}  # or why there is none, by schema
         self._topics: dict[str, str] = {}
         self._ros: RosDecoder | None = None
         self._protobuf: Any = None
@@ -104,7 +106,9 @@ class _McapFile(MessageSource):
             except (EndOfFile, struct.error):  # in the middle of a record
                 self.ends_early = True
             except Exception as error:  # of many types for damaged files
-                raise _damaged(self._path, " ".join(str(error).split())[:300] or type(error).__name__) from None
+                raise _damaged(
+                    self._path, " ".join(str(error).split())[:300] or type(error).__name__
+                ) from None
 
     def _decoder(self, schema: Any, channel: Any) -> Callable[[bytes], Any]:
         """Return the function that decodes the messages of a channel."""

@@ -119,7 +119,9 @@ def numbers_of(message: Any, name: str) -> dict[str, float]:
 def _table(path: Path, source: MessageSource, topic: str, names: Sequence[str]) -> TimedTable:
     """Return the table of a topic."""
 
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[NDArray[Any], list[Array], list[str]]:
+    def read(
+        indices: Sequence[int], progress: Progress | None
+    ) -> tuple[NDArray[Any], list[Array], list[str]]:
         wanted = [names[index] for index in indices]
         recorded, stamps, rows = [], [], []
         for time_ns, message in source.messages(topic):
@@ -138,7 +140,9 @@ def _table(path: Path, source: MessageSource, topic: str, names: Sequence[str]) 
     return TimedTable(topic, signal_columns(names), read, "stamp")
 
 
-def _times(topic: str, recorded: NDArray[np.int64], stamps: Sequence[int]) -> tuple[NDArray[np.int64], list[str]]:
+def _times(
+    topic: str, recorded: NDArray[np.int64], stamps: Sequence[int]
+) -> tuple[NDArray[np.int64], list[str]]:
     """Return the times of messages, ns: those of their headers if they are of the recorder's clock."""
     headers = np.array(stamps, np.int64)
     if len(headers) == 0 or np.any(headers <= 0):

@@ -14,10 +14,14 @@ from .text import open_text_table
 _START = 4096  # bytes of the file that contain its header
 # Units since firmware 0.5.1; before, positions and speeds were in counts.
 _UNITS = {
-    **dict.fromkeys(("pos_estimate", "pos_rel", "pos_abs", "pos_setpoint", "input_pos", "pos_circular"), "rev"),
+    **dict.fromkeys(
+        ("pos_estimate", "pos_rel", "pos_abs", "pos_setpoint", "input_pos", "pos_circular"), "rev"
+    ),
     **dict.fromkeys(("vel_estimate", "vel_setpoint", "input_vel"), "rev/s"),
     **dict.fromkeys(("iq_measured", "iq_setpoint", "id_measured", "id_setpoint", "ibus"), "A"),
-    **dict.fromkeys(("torque_setpoint", "torque_estimate", "effective_torque_setpoint", "input_torque"), "Nm"),
+    **dict.fromkeys(
+        ("torque_setpoint", "torque_estimate", "effective_torque_setpoint", "input_torque"), "Nm"
+    ),
     **dict.fromkeys(("vbus_voltage", "vq_setpoint", "vd_setpoint"), "V"),
 }
 # Names that no other controller has.

@@ -58,7 +58,9 @@ class ParquetTable:
         """
         self.path = path
         self._file = open_parquet(path)
-        self._sources: list[tuple[str, int | None]] = []  # name of the column in the file, and item of its lists
+        self._sources: list[
+            tuple[str, int | None]
+        ] = []  # name of the column in the file, and item of its lists
         columns: list[LogColumn] = []
         rows = self._file.metadata.num_rows
         for field in self._file.schema_arrow:
@@ -71,7 +73,9 @@ class ParquetTable:
             self._sources += [(field.name, item) for item in range(items)]
             known = (item_names or {}).get(field.name, ())
             if len(known) == items:
-                columns += log_columns([f"{field.name}.{name}" for name in known], [""] * items, ["number"] * items)
+                columns += log_columns(
+                    [f"{field.name}.{name}" for name in known], [""] * items, ["number"] * items
+                )
             else:
                 columns += signal_columns([f"{field.name}[{item}]" for item in range(items)])
         self.columns = tuple(columns)
@@ -144,7 +148,9 @@ def _kind(data: Any) -> str:
 
     if types.is_timestamp(data) or types.is_time(data) or types.is_date(data):
         return "stamp"
-    numeric = types.is_integer(data) or types.is_floating(data) or types.is_decimal(data) or types.is_null(data)
+    numeric = (
+        types.is_integer(data) or types.is_floating(data) or types.is_decimal(data) or types.is_null(data)
+    )
     return "number" if numeric or types.is_boolean(data) else "text"
 
 
@@ -158,4 +164,6 @@ def _stamps(path: Path, name: str, column: Any) -> NDArray[np.datetime64]:
         return column.cast(arrow.timestamp("ns")).to_numpy().astype("datetime64[ns]")
     except arrow.ArrowException as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"{path}, column {name}: {column.type} cannot be converted to times: {reason}") from None
+        raise InputError(
+            f"{path}, column {name}: {column.type} cannot be converted to times: {reason}"
+        ) from None

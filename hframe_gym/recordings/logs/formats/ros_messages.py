@@ -41,7 +41,9 @@ class RosDecoder:
 
         try:
             if idl:
-                parts = [part.partition("\n")[2] for part in text.split(_IDL) if part.startswith("IDL: ")] or [text]
+                parts = [
+                    part.partition("\n")[2] for part in text.split(_IDL) if part.startswith("IDL: ")
+                ] or [text]
                 types = {key: entry for part in parts for key, entry in get_types_from_idl(part).items()}
             else:
                 types = get_types_from_msg(text, name)

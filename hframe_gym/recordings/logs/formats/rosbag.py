@@ -108,7 +108,9 @@ class _Bag(MessageSource):
     def _damaged(self, error: Exception) -> InputError:
         """Return the error for a bag that cannot be read."""
         advice = (
-            "repair it by `rosbag reindex`" if self._version == 1 else "repair its description by `ros2 bag reindex`"
+            "repair it by `rosbag reindex`"
+            if self._version == 1
+            else "repair its description by `ros2 bag reindex`"
         )
         reason = " ".join(str(error).split())[:300] or type(error).__name__
         return InputError(f"{self._path}: cannot be read as a bag of ROS: {reason}; {advice}")

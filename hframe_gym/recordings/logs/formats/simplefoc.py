@@ -18,7 +18,10 @@ _ALL = (
     *(("velocity", "rad/s"), ("angle", "rad")),
 )
 # By the number of columns: the default of monitor_variables, and all.
-_VARIABLES = {4: tuple(entry for entry in _ALL if entry[0] in ("target", "voltage.q", "velocity", "angle")), 7: _ALL}
+_VARIABLES = {
+    4: tuple(entry for entry in _ALL if entry[0] in ("target", "voltage.q", "velocity", "angle")),
+    7: _ALL,
+}
 _MESSAGE = re.compile(r"^(?:\d\d:\d\d:\d\d\.\d+ -> )?(?:MOT|MON):", re.MULTILINE)
 # A row between two equal letters, `monitor_start_char` and `monitor_end_char`.
 _ENCLOSED = re.compile(r"^(?:\d\d:\d\d:\d\d\.\d+ -> )?([A-Za-z])[-+\d.]+(?:\t[-+\d.]+)+\1\s*$", re.MULTILINE)
@@ -44,17 +47,21 @@ class SimpleFocLogs(LogFormat):
     def open(self, path: Path) -> list[Log]:
         """Open the table, whose columns get their names if it has 4 or 7 of them."""
         log = open_text_table(path, ("it is the output of SimpleFOC's monitor",))
-        unnamed = [column for column in log.columns if column.kind == "number" and column.header.startswith("#")]
+        unnamed = [
+            column for column in log.columns if column.kind == "number" and column.header.startswith("#")
+        ]
         variables = _VARIABLES.get(len(unnamed))
         if variables is None:
             return [log]
         names = dict(zip([column.header for column in unnamed], variables, strict=True))
         columns = [
-            _named(column, *names[column.header]) if column.header in names else column for column in log.columns
+            _named(column, *names[column.header]) if column.header in names else column
+            for column in log.columns
         ]
         kind = "all" if len(unnamed) == len(_ALL) else "the usual"
         remark = (
-            f"{len(unnamed)} columns, taken for {kind} monitor_variables; name others by their numbers, such as '#2'"
+            f"{len(unnamed)} columns, taken for {kind} monitor_variables; name others by their numbers, "
+            "such as '#2'"
         )
         return [dataclasses.replace(log, columns=tuple(columns), remarks=(*log.remarks, remark))]
 

@@ -124,26 +124,38 @@ def _unit(path: Path, content: dict[str, Any]) -> tuple[str, float]:
     units: Any = content.get("units")
     per_rotation: Any = content.get("unitsPerRotation")
     if not isinstance(units, str) or units.lower() not in _UNITS:
-        raise InputError(f"{path}, units: {units!r} is none of Meters, Feet, Inches, Radians, Degrees, Rotations")
+        raise InputError(
+            f"{path}, units: {units!r} is none of Meters, Feet, Inches, Radians, Degrees, Rotations"
+        )
     if type(per_rotation) not in (int, float) or not 1e-30 <= abs(per_rotation) <= 1e30:
         raise InputError(f"{path}, unitsPerRotation: {per_rotation!r} is not a number of units")
     unit, factor = _UNITS[units.lower()]
     return unit, float(per_rotation) * factor
 
 
-def _read_test(path: Path, name: str, rows: list[Any], unit: str, factor: float, content: dict[str, Any]) -> SysIdTest:
+def _read_test(
+    path: Path, name: str, rows: list[Any], unit: str, factor: float, content: dict[str, Any]
+) -> SysIdTest:
     """Convert the rows of a test to columns."""
     width = len(rows[0]) if isinstance(rows[0], list) else 0
     if width not in _COLUMNS:
-        raise InputError(f"{path}, {name}, row 1: must be a list of {' or '.join(map(str, _COLUMNS))} numbers")
+        raise InputError(
+            f"{path}, {name}, row 1: must be a list of {' or '.join(map(str, _COLUMNS))} numbers"
+        )
     refuse_many_values(path, len(rows), width)
     for number, row in enumerate(rows, start=1):
-        if not isinstance(row, list) or len(row) != width or not all(type(cell) in (int, float) for cell in row):
+        if (
+            not isinstance(row, list)
+            or len(row) != width
+            or not all(type(cell) in (int, float) for cell in row)
+        ):
             raise InputError(f"{path}, {name}, row {number}: must be a list of {width} numbers, as row 1")
     try:
         table = np.array(rows, dtype=np.float64)
     except OverflowError:
-        raise InputError(f"{path}, {name}: has an integer beyond the range of floating-point numbers") from None
+        raise InputError(
+            f"{path}, {name}: has an integer beyond the range of floating-point numbers"
+        ) from None
     names, columns = [], []
     for column, values in zip(_COLUMNS[width], table.T, strict=True):
         is_motion = column.endswith("*")

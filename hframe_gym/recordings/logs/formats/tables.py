@@ -83,7 +83,9 @@ def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, 
             number = f".{seen[column.header]}" if seen[column.header] > 1 else ""
             columns.append(replace(column, header=column.header + number, time=time))
     # Table and index in it by index in `columns` followed by `times`; None stands for the times.
-    places: list[tuple[int, int | None]] = [(t, c) for t, table in enumerate(tables) for c in range(len(table.columns))]
+    places: list[tuple[int, int | None]] = [
+        (t, c) for t, table in enumerate(tables) for c in range(len(table.columns))
+    ]
     places += [(t, None) for t in range(len(tables))]
 
     def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
@@ -115,5 +117,7 @@ def _ordered(name: str, time: NDArray[Any]) -> tuple[NDArray[np.intp], list[str]
     is_last = np.append(ordered[1:] != ordered[:-1], True)[: len(ordered)]
     repeated = int(np.sum(~is_last))
     if repeated:
-        remarks.append(f"{name}: {repeated} of {len(time)} rows have the time of the row after them and are left out")
+        remarks.append(
+            f"{name}: {repeated} of {len(time)} rows have the time of the row after them and are left out"
+        )
     return rows[is_last], remarks

@@ -41,7 +41,9 @@ class TextLogs(LogFormat):
         return [open_text_table(path)]
 
 
-def open_text_table(path: Path, remarks: tuple[str, ...] = (), unit_of: Callable[[str], str] = lambda name: "") -> Log:
+def open_text_table(
+    path: Path, remarks: tuple[str, ...] = (), unit_of: Callable[[str], str] = lambda name: ""
+) -> Log:
     """Open a table in text.
 
     Args:

@@ -53,12 +53,19 @@ _STRUCT_NUMBERS = {
 }
 _MOST_ITEMS = 64  # of an array; longer ones are data of cameras and the like, not signals
 _DEEPEST = 8  # structures in structures
-_STATES = ("quasistatic-forward", "quasistatic-reverse", "dynamic-forward", "dynamic-reverse")  # of SysId's tests
+_STATES = (
+    "quasistatic-forward",
+    "quasistatic-reverse",
+    "dynamic-forward",
+    "dynamic-reverse",
+)  # of SysId's tests
 _NO_TEST = "none"
 _LONGEST_STATE = 32  # characters
 _SCHEMA = "/.schema/"  # names of entries that describe structures begin so
 _SCHEMA_TYPE = "structschema"
-_MEMBER = re.compile(r"(?:(?:enum\s*)?\{[^}]*\}\s*)?(?P<type>\w+)\s+(?P<name>\w+)\s*(?:\[\s*(?P<count>\d+)\s*\])?")
+_MEMBER = re.compile(
+    r"(?:(?:enum\s*)?\{[^}]*\}\s*)?(?P<type>\w+)\s+(?P<name>\w+)\s*(?:\[\s*(?P<count>\d+)\s*\])?"
+)
 
 
 @dataclass
@@ -102,7 +109,9 @@ class WpiLogs(LogFormat):
             elif entry.times and not entry.name.startswith(_SCHEMA):
                 left_out.append(f"{entry.name} ({entry.kind})")
         if not tables:
-            raise InputError(f"{path}: has no entries of numbers; entries: {', '.join(left_out[:20]) or 'none'}")
+            raise InputError(
+                f"{path}: has no entries of numbers; entries: {', '.join(left_out[:20]) or 'none'}"
+            )
         if left_out:
             listed = ", ".join(left_out[:10]) + f" and {len(left_out) - 10} more" * (len(left_out) > 10)
             remarks.append(f"entries without numbers: {listed}")
@@ -123,7 +132,9 @@ def _entries(path: Path, content: bytes) -> tuple[list[_Entry], bool]:
         raise InputError(f"{path}: ends within its header")
     major = content[7]
     if major != 1:
-        raise InputError(f"{path}: is a data log of version {major}, of which only version 1 is read; export it as CSV")
+        raise InputError(
+            f"{path}: is a data log of version {major}, of which only version 1 is read; export it as CSV"
+        )
     position = 12 + int.from_bytes(content[8:12], "little")
     by_number: dict[int, _Entry] = {}
     entries: dict[tuple[str, str], _Entry] = {}
@@ -143,7 +154,9 @@ def _entries(path: Path, content: bytes) -> tuple[list[_Entry], bool]:
         else:
             entry = by_number.get(number)
             if entry is None:
-                raise InputError(f"{path}, byte {position}: has a record of the entry {number}, which is not started")
+                raise InputError(
+                    f"{path}, byte {position}: has a record of the entry {number}, which is not started"
+                )
             entry.times.append(from_bytes(content[size_end:start], "little", signed=start - size_end == 8))
             entry.starts.append(start)
             entry.sizes.append(size)
@@ -204,7 +217,9 @@ def _tests(content: bytes, entries: Sequence[_Entry]) -> list[tuple[str, float, 
         changes = [k for k in range(len(ordered)) if k == 0 or ordered[k] != ordered[k - 1]]
         for begin, end in zip(changes, [*changes[1:], None], strict=True):
             if ordered[begin] != _NO_TEST:
-                name = f"{entry.name.rpartition('/')[2]}_{ordered[begin]}" if len(marks) > 1 else ordered[begin]
+                name = (
+                    f"{entry.name.rpartition('/')[2]}_{ordered[begin]}" if len(marks) > 1 else ordered[begin]
+                )
                 tests.append((name, float(times[begin]), float(times[end]) if end is not None else np.inf))
     tests.sort(key=lambda test: test[1])
     counts = Counter(name for name, _, _ in tests)
@@ -232,7 +247,9 @@ def _states(content: bytes, entry: _Entry) -> list[str]:
 def _during(table: TimedTable, begin: float, end: float) -> TimedTable:
     """Return the rows of a table from a time, s, until before another."""
 
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[NDArray[Any], list[Array], list[str]]:
+    def read(
+        indices: Sequence[int], progress: Progress | None
+    ) -> tuple[NDArray[Any], list[Array], list[str]]:
         time_s, values, remarks = table.reader(indices, progress)
         rows = (time_s >= begin) & (time_s < end)
         return time_s[rows], [column[rows] for column in values], remarks
@@ -246,7 +263,9 @@ def _structures(content: bytes, entries: Sequence[_Entry]) -> dict[str, np.dtype
     for entry in entries:
         if entry.kind == _SCHEMA_TYPE and entry.times:
             name = entry.name.removeprefix(_SCHEMA).removeprefix("struct:")
-            texts[name] = content[entry.starts[-1] : entry.starts[-1] + entry.sizes[-1]].decode(errors="replace")
+            texts[name] = content[entry.starts[-1] : entry.starts[-1] + entry.sizes[-1]].decode(
+                errors="replace"
+            )
     types = {name: _structure(name, texts, 0) for name in texts}
     return {name: kind for name, kind in types.items() if kind is not None}
 
@@ -268,7 +287,9 @@ def _structure(name: str, texts: dict[str, str], depth: int) -> np.dtype[np.void
     return kind if kind is not None and kind.itemsize < 1 << 16 else None
 
 
-def _table(path: Path, content: bytes, entry: _Entry, structures: dict[str, np.dtype[np.void]]) -> TimedTable | None:
+def _table(
+    path: Path, content: bytes, entry: _Entry, structures: dict[str, np.dtype[np.void]]
+) -> TimedTable | None:
     """Return the table of an entry; None if it has no records or no numbers."""
     if not entry.times:
         return None
@@ -282,7 +303,9 @@ def _table(path: Path, content: bytes, entry: _Entry, structures: dict[str, np.d
     sizes = np.array(entry.sizes)
     if not is_array and np.any(sizes != kind.itemsize):
         row = int(np.argmax(sizes != kind.itemsize))
-        raise InputError(f"{path}, {entry.name}, record {row + 1}: has {sizes[row]} bytes, not {kind.itemsize}")
+        raise InputError(
+            f"{path}, {entry.name}, record {row + 1}: has {sizes[row]} bytes, not {kind.itemsize}"
+        )
     items = int(sizes.max()) // kind.itemsize if is_array else 1
     if items == 0 or items > _MOST_ITEMS:
         return None
@@ -307,13 +330,19 @@ def _table(path: Path, content: bytes, entry: _Entry, structures: dict[str, np.d
     return TimedTable(entry.name, columns, read)
 
 
-def _leaves(kind: np.dtype[np.void], prefix: str = "", offset: int = 0) -> list[tuple[str, int, np.dtype[np.generic]]]:
+def _leaves(
+    kind: np.dtype[np.void], prefix: str = "", offset: int = 0
+) -> list[tuple[str, int, np.dtype[np.generic]]]:
     """Return end of the name, offset in bytes and type of all numbers in a structure; of a plain number one entry."""
     if kind.subdtype is not None:
         inner, (count,) = kind.subdtype
         if count > _MOST_ITEMS:
             return []
-        return [leaf for k in range(count) for leaf in _leaves(inner, f"{prefix}[{k}]", offset + k * inner.itemsize)]
+        return [
+            leaf
+            for k in range(count)
+            for leaf in _leaves(inner, f"{prefix}[{k}]", offset + k * inner.itemsize)
+        ]
     if kind.names is None:
         return [] if kind.kind == "S" else [(prefix, offset, kind)]
     assert kind.fields is not None
