@@ -196,8 +196,8 @@ def public_axes(results: dict[str, Any]) -> str:
         errors = ("-" if r["errors"][s] is None else f"{r['errors'][s]:.3g} {r['unit']}" for s in stages)
         ratio = "-" if r["ratio"] is None else f"{r['ratio']:.2f}"
         rows.append([f"{r['machine']} ({r['source']})", named, *errors, ratio, f"{r['cpu_seconds']:.0f} s"])
-    errors = ["declared", "plain fit", "refitted", "delivered", "to beat"]
-    return markdown(["recordings", "verdict", *errors, "ratio", "processor time"], rows)
+    machines = ["declared", "plain fit", "refitted", "delivered", "to beat"]
+    return markdown(["recordings", "verdict", *machines, "ratio", "processor time"], rows)
 
 
 def outside_library(results: dict[str, Any]) -> str:
