@@ -32,6 +32,27 @@ import numpy as np
 
 from .expressions import Expression
 
+__all__ = [
+    "absolute",
+    "any_of",
+    "copysign",
+    "cos",
+    "exp",
+    "floor",
+    "fma",
+    "maximum",
+    "minimum",
+    "named",
+    "pow2",
+    "rint",
+    "sign",
+    "sin",
+    "sqrt",
+    "tanh",
+    "update_if_any",
+    "where",
+]
+
 # `_apply` skips operands of these types, before tests that take longer.
 _NUMPY_TYPES = (float, int, np.ndarray, np.generic)
 
