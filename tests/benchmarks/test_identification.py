@@ -78,17 +78,29 @@ def test_only_complete_sets_are_written(tmp_path, monkeypatch):
     json.dumps(written)
 
 
-def test_the_cache_depends_on_the_source_of_the_package(tmp_path, monkeypatch):
-    for package in identification.PACKAGES:
-        assert list((Path(hframe_gym.__file__).parent / package).glob("*.py")), package
-        (tmp_path / package).mkdir()
-        (tmp_path / package / "module.py").write_text("x = 1\n")
+def test_the_cache_depends_on_the_sources_that_identification_uses(tmp_path, monkeypatch):
+    used = (
+        "dynamics/physics",
+        "effects",
+        "identification/judge",
+        "machine",
+        "preparation",
+        "recordings/logs",
+    )
+    package = Path(hframe_gym.__file__).parent
+    for name in (*used, *identification.INDEPENDENT):
+        assert (package / name).is_dir(), name
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "module.py").write_text("x = 1\n")
     monkeypatch.setattr(hframe_gym, "__file__", str(tmp_path / "__init__.py"))
     keys = [identification.source_key()]
-    for package in identification.PACKAGES:
-        (tmp_path / package / "module.py").write_text("x = 2\n")
+    for name in used:
+        (tmp_path / name / "module.py").write_text("x = 2\n")
         keys.append(identification.source_key())
-    assert len(set(keys)) == 1 + len(identification.PACKAGES)
-    shutil.rmtree(tmp_path / identification.PACKAGES[0])
-    with pytest.raises(FileNotFoundError, match=r"correct PACKAGES"):
+    assert len(set(keys)) == 1 + len(used)
+    for name in identification.INDEPENDENT:
+        (tmp_path / name / "module.py").write_text("x = 2\n")
+    assert identification.source_key() == keys[-1]
+    shutil.rmtree(tmp_path / identification.INDEPENDENT[0])
+    with pytest.raises(FileNotFoundError, match=r"correct INDEPENDENT"):
         identification.source_key()
