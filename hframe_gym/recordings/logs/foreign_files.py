@@ -30,7 +30,7 @@ def refuse_foreign_file(path: Path, start: bytes) -> None:
 
     Args:
         path: File of the log, for the message.
-        start: Its first 128 bytes.
+        start: Its first bytes.
 
     Raises:
         InputError: If it is of such a kind. The message names it and says how to export the data.
@@ -45,7 +45,7 @@ def is_json(path: Path, start: bytes) -> bool:
 
     Args:
         path: File of the log.
-        start: Its first 128 bytes.
+        start: Its first bytes.
 
     Returns:
         True for a name that ends in .json, and for a text that begins like an object or a list of JSON.

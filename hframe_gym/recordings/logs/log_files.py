@@ -9,10 +9,8 @@ from pathlib import Path
 from ...errors import InputError
 from ...registry import load_plugins
 from .foreign_files import FOREIGN_SUFFIXES, refuse_foreign_file
-from .formats import LOG_FORMATS, LogFormat
+from .formats import LOG_FORMATS, START_BYTES, LogFormat
 from .log import Log
-
-_START = 128  # bytes of a file by which its format is recognized
 
 
 def open_logs(path: Path) -> list[Log]:
@@ -32,7 +30,7 @@ def open_logs(path: Path) -> list[Log]:
     start = b""
     if path.is_file():
         with open(path, "rb") as file:
-            start = file.read(_START)
+            start = file.read(START_BYTES)
         refuse_foreign_file(path, start)
     found = [kind for kind in _formats() if kind.recognizes(path, start)]
     return max(found, key=lambda kind: kind.precedence).open(path)

@@ -10,8 +10,8 @@ All other modules are formats: each registers one.
 """
 
 from ....registry import import_modules
-from .base import LOG_FORMATS, LogFormat
+from .base import LOG_FORMATS, START_BYTES, LogFormat
 
-__all__ = ["LOG_FORMATS", "LogFormat"]
+__all__ = ["LOG_FORMATS", "START_BYTES", "LogFormat"]
 
 import_modules(__name__, __path__, skip=("matlab_vectors",))  # a format in this folder registers itself

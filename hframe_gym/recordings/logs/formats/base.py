@@ -12,6 +12,9 @@ from ....errors import InputError
 from ....registry import Registry
 from ..log import Log
 
+# Bytes at the beginning of a file by which its format is recognized. They contain the header of a table below some
+# lines of messages.
+START_BYTES = 4096
 # Precedence of formats that recognize the same file.
 ANY_TEXT = 0
 KNOWN_TEXT = 1  # a table in text with names of a known program
@@ -36,7 +39,7 @@ class LogFormat(ABC):
 
         Args:
             path: File of a log, or folder that `logs_in` returns.
-            start: First 128 bytes of the file; empty for a folder.
+            start: First `START_BYTES` bytes of the file; empty for a folder.
 
         Returns:
             True if the file has the format, also if it is damaged.

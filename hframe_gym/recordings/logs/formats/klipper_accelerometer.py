@@ -8,10 +8,9 @@ from typing_extensions import override
 
 from ....errors import InputError
 from ..log import Log
-from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
+from .base import KNOWN_TEXT, LOG_FORMATS, START_BYTES, LogFormat
 from .text import open_text_table
 
-_START = 4096  # bytes; a line about lost samples may precede the header
 _HEADER = "#time,accel_x,accel_y,accel_z"
 _SPECTRUM = ("freq,psd_x,psd_y,psd_z", "#freq,psd_x,psd_y,psd_z")
 _UNITS = {"time": "s", **dict.fromkeys(("accel_x", "accel_y", "accel_z"), "mm/s^2")}
@@ -27,12 +26,14 @@ class KlipperAccelerometerLogs(LogFormat):
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize the header."""
-        return start.startswith((b"#", b"freq,")) and _header(path) != ""
+        return start.startswith((b"#", b"freq,")) and _header(start) != ""
 
     @override
     def open(self, path: Path) -> list[Log]:
         """Open the table, whose columns get their units."""
-        if _header(path) != _HEADER:
+        with open(path, "rb") as file:
+            header = _header(file.read(START_BYTES))
+        if header != _HEADER:
             advice = "measure again with OUTPUT=raw_data and import raw_data_*.csv"
             raise InputError(f"{path}: is a spectrum of Klipper's TEST_RESONANCES, without times; {advice}")
         return [open_text_table(path, ("it is a measurement of Klipper's accelerometer",), _unit)]
@@ -43,11 +44,10 @@ def _unit(name: str) -> str:
     return _UNITS.get(name, "")
 
 
-def _header(path: Path) -> str:
+def _header(start: bytes) -> str:
     """Return the line that is the header of such a file, of a measurement or the beginning of a spectrum's; else ""."""
-    with open(path, "rb") as file:
-        lines = file.read(_START).decode("ascii", errors="replace").lower().splitlines()
-    for line in lines[:3]:
+    lines = start.decode("ascii", errors="replace").lower().splitlines()
+    for line in lines[:3]:  # a line about lost samples may precede the header
         if line.strip() == _HEADER:
             return _HEADER
         for spectrum in _SPECTRUM:

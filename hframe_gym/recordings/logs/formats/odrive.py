@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -11,7 +12,6 @@ from ..log import Log
 from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .text import open_text_table
 
-_START = 4096  # bytes of the file that contain its header
 # Units since firmware 0.5.1; before, positions and speeds were in counts.
 _UNITS = {
     **dict.fromkeys(
@@ -42,10 +42,7 @@ class ODriveLogs(LogFormat):
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize names of properties in the first lines of a text."""
-        if not path.is_file() or b"\0" in start:
-            return False
-        with open(path, "rb") as file:
-            return _OWN.search(file.read(_START)) is not None
+        return _OWN.search(start) is not None
 
     @override
     def open(self, path: Path) -> list[Log]:
@@ -55,7 +52,7 @@ class ODriveLogs(LogFormat):
         if not assumed:
             return [log]
         remark = f"units of ODrive since its firmware 0.5.1 for {', '.join(assumed)}"
-        return [open_text_table(path, (remark,), _unit)]
+        return [dataclasses.replace(log, remarks=(remark, *log.remarks))]
 
 
 def _unit(header: str) -> str:

@@ -12,7 +12,6 @@ from ..log import Log, LogColumn
 from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .text import open_text_table
 
-_START = 4096  # bytes of the file in which a message of SimpleFOC or some rows appear
 _ALL = (
     *(("target", ""), ("voltage.q", "V"), ("voltage.d", "V"), ("current.q", "mA"), ("current.d", "mA")),
     *(("velocity", "rad/s"), ("angle", "rad")),
@@ -37,10 +36,7 @@ class SimpleFocLogs(LogFormat):
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
         """Recognize messages such as "MOT: Init", or rows between two equal letters."""
-        if not path.is_file() or b"\0" in start:
-            return False
-        with open(path, "rb") as file:
-            text = file.read(_START).decode("ascii", errors="replace").replace("\r", "")
+        text = start.decode("ascii", errors="replace").replace("\r", "")
         return _MESSAGE.search(text) is not None or len(_ENCLOSED.findall(text)) > 1
 
     @override
