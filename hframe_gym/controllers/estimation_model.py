@@ -11,7 +11,7 @@ from typing_extensions import override
 from ..arrays import Array, Mask, ParameterRows
 from ..dynamics import Equations
 from ..errors import InputError
-from ..machine import SENSOR_KINDS, Machine, Sensor
+from ..machine import Machine, Sensor
 from .motion_model import MotionModel
 
 # Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is measured,
@@ -99,8 +99,7 @@ class AugmentedParameters(ParameterRatios):
 
 def _is_linear(sensor: Sensor) -> bool:
     """Return whether a sensor measures a linear function of the positions and speeds."""
-    turns = SENSOR_KINDS.get(sensor.kind).turn is not None
-    return sensor.kind == "speed" or (sensor.of_position and not turns)
+    return sensor.of_velocity or (sensor.of_position and sensor.turn is None)
 
 
 class MeasurementModel:

@@ -18,7 +18,7 @@ from ..dynamics.codegen.blocks import write_block
 from ..dynamics.codegen.compiled import compiled
 from ..dynamics.codegen.lane_program import LaneProgram
 from ..dynamics.codegen.native_calls import call_at
-from ..machine import SENSOR_KINDS, Sensor
+from ..machine import Sensor
 from .batched_simulator import BatchedSimulator, block_ranges
 from .machine_sampler import MachineSampler
 from .measurements import SensorArray
@@ -272,7 +272,7 @@ def _measurement_program(position: PositionFromSensors, sensors: Sequence[Sensor
         lines.append(limit(j, j, size, f"load(now, {j})"))
     for k, j in enumerate(rated, start=n):
         change = f"(load(now, {j}) - load(before, {j}))"
-        turn = SENSOR_KINDS.get(sensors[j].kind).turn
+        turn = sensors[j].turn
         if turn is not None:  # the shorter way between two angles
             change = f"({change} - {turn!r} * rint({change} / {turn!r}))"
         lines.append(limit(k, k, size, f"{change} / period"))

@@ -19,7 +19,7 @@ from typing_extensions import override
 from ..arrays import Array, Index
 from ..effects import EFFECTS
 from ..errors import InputError, is_number
-from ..machine import SENSOR_KINDS, Machine, Sensor, observed_coordinates, rest_positions_per_axis
+from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ class PositionFromSensors:
         """
         axes = machine.tool_axes
         # Where an angle begins anew after each turn, it does not tell the position of the tool.
-        usable = [s.of_position and SENSOR_KINDS.get(s.kind).turn is None for s in sensors]
+        usable = [s.of_position and s.turn is None for s in sensors]
         direct, scale = np.full(len(axes), -1, np.intp), np.ones(len(axes))
         for axis, name in enumerate(axes):
             for j, sensor in enumerate(sensors):

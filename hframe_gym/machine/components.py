@@ -263,6 +263,11 @@ class Drive:
         return DRIVE_KINDS.get(self.kind).parameters
 
     @property
+    def command(self) -> str:
+        """Quantity of the command in simulations: "voltage", "current" or "torque"; the kind determines it."""
+        return DRIVE_KINDS.get(self.kind).command
+
+    @property
     def command_unit(self) -> str:
         """Unit of the command: V, A or Nm."""
         return DRIVE_KINDS.get(self.kind).unit()
@@ -335,6 +340,11 @@ class SensorKind:
             ValueError: If the argument has another name than one of the quantities.
         """
         return _quantity_of(cls.signal)
+
+    @classmethod
+    def has_direction(cls) -> bool:
+        """Return whether the ideal measurement changes its sign with the quantity; an absolute value does not."""
+        return bool(cls.signal(-1.0) == -cls.signal(1.0))
 
     @staticmethod
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
@@ -430,12 +440,12 @@ class CurrentSensor(SensorKind):
 class AbsoluteAngle(SensorKind):
     """An absolute encoder of one turn: the angle, whose zero is known, begins anew at 0 after 2 pi rad."""
 
-    turn = 2.0 * math.pi
+    turn: ClassVar[float] = 2.0 * math.pi
 
     @staticmethod
     @override
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
-        return np.mod(SensorKind.measure(reading, noise, resolution, normal), 2.0 * math.pi)
+        return np.mod(SensorKind.measure(reading, noise, resolution, normal), AbsoluteAngle.turn)
 
 
 @dataclass(frozen=True)
@@ -480,6 +490,16 @@ class Sensor:
     def of_position(self) -> bool:
         """Whether the sensor measures positions."""
         return self.quantity == "position"
+
+    @property
+    def of_velocity(self) -> bool:
+        """Whether the sensor measures speeds with their direction."""
+        return self.quantity == "speed" and SENSOR_KINDS.get(self.kind).has_direction()
+
+    @property
+    def turn(self) -> float | None:
+        """Size of the range after which the measurement begins anew, in the channel's unit; None if it does not."""
+        return SENSOR_KINDS.get(self.kind).turn
 
     @property
     def fixed(self) -> bool:

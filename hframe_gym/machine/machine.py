@@ -228,7 +228,7 @@ class Machine:
             raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
         if key in ("voltage_range", "rated_voltage"):
             return self.drive(owner).command_unit
-        if key == "Kt" and self.drive(owner).kind == "torque":
+        if key == "Kt" and self.drive(owner).command == "torque":
             return "1"  # true per commanded torque
         if key == "gear_ratio":
             return self.coordinate(self.drive(owner).coordinate).unit("rad/position")

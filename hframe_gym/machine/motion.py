@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from ..arrays import Array
 from .machine import Machine
 
-_RIGID_EXTENSION = (
-    1e-9  # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid
-)
+# m per unit of the leading coordinate; a motion that extends a belt by more is not rigid.
+_RIGID_EXTENSION = 1e-9
 
 
 def observed_coordinates(machine: Machine) -> tuple[str, ...]:

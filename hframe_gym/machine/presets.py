@@ -15,17 +15,8 @@ from .machine import Machine
 
 RADIUS = 0.0194  # m, pitch radius of the pulleys, Table 1
 EA = 5.5626e-6 * 2.50e9  # N, Young's modulus times cross section of the belt, Table 4
-SECTIONS = (
-    0.781,
-    0.781,
-    0.3334,
-    0.3334,
-    0.3334,
-    0.3334,
-    0.281,
-    0.281,
-    0.6159,
-)  # m, belt sections l1..l9, Table 4
+# m, belt sections l1..l9, Table 4
+SECTIONS = (0.781, 0.781, 0.3334, 0.3334, 0.3334, 0.3334, 0.281, 0.281, 0.6159)
 STIFFNESS = {"left": 1.3167e4, "right": 1.0791e4, "bottom": 8.0492e3}  # N/m, belt sections, Table 1
 GEAR_RATIO = 5.9  # section II; missing from eq. 17
 # Section II: encoders with 512 lines, read in quadrature, on the motor side of the gear.

@@ -50,15 +50,11 @@ class StageGeometry:
 
     radius = PULLEY_RADIUS
     clearance = CLEARANCE  # m, from the workspace to the frame, on the sides to which the bridge reaches
-    plate = (
-        0.04,
-        0.02,
-        0.02,
-    )  # m, of the bridge's end plates: half width, and length beyond and inside the rails
+    # m, of the bridge's end plates: half width, and length beyond and inside the rails
+    plate = (0.04, 0.02, 0.02)
     half_beam = 0.012  # m, half width of the bridge between them
-    _swapped_axis = (
-        1  # bridge axis for which `_swap` exchanges x and y: a bridge along y is drawn as one along x
-    )
+    # Bridge axis for which `_swap` exchanges x and y: a bridge along y is drawn as one along x.
+    _swapped_axis = 1
 
     def __init__(self, workspace: NDArray[np.float64], bridge_axis: int | None = 0) -> None:
         (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()

@@ -295,14 +295,16 @@ def initial_velocity(
     )
     speeds = vibration_speeds(machine)
     vibration = np.array([speeds.get(s.coordinate, 0.0) for s in machine.sensors])
-    of_speed = np.array([s.kind == "speed" for s in machine.sensors])
+    of_velocity = np.array([s.of_velocity for s in machine.sensors])
     rows = [
-        machine.coefficients(s.row) if s.of_position or s.kind == "speed" else 0.0 * rigid[:, 0]
+        machine.coefficients(s.row) if s.of_position or s.of_velocity else 0.0 * rigid[:, 0]
         for s in machine.sensors
     ]
     sensor_of_motion = np.array(rows) @ rigid
     counts = sorted({_rows_within(recording, seconds) for seconds in _FITTED_S})
-    fits = [_fit_velocity(recording, rows, sensor_of_motion, noise, vibration, of_speed) for rows in counts]
+    fits = [
+        _fit_velocity(recording, rows, sensor_of_motion, noise, vibration, of_velocity) for rows in counts
+    ]
     significant = [fit for fit in fits if fit is not None]
     if not significant:
         return at_rest
@@ -334,7 +336,7 @@ def _fit_velocity(
     sensor_of_motion: Array,
     noise: Array,
     vibration: Array,
-    of_speed: NDArray[np.bool_],
+    of_velocity: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
     """Return the velocities of the rigid motions at the first row and their covariance, from parabolas.
 
@@ -344,7 +346,7 @@ def _fit_velocity(
         sensor_of_motion: Measurement per unit of each rigid motion, shape (sensors, motions).
         noise: Standard deviation of each sensor, shape (sensors,).
         vibration: Speed of the vibration that each sensor measures in addition to the rigid motions, shape (sensors,).
-        of_speed: True for sensors of speeds, whose parabolas give the velocity by their value, shape (sensors,).
+        of_velocity: True for sensors of velocities, whose parabolas give the velocity by their value, shape (sensors,).
 
     Returns:
         Velocities (motions,) and covariance (motions, motions); None if they are not significant or not measured.
@@ -354,7 +356,8 @@ def _fit_velocity(
     for j, values in enumerate(recording.outputs[:rows].T):
         measured = np.flatnonzero(np.isfinite(values))
         if len(measured) >= _MIN_FITTED_ROWS // 2:
-            slope = np.linalg.pinv(np.vander(time_s[measured], 3, increasing=True))[0 if of_speed[j] else 1]
+            parabola = np.linalg.pinv(np.vander(time_s[measured], 3, increasing=True))
+            slope = parabola[0 if of_velocity[j] else 1]
             slopes[j] = slope @ values[measured]
             deviations[j] = np.hypot(noise[j] * np.linalg.norm(slope), vibration[j])
     weighted = sensor_of_motion / deviations[:, None]

@@ -39,15 +39,13 @@ _RESOLUTION_FACTOR = 4.0  # times the resolution
 _MIN_CHANGES = 20  # changes of a channel that show whether it is measured in every row
 _LARGE_CHANGE = 3.0  # quantization steps; slow motion says nothing
 _SMALL_CHANGE = 1.5  # quantization steps; a change of one step
-_LEAST_REPEATED = (
-    0.05  # fraction of the rows in motion; single repetitions have other causes, such as a late message
-)
+# Fraction of the rows in motion; single repetitions have other causes, such as a late message.
+_LEAST_REPEATED = 0.05
 _NOISY = 0.5  # changes of one step per repetition; noise makes two, a sensor that is held none
 # Ratio of the 90th to the 10th percentile: intervals of a held sensor are alike at any speed, and its changes are not.
 _LARGEST_RATIO = 2.0
-_EDGE_FACTOR = (
-    5.0  # times the largest regular step; the first and the last sample have neighbors on one side only
-)
+# Times the largest regular step; the first and the last sample have neighbors on one side only.
+_EDGE_FACTOR = 5.0
 
 
 def fill_gaps(recording: Recording) -> Recording:
@@ -66,9 +64,8 @@ def fill_gaps(recording: Recording) -> Recording:
     time_s = recording.time_s
     steps = np.diff(time_s)
     period = float(np.median(steps)) if len(steps) else 1.0
-    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(
-        int
-    )  # (n - 1,) rows per step
+    # Rows that are missing in each step, shape (n - 1,).
+    lost = np.where(steps > GAP_PERIODS * period, np.rint(steps / period) - 1, 0).astype(int)
     if not lost.any():
         return recording
     gaps = np.flatnonzero(lost)

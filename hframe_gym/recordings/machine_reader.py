@@ -44,17 +44,10 @@ from .machine_schema import (
 # m; larger values are probably millimeters. Belt axes of more than 10 m exist, hence a warning and no error.
 _LARGEST = {"range": 10.0, "rest_length": 50.0, "radius": 1.0, "noise": 0.1, "resolution": 0.1}
 MAX_TEXT = 1000  # characters of a name or description
-_NOT_IN_COLUMNS = (
-    ",",
-    ";",
-    '"',
-    "'",
-    "@",
-)  # they separate or quote the columns of files, and "@" effects from sites
-_SMALLEST_POSITIVE, _LARGEST_MAGNITUDE = (
-    1e-30,
-    1e30,
-)  # beyond which products of a few parameters overflow or vanish
+# Signs that separate or quote the columns of files; "@" separates effects from sites.
+_NOT_IN_COLUMNS = (",", ";", '"', "'", "@")
+# Beyond these, products of a few parameters vanish or overflow.
+_SMALLEST_POSITIVE, _LARGEST_MAGNITUDE = 1e-30, 1e30
 _OTHER_UNITS = ("_mm", "_um", "_cm", "_deg", "_counts")
 
 
@@ -233,7 +226,7 @@ class MachineReader:
                 raise self._error(f"{field}.{key}", f"a drive of the kind {entry.kind!r} has none; delete it")
         units = {key: FIXED_UNITS[key] for key in (*kind.parameters, kind.rated) if key != "gear_ratio"}
         units["gear_ratio"] = UNITS[self._kinds[entry.coordinate]]["rad/position"]
-        if entry.kind == "torque":
+        if kind.command == "torque":
             units["Kt"] = "1"
             if entry.Kt is None:
                 del units["Kt"]
@@ -278,15 +271,17 @@ class MachineReader:
             raise self._error(
                 f"{field}.kind", f"sensor kind {entry.kind!r} is not registered; choose one of {choices}"
             )
-        quantity = SENSOR_KINDS.get(entry.kind or "laser").quantity()
+        kind = entry.kind or "laser"
+        quantity = SENSOR_KINDS.get(kind).quantity()
         if quantity == "current":
             self._row(f"{field}.row", entry.row, of="drive")
-            unit, kind = FIXED_UNITS[quantity], entry.kind or "current"
+            unit = FIXED_UNITS[quantity]
         else:
             row = self._row(f"{field}.row", entry.row, products=True)
             coordinate_kind = self._kinds[Sensor(entry.channel, row).coordinate]
-            kind = entry.kind or ("encoder" if coordinate_kind == "rotary" else "laser")
             unit = UNITS[coordinate_kind][quantity]
+            if entry.kind is None and coordinate_kind == "rotary":
+                kind = "encoder"
         if entry.range is not None and not entry.range[0] < entry.range[1]:
             raise self._error(f"{field}.range", "must be [lowest, highest]")
         values = self._values(field, entry, {"noise": unit, "resolution": unit})
@@ -434,10 +429,8 @@ def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
 
 def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:
     """List factors of belts that are not plausible, carriages that cannot move, and negative lengths."""
-    doubts, moving = (
-        [],
-        np.any([*rigid_motions(machine).values(), np.zeros(len(machine.coordinates))], axis=0),
-    )
+    doubts = []
+    moving = np.any([*rigid_motions(machine).values(), np.zeros(len(machine.coordinates))], axis=0)
     for belt in machine.belts:
         for name, factor in belt.extension.items():
             if name in pulley_names(machine) and not float(2 * factor).is_integer():

@@ -31,15 +31,13 @@ _COMMENT_SIGNS = ("#", "%", "//")
 _COMMENT_SIGN = re.compile(r"\s*(?:#+|%+|//+)\s*")
 _ROW_ENDS = ";,|\t"  # separators that may end each row although other separators are between its cells
 _MOST = 0.5  # fraction of the rows of numbers that have such an end; their last one may be incomplete
-_ROW_START = re.compile(
-    rf"[ \t]*\"?(?:[+-]?[.,]?\d|(?:nan|{MISSING_WORDS})\b)", re.IGNORECASE
-)  # in a row of numbers
+# Beginning of a row of numbers.
+_ROW_START = re.compile(rf"[ \t]*\"?(?:[+-]?[.,]?\d|(?:nan|{MISSING_WORDS})\b)", re.IGNORECASE)
 _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of the columns are looked for
 # Name before a number, as for Arduino's serial plotter: "speed:1.5". The "e" of "1e-3" begins none.
 _LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
-_ARROW = re.compile(
-    r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> "
-)  # between time stamp and text in Arduino's serial monitor
+# Between time stamp and text in Arduino's serial monitor.
+_ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")
 # Row between two equal letters, as SimpleFOC's monitor writes it.
 _ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]*")
 # Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an oscilloscope.

@@ -25,9 +25,8 @@ from .text_format import (
 )
 
 Array = NDArray[np.float64]
-Progress = Callable[
-    [int], None
-]  # called with the number of bytes of the file that were read since the last call
+# Called with the number of bytes of the file that were read since the last call.
+Progress = Callable[[int], None]
 
 _BLOCK = 1 << 22  # characters that are converted at a time
 # Possessive repetitions (*+, ++) and the look-behind keep the time linear in lines of blanks.

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine import SENSOR_KINDS, Machine
+from ..machine import Machine
 from .quantization import exact_quantum
 from .recording import Recording
 
@@ -30,45 +30,13 @@ _NEIGHBORS = 4  # regular changes on each side of a jump, from which the motion 
 # Relative deviation of a jump from a modulus. Moduli in use (4000 and 4096 counts) differ by 2.3 %; a constant
 # acceleration changes the motion during a jump by far less.
 _TOLERANCE = 0.01
-_AGREEING = (
-    0.9  # fraction of the jumps that must have the size of the modulus and the opposite sign of the motion
-)
-_BITS = (
-    8,
-    10,
-    12,
-    13,
-    14,
-    15,
-    16,
-    17,
-    18,
-    19,
-    20,
-    21,
-    22,
-    23,
-    24,
-    32,
-)  # of counters and absolute encoders in use
+# Fraction of the jumps that must have the size of the modulus and the opposite sign of the motion.
+_AGREEING = 0.9
+_BITS = (8, 10, *range(12, 25), 32)  # of counters and absolute encoders in use
 _TURNS = {2 * math.pi: "one turn", 360.0: "one turn in degrees", 1.0: "one turn in turns"}
 _COUNTS_PER_TURN = (
-    400,
-    800,
-    1000,
-    1440,
-    1600,
-    2000,
-    2400,
-    2500,
-    3600,
-    4000,
-    5000,
-    7200,
-    8000,
-    10000,
-    20000,
-    36000,
+    *(400, 800, 1000, 1440, 1600, 2000, 2400, 2500, 3600, 4000),
+    *(5000, 7200, 8000, 10000, 20000, 36000),
 )
 
 
@@ -187,11 +155,10 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
     """
     found = {}
     for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
-        turn = SENSOR_KINDS.get(sensor.kind).turn
-        if turn is not None:
-            jumps = int(np.count_nonzero(np.abs(np.diff(values[np.isfinite(values)])) > turn / 2))
+        if sensor.turn is not None:
+            jumps = int(np.count_nonzero(np.abs(np.diff(values[np.isfinite(values)])) > sensor.turn / 2))
             if jumps:
-                found[sensor.channel] = Wrap(turn, "one turn", jumps)
+                found[sensor.channel] = Wrap(sensor.turn, "one turn", jumps)
             continue
         if not sensor.of_position:
             continue

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...arrays import Array, Inputs, Times
-from ...machine import AppliedEffect, Machine, argument_names
+from ...machine import AppliedEffect, Effect, Machine, argument_names
 from .belts import BeltState
 from .equations import Equations
 from .parameterized_machine import MotionPoint
@@ -221,25 +221,16 @@ def effect_states(
         if argument_names(effect.definition.next_state) != ("z", "dq") and not effect.definition.current:
             # A bristle; `_BRISTLE_STATE_STRIDE` gives the reason.
             rows = np.unique(np.append(rows[::_BRISTLE_STATE_STRIDE], rows[-1]))
-        states[k] = _integrated(equations, k, point, arguments, time_s, rows)
+        steps = _step_arguments(equations, k, point, arguments, time_s, rows)
+        states[k] = _integrated(effect.definition, steps, rows, len(time_s))
     return states
 
 
 def _integrated(
-    equations: Equations,
-    k: int,
-    point: MotionPoint,
-    arguments: Mapping[str, Array],
-    time_s: Array,
-    rows: NDArray[np.intp],
+    definition: Effect, steps: Mapping[str, Array], rows: NDArray[np.intp], samples: int
 ) -> Array:
-    """Return the state of effect k at every sample, stepped from row to row of `rows`.
-
-    The loop is sequential, so everything that `next_state` needs is looked up before it.
-    """
-    effect = equations.instances[k].effect
-    function: Any = effect.definition.next_state
-    steps = _step_arguments(equations, k, point, arguments, time_s, rows)
+    """Return the state of an effect at every sample, stepped from row to row of `rows` with `_step_arguments`."""
+    function: Any = definition.next_state
     shape = np.broadcast_shapes(
         (1,), *((*values.shape[:-1], 1) for values in steps.values() if values.ndim > 1)
     )
@@ -249,21 +240,20 @@ def _integrated(
         for values in steps.values()
     ]
     state: Any = 0.0 if shape == (1,) else np.zeros(shape)
-    samples = []
+    visited = []
     for values in zip(*columns, strict=True):
-        samples.append(state)
+        visited.append(state)
         state = function(z=state, **dict(zip(steps, values, strict=True)))
-    states = (
-        np.array(samples) if shape == (1,) else np.concatenate(samples, axis=-1)
-    )  # (rows,) or (variants, rows)
-    if effect.definition.current:  # the mean over each step by Simpson's rule
+    # Shape (rows,) or (variants, rows).
+    states = np.array(visited) if shape == (1,) else np.concatenate(visited, axis=-1)
+    if definition.current:  # the mean over each step by Simpson's rule
         half_steps = {
             name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()
         }
         states = (states + 4.0 * function(z=states, **half_steps) + function(z=states, **steps)) / 6.0
-    if len(rows) == len(time_s):
+    if len(rows) == samples:
         return states
-    variants = [np.interp(np.arange(len(time_s)), rows, variant) for variant in np.atleast_2d(states)]
+    variants = [np.interp(np.arange(samples), rows, variant) for variant in np.atleast_2d(states)]
     return np.array(variants) if states.ndim > 1 else variants[0]
 
 
@@ -275,7 +265,10 @@ def _step_arguments(
     time_s: Array,
     rows: NDArray[np.intp],
 ) -> dict[str, Array]:
-    """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows)."""
+    """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows).
+
+    The loop over the steps is sequential, so everything that it needs is looked up before it.
+    """
     effect, i = equations.instances[k].effect, equations.instances[k].state_coordinate
     durations = np.diff(time_s[rows])
     series: dict[str, Any] = {"dt": np.append(durations, durations[-1] if len(durations) else 0.0)}

@@ -79,9 +79,8 @@ class SignalEquations(ParameterizedMachine):
             else:
                 reading = self._combined(sensor.row, quantity, motion)
             reading = SENSOR_KINDS.get(sensor.kind).signal(reading)
-            across = self.machine.other_axis(
-                sensor.coordinate
-            )  # skew depends on the other carriage's position
+            # Skew depends on the position of the other carriage.
+            across = self.machine.other_axis(sensor.coordinate)
             quantities = {"across": positions[names.index(across)] if across else 0.0}
             for _, e in self.effects_at("measurement", sensor.channel):
                 reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
@@ -96,9 +95,7 @@ class SignalEquations(ParameterizedMachine):
             factors = [key] if key in names else key.split("*")
             rows.append((sorted(names.index(factor) for factor in factors), coefficient))
         terms, coefficients = [], {}
-        for k, (indices, coefficient) in enumerate(
-            sorted(rows)
-        ):  # in an order that is independent of the file's
+        for k, (indices, coefficient) in enumerate(sorted(rows)):  # in an order independent of the file's
             terms.append(_term(indices, quantity, motion))
             coefficients[k] = coefficient
         return combination(coefficients, terms)

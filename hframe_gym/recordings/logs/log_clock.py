@@ -25,9 +25,8 @@ _COUNTERS = {
 # other value passes by chance in so many periods of all that the counter has: one in a million for 32 bits in
 # microseconds at 1 kHz.
 _PERIODS_ACROSS = 3.0
-_RARE = (
-    0.1  # fraction of rows; fewer repeated times are single repeated rows, more are those of a coarse clock
-)
+# Fraction of rows; fewer repeated times are single repeated rows, more are those of a coarse clock.
+_RARE = 0.1
 
 
 def continued_counter(times: Array) -> tuple[Array, str]:
@@ -108,9 +107,8 @@ def repair_of_times(time_s: Array) -> str:
 
 def _rate(count: int, span: float, resolution: float) -> float:
     """Return the roundest rate, Hz, of a number of rows whose times extend over a span and have a resolution, s."""
-    rate = count / (
-        span + resolution
-    )  # the times are rounded down, so that those of the last step extend beyond it
+    # The times are rounded down, so that those of the last step extend beyond it.
+    rate = count / (span + resolution)
     tolerance = rate * resolution / span
     digits = next((d for d in range(1, 6) if abs(float(f"{rate:.{d - 1}e}") - rate) <= tolerance), 6)
     return float(f"{rate:.{digits - 1}e}")

@@ -180,7 +180,7 @@ class LogConverter:
         sensor = self.machine.sensor(channel)
         if not sensor.of_position:
             return values, ""
-        angle = channel_dimension(self.machine, channel) == "angle" or sensor.kind == "encoder"
+        angle = channel_dimension(self.machine, channel) == "angle" or sensor.incremental
         measured = values[np.isfinite(values)]
         quantum = (
             1.0 if np.array_equal(measured, np.rint(measured)) else exact_quantum(values)

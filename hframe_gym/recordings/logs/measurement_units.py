@@ -128,8 +128,9 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
-        "time"; for an output that of its unit, such as "length", "angular speed" or "current"; for an input "current",
-        "torque" or "force" if its name ends in _A, _Nm or _N, else "voltage".
+        "time"; for an output that of its unit, such as "length", "angular speed" or "current". For an input, the
+        command of its drive: "duty cycle", "current" or "torque"; if the drive has voltages, "current", "torque" or
+        "force" where the channel's name ends in _A, _Nm or _N, else "voltage".
     """
     if channel == TIME:
         return "time"
@@ -137,9 +138,8 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
         drive = machine.drives[machine.input_channels.index(channel)]
         if DRIVE_KINDS.get(drive.kind).fraction:
             return "duty cycle"
-        if drive.kind != "voltage":
-            return _COMMANDS[drive.command_unit]
-        unit = split_unit(channel)[1]
+        # A drive of voltages whose Ke is 0 may control the current, the torque or the force that its channel names.
+        unit = split_unit(channel)[1] if drive.command == "voltage" else drive.command_unit
         return _COMMANDS.get(unit, "voltage")
     if channel in machine.supply_channels:
         return "voltage"
@@ -263,7 +263,7 @@ def _shaft_drive(machine: Machine, channel: str) -> Drive | None:
     if channel not in machine.output_channels:
         return None
     sensor = machine.sensor(channel)
-    if sensor.kind != "encoder" or sensor.row != {sensor.coordinate: 1.0}:
+    if not sensor.incremental or sensor.row != {sensor.coordinate: 1.0}:
         return None
     if machine.coordinate(sensor.coordinate).kind != "linear":
         return None

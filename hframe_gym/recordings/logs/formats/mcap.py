@@ -49,9 +49,8 @@ class _McapFile(MessageSource):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._decode: dict[
-            tuple[str, int], Callable[[bytes], Any] | str
-        ] = {}  # or why there is none, by schema
+        # Function that decodes messages, or why there is none, by encoding and number of the schema.
+        self._decode: dict[tuple[str, int], Callable[[bytes], Any] | str] = {}
         self._topics: dict[str, str] = {}
         self._ros: RosDecoder | None = None
         self._protobuf: Any = None

@@ -53,12 +53,8 @@ _STRUCT_NUMBERS = {
 }
 _MOST_ITEMS = 64  # of an array; longer ones are data of cameras and the like, not signals
 _DEEPEST = 8  # structures in structures
-_STATES = (
-    "quasistatic-forward",
-    "quasistatic-reverse",
-    "dynamic-forward",
-    "dynamic-reverse",
-)  # of SysId's tests
+# Of SysId's tests.
+_STATES = ("quasistatic-forward", "quasistatic-reverse", "dynamic-forward", "dynamic-reverse")
 _NO_TEST = "none"
 _LONGEST_STATE = 32  # characters
 _SCHEMA = "/.schema/"  # names of entries that describe structures begin so
