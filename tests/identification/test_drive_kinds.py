@@ -10,13 +10,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from hframe_gym import load_machine, make_controller
+from hframe_gym import load_machine
 from hframe_gym.data_validation import check_recordings
 from hframe_gym.effects import get_effect
 from hframe_gym.errors import InputError
 from hframe_gym.identification import identify
-from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
+from hframe_gym.machine import DRIVE_KINDS, Coordinate, Drive, Machine, Sensor
+from hframe_gym.machine.components import TorqueDrive
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
+from hframe_gym.recordings.logs.measurement_units import channel_dimension
+from tests.identification.control_of_kinds import action_of_a_trained_agent, largest_error_of_pid
 from tests.reference_simulator.axis import Axis, Record, held_levels, record
 
 ROWS, PERIOD, BANDWIDTH, LIMIT = 1000, 2e-3, 40.0, 1.6
@@ -80,6 +83,21 @@ def test_a_machine_file_states_the_kind(kind: str, tmp_path) -> None:
     assert content[f"rated_{kind}"]["unit"] == {"current": "A", "torque": "Nm"}[kind]
     save_machine(machine, tmp_path / "motor.json")
     assert load_machine(tmp_path / "motor.json").drives == machine.drives
+
+
+def test_a_registered_kind_that_commands_torques_has_the_torque_constant_of_one(tmp_path) -> None:
+    @DRIVE_KINDS.register("servo")
+    class Servo(TorqueDrive):
+        pass
+
+    try:
+        machine = motor("servo", 2e-4, 1e-4, 0.004, 40.0, None)
+        assert machine.unit("motor.Kt") == "1"
+        save_machine(machine, tmp_path / "motor.json")
+        assert load_machine(tmp_path / "motor.json").drives == machine.drives
+        assert channel_dimension(machine, "command") == "torque"
+    finally:
+        DRIVE_KINDS.unregister("servo")
 
 
 def test_the_file_declares_the_bandwidth_and_refuses_what_the_kind_lacks(tmp_path) -> None:
@@ -203,24 +221,10 @@ def stage() -> Machine:
 @pytest.mark.integration
 def test_a_controller_reaches_the_goal_by_currents() -> None:
     env = gym.make("HFrame-v0", machine=stage(), randomize="default")
-    controller = make_controller("pid", env)
-    errors = []
-    for seed in range(3):
-        observation, _ = env.reset(seed=seed)
-        controller.reset()
-        for _ in range(150):
-            observation, *_ = env.step(controller.act(observation))
-        errors.append(np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]))
-    assert max(errors) < 1e-3
+    assert largest_error_of_pid(env, 150) < 1e-3  # m
 
 
 @pytest.mark.train
 def test_an_agent_trains_by_currents() -> None:
-    ppo = pytest.importorskip("stable_baselines3").PPO
     env = gym.make("HFrame-v0", machine=stage(), normalize=True)
-    model = ppo("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(
-        256
-    )
-    observation, _ = env.reset(seed=0)
-    action, _ = model.predict(observation, deterministic=True)
-    assert np.all(np.isfinite(action))
+    assert np.all(np.isfinite(action_of_a_trained_agent(env)))

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from hframe_gym import load_machine, make_controller
+from hframe_gym import load_machine
 from hframe_gym.controllers import StateEstimator
 from hframe_gym.data_validation import check_recordings
 from hframe_gym.dynamics import linearize, simulate
@@ -14,8 +14,9 @@ from hframe_gym.envs import DeclaredSensors
 from hframe_gym.envs.spaces import sensor_signals
 from hframe_gym.identification import identify
 from hframe_gym.identification.report.plots import readable_unit
-from hframe_gym.machine import SENSOR_KINDS, Coordinate, Drive, Machine, Sensor
+from hframe_gym.machine import SENSOR_KINDS, Coordinate, Drive, Machine, Sensor, SensorKind
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
+from tests.identification.control_of_kinds import action_of_a_trained_agent, largest_error_of_pid
 from tests.reference_simulator import Rig, Stage
 from tests.reference_simulator.axis import Axis, held_levels, record
 
@@ -133,6 +134,20 @@ def test_each_kind_identifies_the_axis_of_the_independent_simulator(name: str) -
         assert found["motor.Ke"] == pytest.approx(0.03, rel=5e-3)
 
 
+def test_the_formula_of_a_registered_kind_says_whether_it_measures_velocities() -> None:
+    @SENSOR_KINDS.register("geared-tacho")
+    class GearedTacho(SensorKind):
+        @staticmethod
+        def signal(speed):
+            return 20.0 * speed
+
+    try:
+        of_velocity = {kind for kind in SENSOR_KINDS if Sensor("w", {"shaft": 1.0}, kind=kind).of_velocity}
+    finally:
+        SENSOR_KINDS.unregister("geared-tacho")
+    assert of_velocity == {"speed", "geared-tacho"}
+
+
 def test_the_environment_measures_each_kind(stage_machine: Machine) -> None:
     env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine").unwrapped
     observation, _ = env.reset(seed=1)
@@ -188,27 +203,13 @@ def test_a_controller_estimates_the_state_with_speeds(stage_machine: Machine) ->
 @pytest.mark.integration
 def test_a_controller_reaches_the_goal_with_all_kinds(stage_machine: Machine) -> None:
     env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine")
-    controller = make_controller("pid", env)
-    errors = []
-    for seed in range(3):
-        observation, _ = env.reset(seed=seed)
-        controller.reset()
-        for _ in range(120):
-            observation, *_ = env.step(controller.act(observation))
-        errors.append(np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]))
-    assert max(errors) < 1e-3
+    assert largest_error_of_pid(env, 120) < 1e-3  # m
 
 
 @pytest.mark.train
 def test_an_agent_trains_with_all_kinds(stage_machine: Machine) -> None:
-    ppo = pytest.importorskip("stable_baselines3").PPO
     env = gym.make("HFrame-v0", machine=stage_machine, sensors="machine", normalize=True)
-    model = ppo("MultiInputPolicy", env, n_steps=128, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(
-        256
-    )
-    observation, _ = env.reset(seed=0)
-    action, _ = model.predict(observation, deterministic=True)
-    assert np.all(np.isfinite(action))
+    assert np.all(np.isfinite(action_of_a_trained_agent(env)))
 
 
 def test_a_recording_of_each_kind_is_written_and_read(tmp_path) -> None:
