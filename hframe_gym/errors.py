@@ -15,6 +15,14 @@ class InputError(ValueError):
     """
 
 
+_LONGEST_REASON = 300  # characters; those of other libraries may hold a whole file or definition
+
+
+def one_line(error: Exception) -> str:
+    """Return the reason that an exception of another library gives, in one line; its type if it gives none."""
+    return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
+
+
 def is_number(value: object) -> bool:
     """Return whether an argument of a user is a finite real number of Python or NumPy; False for bool, inf and nan."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine
 from .quantization import exact_quantum, quantum_of
 from .recording import Recording
-from .table_file import Array
 from .wrapping import without_wraps
 
 Mask = NDArray[np.bool_]

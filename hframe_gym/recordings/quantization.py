@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..arrays import Array
 
 _MIN_STEPS = 10  # Fewer changes of a channel do not show a quantum.
 _REFINEMENT = 4.0  # factor by which the distance grows over which quanta are counted

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arrays import Array
 from ..atomic_files import atomic_file
 from ..errors import InputError
 from ..machine import DRIVE_KINDS, Drive, Machine, Trajectory
 from .quantities import split_unit
 from .table_file import (
     SUFFIXES,
-    Array,
     ForeignFormatError,
     cell_text,
     compressed_by_name,

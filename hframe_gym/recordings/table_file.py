@@ -13,13 +13,12 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..arrays import Array
+from ..errors import InputError, one_line
 from ..file_limits import refuse_expansion, refuse_many_values
 from ..operating_system import quoted
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
-
-Array = NDArray[np.float64]
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
@@ -285,9 +284,8 @@ def parquet_numbers(path: Path, name: str, column: Any) -> Array:
     try:
         return np.asarray(column.cast("double").to_numpy(), np.float64)
     except Exception as error:  # pyarrow raises many types, some of them private
-        reason = " ".join(str(error).split())
         raise InputError(
-            f"{path}, column {name}: {column.type} cannot be converted to numbers: {reason}"
+            f"{path}, column {name}: {column.type} cannot be converted to numbers: {one_line(error)}"
         ) from None
 
 

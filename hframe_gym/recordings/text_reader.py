@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import InputError
 from ..file_limits import refuse_expansion, refuse_long_line, refuse_many_values
 from .text_format import (
@@ -24,7 +25,6 @@ from .text_format import (
     split_row,
 )
 
-Array = NDArray[np.float64]
 # Called with the number of bytes of the file that were read since the last call.
 Progress = Callable[[int], None]
 

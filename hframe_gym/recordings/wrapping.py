@@ -13,13 +13,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine
 from .quantization import exact_quantum
 from .recording import Recording
-
-Array = NDArray[np.float64]
 
 _MIN_VALUES = 10  # different successive values; fewer do not show a motion around a jump
 _JUMP = 0.5  # fraction of the range of the values; a larger change may be a wrap

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..table_file import Array
+from ...arrays import Array
 from .measurement_units import TIME
 
 _DAY = 86_400.0  # s

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...errors import InputError
 from ...machine import Machine
 from ..cleaning import GAP_PERIODS
 from ..quantization import exact_quantum
 from ..recording import Recording, recording_from_columns
-from ..table_file import Array, refuse_decreasing_times
+from ..table_file import refuse_decreasing_times
 from ..text_reader import Progress
 from ..wrapping import find_wrap, known_moduli, unwrapped
 from ..wrong_units import WrongUnitError

@@ -14,13 +14,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ...arrays import Array
 from ...atomic_files import output_batch
 from ...errors import InputError
 from ...file_limits import read_document, read_json
 from ...machine import Machine
 from ..cleaning import GAP_PERIODS
 from ..recording import Recording, run_name, write_recording
-from ..table_file import SUFFIXES, Array
+from ..table_file import SUFFIXES
 from ..text_reader import Progress, cumulative
 from .log import Log, headers_text
 from .log_conversion import LogConverter, split_at_rests

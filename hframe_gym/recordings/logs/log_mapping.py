@@ -475,7 +475,7 @@ class _LogMapping:
         """Return whether a column can be a channel by its quantity, perhaps after the user has stated its unit."""
         meaning = column.meaning
         if channel == TIME and meaning.quantity == "row number":
-            return not any(meaning.role)
+            return not meaning.role
         is_output = channel in self.machine.output_channels
         if is_output and meaning.role:
             return False

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import DRIVE_KINDS, Drive, Machine
 from ..quantities import COUNT_UNITS, QUANTITIES, Factors, split_unit
 
 TIME = "time_s"  # column of the sample times in recordings
-Array = NDArray[np.float64]
 Dimension = Literal[
     "time",
     "voltage",

@@ -16,23 +16,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import override
 
+from ....arrays import Array
 from ....errors import InputError
 from ....file_limits import refuse_expansion, refuse_many_values
+from ...recording import LONGEST_RUN
 from ...text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
 from .tables import TimedTable, log_of_tables, signal_columns
 
-Array = NDArray[np.float64]
-
 _END = b"\x03"  # of a message
 _BLOCK = 1 << 16  # compressed bytes that are expanded at a time; the size is checked after each block
 # s; commanded motions, which the log has as pieces of constant acceleration, are given at this period.
 _PERIOD = 1e-3
-_LONGEST = 86_400.0  # s; the duration that a recording may have
 _MOST_STEPS = 65535  # in one row of steps; the printer's board counts them with 16 bits
 _PER_TURN = 65536.0  # steps of an angle sensor per turn
 _ACCELERATION = ("x_acceleration [mm/s^2]", "y_acceleration [mm/s^2]", "z_acceleration [mm/s^2]")
@@ -194,9 +192,9 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTab
         raise InputError(f"{path}, {name}: its data are not pieces of a motion") from None
     table = table[np.argsort(table[:, 0], kind="stable")]
     duration = float(table[-1, 0] + table[-1, 1] - table[0, 0]) if len(table) else 0.0
-    if not duration <= _LONGEST:
+    if not duration <= LONGEST_RUN:
         raise InputError(
-            f"{path}, {name}: lasts {duration:.6g} s; a recording lasts at most {_LONGEST:.6g} s"
+            f"{path}, {name}: lasts {duration:.6g} s; a recording lasts at most {LONGEST_RUN:.6g} s"
         )
 
     def read(indices: Sequence[int], progress: Progress | None) -> tuple[Array, list[Array], list[str]]:

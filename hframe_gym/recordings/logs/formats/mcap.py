@@ -10,7 +10,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from ....errors import InputError
+from ....errors import InputError, one_line
 from ....file_limits import refuse_expansion
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, require_extra
@@ -105,9 +105,7 @@ class _McapFile(MessageSource):
             except (EndOfFile, struct.error):  # in the middle of a record
                 self.ends_early = True
             except Exception as error:  # of many types for damaged files
-                raise _damaged(
-                    self._path, " ".join(str(error).split())[:300] or type(error).__name__
-                ) from None
+                raise _damaged(self._path, one_line(error)) from None
 
     def _decoder(self, schema: Any, channel: Any) -> Callable[[bytes], Any]:
         """Return the function that decodes the messages of a channel."""
@@ -133,7 +131,7 @@ class _McapFile(MessageSource):
             try:
                 decode = self._protobuf.decoder_for(encoding, schema)
             except Exception as error:  # of many types for faulty definitions
-                raise UnreadableError(f"faulty definition: {' '.join(str(error).split())[:200]}") from None
+                raise UnreadableError(f"faulty definition: {one_line(error)}") from None
             if decode is not None:
                 return decode
         forms = {"cdr": ("ros2msg", "ros2idl"), "ros1": ("ros1msg",)}

@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....arrays import Array
 from ....errors import InputError
 from ....file_limits import refuse_many_values
 from ...text_reader import Progress
 from ..log import Log
-from .tables import TimedTable, log_of_tables, signal_columns
-
-Array = NDArray[np.float64]
+from .base import first_of
+from .tables import MOST_ITEMS, TimedTable, log_of_tables, signal_columns
 
 _SAMPLE = 10  # first messages of a topic, from which its numbers follow
-_MOST_ITEMS = 64  # of a list; longer ones are images, scans and the like, not signals
 _MOST_NUMBERS = 500  # of a topic
 _DEEPEST = 16  # messages in messages
 _NAME_LISTS = ("name", "names", "joint_names", "interface_names")
@@ -93,8 +92,7 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
         listed = ", ".join(left_out[:20]) or "none"
         raise InputError(f"{path}: has no topics with numbers that can be read; topics: {listed}")
     if left_out:
-        listed = ", ".join(left_out[:10]) + f" and {len(left_out) - 10} more" * (len(left_out) > 10)
-        remarks = (*remarks, f"topics that are left out: {listed}")
+        remarks = (*remarks, f"topics that are left out: {first_of(left_out)}")
     return log_of_tables(path, tables, remarks)
 
 
@@ -199,7 +197,7 @@ def _collect(value: Any, name: str, found: dict[str, float], depth: int) -> None
         _collect_members(members, name, found, depth)
         return
     items = _length(value)
-    if items is not None and items <= _MOST_ITEMS:
+    if items is not None and items <= MOST_ITEMS:
         for index, item in enumerate(value):
             _collect(item, f"{name}[{index}]", found, depth + 1)
 
@@ -231,7 +229,7 @@ def _labels(members: Mapping[str, Any]) -> list[str]:
         names = members.get(key)
         if _length(names) is not None:
             listed = list(names)  # type: ignore[arg-type]
-            is_unique = len(set(map(str, listed))) == len(listed) <= _MOST_ITEMS
+            is_unique = len(set(map(str, listed))) == len(listed) <= MOST_ITEMS
             if listed and is_unique and all(isinstance(label, str) and label for label in listed):
                 return listed
     return []

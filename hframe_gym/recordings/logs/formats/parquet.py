@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ....errors import InputError
+from ....errors import InputError, one_line
 from ....file_limits import refuse_expansion
 from ...table_file import open_parquet, parquet_numbers, read_parquet_column
 from ...text_reader import Progress
 from ..log import Log, LogColumn, log_columns
 from .base import LOG_FORMATS, LogFormat
-from .tables import signal_columns
-
-_MOST_ITEMS = 64  # of a list; longer ones are images and the like, not signals
+from .tables import MOST_ITEMS, signal_columns
 
 
 @LOG_FORMATS.register("parquet")
@@ -125,7 +123,7 @@ class ParquetTable:
         else:
             first = read_parquet_column(self.path, self._file, field.name, max_rows=1)
             items = (compute.list_value_length(first).to_pylist() or [0])[0] or 0
-        return items if items <= _MOST_ITEMS else 0
+        return items if items <= MOST_ITEMS else 0
 
     def _items(self, name: str) -> NDArray[np.float64]:
         """Return the numbers of a column of lists, shape (rows, items); each row must have as many as the first."""
@@ -163,7 +161,6 @@ def _stamps(path: Path, name: str, column: Any) -> NDArray[np.datetime64]:
             column = column.cast(arrow.time64("ns")).cast(arrow.int64())
         return column.cast(arrow.timestamp("ns")).to_numpy().astype("datetime64[ns]")
     except arrow.ArrowException as error:
-        reason = " ".join(str(error).split())
         raise InputError(
-            f"{path}, column {name}: {column.type} cannot be converted to times: {reason}"
+            f"{path}, column {name}: {column.type} cannot be converted to times: {one_line(error)}"
         ) from None

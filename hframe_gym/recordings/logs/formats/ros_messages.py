@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from ....errors import InputError
+from ....errors import InputError, one_line
 from .messages import UnreadableError
 
 _LONGEST_LIST = 10_000_000  # items of a list in a message; an image has fewer
@@ -52,7 +52,7 @@ class RosDecoder:
         except UnreadableError:
             raise
         except Exception as error:  # the parser raises many types
-            raise UnreadableError(f"faulty definition: {' '.join(str(error).split())[:200]}") from None
+            raise UnreadableError(f"faulty definition: {one_line(error)}") from None
 
     def add_known_types(self) -> None:
         """Make the usual types of ROS 2 known, for bags of older versions, which have no definitions."""
@@ -110,8 +110,7 @@ def decoded(where: str, number: int, decode: Callable[[bytes], Any], content: by
     try:
         return decode(content)
     except Exception as error:  # decoders raise many types for damaged messages
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(f"{where}, message {number}: is damaged ({reason})") from None
+        raise InputError(f"{where}, message {number}: is damaged ({one_line(error)})") from None
 
 
 def _refuse_other_names(types: dict[str, Any]) -> None:

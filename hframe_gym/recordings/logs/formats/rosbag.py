@@ -8,7 +8,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from ....errors import InputError
+from ....errors import InputError, one_line
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, require_extra
 from .messages import MessageSource, UnreadableError, log_of_messages
@@ -112,8 +112,7 @@ class _Bag(MessageSource):
             if self._version == 1
             else "repair its description by `ros2 bag reindex`"
         )
-        reason = " ".join(str(error).split())[:300] or type(error).__name__
-        return InputError(f"{self._path}: cannot be read as a bag of ROS: {reason}; {advice}")
+        return InputError(f"{self._path}: cannot be read as a bag of ROS: {one_line(error)}; {advice}")
 
     def _add_types(self, connections: Any) -> None:
         """Make the types of messages known by their definitions, or, if the bag has none, the usual ones."""

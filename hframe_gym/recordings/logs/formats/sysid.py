@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from ....arrays import Array
 from ....errors import InputError
 from ....file_limits import read_document, read_json, refuse_many_values
 from ...text_reader import Progress
 from ..foreign_files import is_json
 from ..log import Log, log_columns
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
-
-Array = NDArray[np.float64]
 
 TESTS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
 # Unit in which positions are given, and its number in one of the entry "units".

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....arrays import Array
 from ...quantities import split_unit
 from ...text_reader import Progress
 from ..log import Log, LogColumn
 
-Array = NDArray[np.float64]
-
+MOST_ITEMS = 64  # of a list that is read; longer ones are images, scans and the like, not signals
 _UNIT = re.compile(r"\s\[[^\]]*\]$")
 _INDEX = re.compile(r"(?:\[\d+\])+$")
 

@@ -24,15 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from ....arrays import Array
 from ....errors import InputError
 from ....file_limits import refuse_many_values
 from ...quantities import is_unit, normalize_unit
 from ...text_reader import Progress
 from ..log import Log
-from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
-from .tables import TimedTable, log_of_tables, signal_columns
-
-Array = NDArray[np.float64]
+from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, first_of
+from .tables import MOST_ITEMS, TimedTable, log_of_tables, signal_columns
 
 _NUMBERS = {"boolean": "u1", "int64": "<i8", "float": "<f4", "double": "<f8"}  # NumPy types of the payloads
 _STRUCT_NUMBERS = {
@@ -51,7 +50,6 @@ _STRUCT_NUMBERS = {
     "double": "<f8",
     "float64": "<f8",
 }
-_MOST_ITEMS = 64  # of an array; longer ones are data of cameras and the like, not signals
 _DEEPEST = 8  # structures in structures
 # Of SysId's tests.
 _STATES = ("quasistatic-forward", "quasistatic-reverse", "dynamic-forward", "dynamic-reverse")
@@ -109,8 +107,7 @@ class WpiLogs(LogFormat):
                 f"{path}: has no entries of numbers; entries: {', '.join(left_out[:20]) or 'none'}"
             )
         if left_out:
-            listed = ", ".join(left_out[:10]) + f" and {len(left_out) - 10} more" * (len(left_out) > 10)
-            remarks.append(f"entries without numbers: {listed}")
+            remarks.append(f"entries without numbers: {first_of(left_out)}")
         refuse_many_values(path, sum(len(entry.times) for entry in entries), 1)
         tests = _tests(content, entries)
         if not tests:
@@ -303,7 +300,7 @@ def _table(
             f"{path}, {entry.name}, record {row + 1}: has {sizes[row]} bytes, not {kind.itemsize}"
         )
     items = int(sizes.max()) // kind.itemsize if is_array else 1
-    if items == 0 or items > _MOST_ITEMS:
+    if items == 0 or items > MOST_ITEMS:
         return None
     leaves = _leaves(kind)
     ends = [f"[{k}]{leaf}" if is_array else leaf for k in range(items) for leaf, _, _ in leaves]
@@ -332,7 +329,7 @@ def _leaves(
     """Return end of the name, offset in bytes and type of all numbers in a structure; of a plain number one entry."""
     if kind.subdtype is not None:
         inner, (count,) = kind.subdtype
-        if count > _MOST_ITEMS:
+        if count > MOST_ITEMS:
             return []
         return [
             leaf
