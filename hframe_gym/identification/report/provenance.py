@@ -1,8 +1,10 @@
-"""Where a result comes from: who made it, when, from which files, and with which version."""
+"""Where a result comes from: when it was made, from which files, and with which version.
+
+No name of a user: pages of results are passed on.
+"""
 
 from __future__ import annotations
 
-import getpass
 import hashlib
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -20,17 +22,12 @@ def provenance(files: Sequence[Path]) -> dict[str, Any]:
         files: Files of the recordings; empty if the recordings come from no files.
 
     Returns:
-        "software": package and version; "time": date and time of day in UTC, ISO 8601; "by": name of the user on this
-        computer, "" if it has none; "files": "name", "bytes" and "sha256" of each file that can be read.
+        "software": package and version; "time": date and time of day in UTC, ISO 8601; "files": "name", "bytes" and
+        "sha256" of each file that can be read.
     """
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError, ImportError):  # a container may have no name for the user
-        user = ""
     return {
         "software": f"hframe_gym {version('hframe_gym')}",
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "by": user,
         "files": [_description(path) for path in files if path.is_file()],
     }
 
