@@ -246,8 +246,13 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
     eigenvalues, axes = np.linalg.eigh(hessian)
     scales = np.sqrt(np.maximum(eigenvalues, np.finfo(np.float64).eps * eigenvalues.max()))
     A, b = scales[:, None] * axes.T, -(axes.T @ gradient) / scales
-    solution = lsq_linear(A, b, (low - theta, high - theta), method="bvls")
-    return np.clip(theta + solution.x, low, high) - theta
+    limits = (low - theta, high - theta)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bounded = lsq_linear(A, b, limits, method="bvls").x
+    # SciPy's BVLS divides by zero where rounding moves a parameter past its limit; an interior-point method does not.
+    if not np.isfinite(bounded).all():
+        bounded = lsq_linear(A, b, limits, method="trf").x
+    return np.clip(theta + bounded, low, high) - theta
 
 
 def typical_force(machine: Machine) -> float:
