@@ -25,7 +25,7 @@ from .evidence.tried_effects import Log
 from .fit.run_differences import describe_run_differences
 from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result, unexcited_effects
-from .report.evaluation import evaluate, judged, with_verdict
+from .report.evaluation import HeldOutTest, judged
 from .report.plain_comparison import at_least_plain
 from .report.result import IdentificationResult, Unfinished
 from .search.checked_search import (
@@ -88,7 +88,7 @@ def identify(
 
     # Prepare: what of the recordings can be fitted.
     session = prepare_session(recordings, machine, criteria, log)
-    all_runs, ranges = session.data, session.ranges
+    all_runs = session.data
 
     # Refit, propose, judge, repeat: in the fitted runs.
     search = partial(search_and_check, machine, all_runs, criteria=criteria, log=log, budget=budget)
@@ -100,17 +100,13 @@ def identify(
     outcome = without_unconfirmed(checked.outcome, checked.agreeing, log)
     outcome = with_input_timing(outcome, checked.agreeing, criteria, log)
     validation = with_all_measurements(checked.held_out, session.usable)
-    evaluated = evaluate(outcome, machine, ranges, validation, recordings, criteria)
-    evaluated, reason = judged(evaluated, checked.differing, ranges, recordings, criteria, log)
-
-    evaluated = evaluated._replace(outcome=with_verdict(evaluated.outcome, reason))
+    test = HeldOutTest(machine, session.ranges, validation, recordings, criteria)
+    evaluated, reason = judged(test.evaluate(outcome), checked.differing, log)
     any_name = bool(evaluated.outcome.selected)
-    plain, evaluated, delivered = at_least_plain(
-        evaluated, checked.plain, machine, ranges, recordings, criteria, log, budget
-    )
-    if any_name and not evaluated.outcome.selected:
+    plain, evaluated, delivered = at_least_plain(evaluated, checked.plain, log, budget)
+    outcome = evaluated.outcome
+    if any_name and not outcome.selected:
         reason = delivered
-    outcome = with_verdict(evaluated.outcome, reason)
 
     # Report.
     remarks = (*checked.remarks, *hint, *((delivered,) if delivered and delivered != reason else ()))
@@ -119,7 +115,7 @@ def identify(
     unfinished = (
         Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
     )
-    result = build_result(evaluated._replace(outcome=outcome), criteria, reason, unfinished, plain)
+    result = build_result(evaluated, reason, unfinished, plain)
     remarks += unexcited_effects(result, outcome.after.bandwidth)
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):

@@ -10,7 +10,6 @@ from ..evidence.tried_effects import ConsideredEffect
 from ..fit.force_sizes import drive_force, effect_force
 from ..fit.residual import Dependence, white_sensors
 from ..fit.start_estimation import refine_dataset
-from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import final_verdict
 from ..propose.dependences import rank_dependences
 from .evaluation import Evaluated
@@ -26,17 +25,12 @@ _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
 def build_result(
-    evaluated: Evaluated,
-    criteria: SelectionCriteria,
-    reason: str,
-    unfinished: Unfinished | None,
-    plain: PlainResult | None,
+    evaluated: Evaluated, reason: str, unfinished: Unfinished | None, plain: PlainResult | None
 ) -> IdentificationResult:
     """Collect the result of an evaluated outcome, and propose an experiment.
 
     Args:
         evaluated: The outcome with its machines and their errors.
-        criteria: Thresholds of the identification.
         reason: Why the held-out runs contradict the verdict of the search; "" if they do not.
         unfinished: What the search did when its budget ended; None if it is complete.
         plain: Plain fit with its errors, if there is one.
@@ -48,7 +42,7 @@ def build_result(
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
         for s in selected
     )
-    validation = refine_dataset(evaluated.validation, corrected, data)
+    validation = refine_dataset(evaluated.test.validation, corrected, data)
     drives = drive_force(corrected, data)
     result = IdentificationResult(
         verdict=final_verdict(outcome.verdict, any_effect=bool(selected)),
@@ -65,7 +59,7 @@ def build_result(
         held_out=validation,
         seconds=0.0,
         experiment=next(filter(None, experiments), None),
-        criteria=criteria,
+        criteria=evaluated.test.criteria,
     )
     return dataclasses.replace(result, reason=reason, hint=_hint(result), unfinished=unfinished, plain=plain)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,108 +33,103 @@ from ..search.search_effects import SearchOutcome
 from .recording_simulation import ModelEvaluation, PredictionErrors, evaluate_held_out
 
 
-class Evaluated(NamedTuple):
-    """Outcome of a search with the three machines, simulated over the held-out runs.
+@dataclass(frozen=True)
+class HeldOutTest:
+    """The test of every outcome of an identification: simulations over the same held-out runs.
 
     Attributes:
-        outcome: Outcome of the search, with its effects, or those that saturated sensors show.
-        selected: These effects, with the values of the corrected machine.
-        declared_machine: Machine as declared.
-        declared: The same with its errors.
-        before: Refitted machine.
-        after: Machine with the effects.
-        refined: Fitted runs with the initial states that follow from this machine.
-        validation: Held-out runs.
-    """
-
-    outcome: SearchOutcome
-    selected: tuple[SelectedEffect, ...]
-    declared_machine: Machine
-    declared: ModelEvaluation
-    before: ModelEvaluation
-    after: ModelEvaluation
-    refined: Dataset
-    validation: Dataset
-
-
-def evaluate(
-    outcome: SearchOutcome,
-    machine: Machine,
-    ranges: dict[str, Range],
-    validation: Dataset,
-    recordings: Sequence[Recording],
-    criteria: SelectionCriteria,
-) -> Evaluated:
-    """Simulate the declared, the refitted and the corrected machine over the held-out runs.
-
-    Args:
-        outcome: Outcome of a search, after the held-out runs have removed effects.
         machine: Machine as declared.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
         validation: Held-out runs with all measurements.
         recordings: All recordings as measured.
         criteria: Thresholds of the identification.
     """
-    refined = refine_dataset(outcome.data, outcome.after.machine)
-    corrected, selected = _corrected(
-        outcome.after, outcome.selected, ranges, refined, f"{machine.name}-identified"
-    )
-    refitted = outcome.before.machine.replace(name=f"{machine.name}-refitted")
-    declared, before, after = (
-        evaluate_held_out(m, outcome.data, validation, recordings, criteria)
-        for m in (machine, refitted, corrected)
-    )
-    return Evaluated(outcome, selected, machine, declared, before, after, refined, validation)
+
+    machine: Machine
+    ranges: dict[str, Range]
+    validation: Dataset
+    recordings: Sequence[Recording]
+    criteria: SelectionCriteria
+
+    def errors(self, machine: Machine, fitted: Dataset) -> ModelEvaluation:
+        """Simulate a machine over the held-out runs.
+
+        Args:
+            machine: Any machine with these drives and sensors.
+            fitted: Runs that it was fitted to.
+
+        Returns:
+            The machine with its errors, m or rad, shape (n, sensors) for each run; see `evaluate_held_out`.
+        """
+        return evaluate_held_out(machine, fitted, self.validation, self.recordings, self.criteria)
+
+    def evaluate(self, outcome: SearchOutcome) -> Evaluated:
+        """Simulate the declared, the refitted and the corrected machine over the held-out runs.
+
+        Args:
+            outcome: Outcome of a search, after the held-out runs have removed effects.
+        """
+        refined = refine_dataset(outcome.data, outcome.after.machine)
+        corrected, selected = _corrected(
+            outcome.after, outcome.selected, self.ranges, refined, f"{self.machine.name}-identified"
+        )
+        refitted = outcome.before.machine.replace(name=f"{self.machine.name}-refitted")
+        declared, before, after = (
+            self.errors(machine, outcome.data) for machine in (self.machine, refitted, corrected)
+        )
+        return Evaluated(outcome, selected, declared, before, after, refined, self)
 
 
-def judged(
-    evaluated: Evaluated,
-    differing: Sequence[str],
-    ranges: dict[str, Range],
-    recordings: Sequence[Recording],
-    criteria: SelectionCriteria,
-    log: Log,
-) -> tuple[Evaluated, str]:
+class Evaluated(NamedTuple):
+    """Outcome of a search with the three machines, simulated over the held-out runs.
+
+    Attributes:
+        outcome: Outcome of the search.
+        selected: Its effects with the values of the corrected machine, and those of saturated sensors.
+        declared: Machine as declared with its errors.
+        before: Refitted machine.
+        after: Machine with the effects.
+        refined: Fitted runs with the initial states that follow from this machine.
+        test: The held-out runs, on which other outcomes can be compared with this one.
+    """
+
+    outcome: SearchOutcome
+    selected: tuple[SelectedEffect, ...]
+    declared: ModelEvaluation
+    before: ModelEvaluation
+    after: ModelEvaluation
+    refined: Dataset
+    test: HeldOutTest
+
+
+def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> tuple[Evaluated, str]:
     """Let the held-out runs judge the names of effects and the verdict.
 
     Args:
         evaluated: Outcome of a search with its machines.
         differing: Names of held-out runs that contradict the fitted ones.
-        ranges: Ranges of the sensors that saturate, m or rad, by channel.
-        recordings: All recordings as measured.
-        criteria: Decision thresholds.
         log: Called with a line of text for each effect that is not named.
 
     Returns:
-        The outcome with its machines, without effects that must not be named, and why the verdict is "unexplained"; ""
+        The outcome with its machines, without effects that must not be named, and why its verdict is "unexplained"; ""
         if the held-out runs do not contradict.
     """
-    reason, outcome = _contradiction(evaluated, differing, criteria), evaluated.outcome
-    if reason and outcome.selected:
-        for s in outcome.selected:
-            log(f"  {s.effect.label} is not named: {reason}")
-        unnamed, machine = without_names(outcome, reason), evaluated.declared_machine
-        evaluated = evaluate(unnamed, machine, ranges, evaluated.validation, recordings, criteria)
-        reason = _contradiction(evaluated, differing, criteria) or reason
-    return evaluated, reason
+    reason, outcome = _contradiction(evaluated, differing), evaluated.outcome
+    if not reason:
+        return evaluated, ""
+    if not outcome.selected:
+        return evaluated._replace(outcome=outcome._replace(verdict="unexplained")), reason
+    for s in outcome.selected:
+        log(f"  {s.effect.label} is not named: {reason}")
+    return evaluated.test.evaluate(without_names(outcome, reason)), reason
 
 
-def with_verdict(outcome: SearchOutcome, reason: str) -> SearchOutcome:
-    """Return an outcome whose verdict is "unexplained" if the held-out runs contradict it.
-
-    Args:
-        outcome: Outcome of a search.
-        reason: Why they do; "" if they do not.
-    """
-    return outcome._replace(verdict="unexplained") if reason else outcome
-
-
-def _contradiction(evaluated: Evaluated, differing: Sequence[str], criteria: SelectionCriteria) -> str:
+def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
     """Return why the held-out runs contradict the verdict of the search, a clause; "" if they do not."""
-    outcome = evaluated.outcome
+    outcome, criteria = evaluated.outcome, evaluated.test.criteria
     if not outcome.selected and outcome.verdict != "no_effect":
         return ""
-    evidence = _evidence(evaluated, differing, criteria)
+    evidence = _evidence(evaluated, differing)
     if outcome.selected:
         reason = contradiction_of_names(evidence, outcome.explained, criteria)
         if reason and not outcome.explained:  # ranking the causes takes seconds
@@ -145,14 +141,14 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str], criteria: Sel
     return contradiction_of_no_effect(evidence, criteria)
 
 
-def _evidence(evaluated: Evaluated, differing: Sequence[str], criteria: SelectionCriteria) -> Evidence:
+def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
     """Return what the held-out runs that do not contradict the fitted ones say; all of them if all contradict."""
-    runs = evaluated.validation.runs
-    agreeing = [run for run in runs if run.name not in differing] or list(runs)
+    validation = evaluated.test.validation
+    agreeing = [run for run in validation.runs if run.name not in differing] or list(validation.runs)
 
     def errors(model: ModelEvaluation) -> PredictionErrors:
         by_run, measured = [model.errors[run.name] for run in agreeing], [run.outputs for run in agreeing]
-        channels = errors_by_channel(by_run, model.machine, evaluated.validation.noise, measured)
+        channels = errors_by_channel(by_run, model.machine, validation.noise, measured)
         return PredictionErrors(channels, None, model.held_out.lacking)
 
     def finite(value: float | None) -> float:
@@ -165,11 +161,11 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str], criteria: Selectio
         left_before=finite(before.noise_ratio),
         motion=0.0 if math.isnan(motion) else motion,  # nothing moves
         lacking=finite(after.lacking),
-        remaining_prediction=_remaining_prediction(evaluated, [run.name for run in agreeing], criteria),
+        remaining_prediction=_remaining_prediction(evaluated, [run.name for run in agreeing]),
     )
 
 
-def _remaining_prediction(evaluated: Evaluated, names: Sequence[str], criteria: SelectionCriteria) -> float:
+def _remaining_prediction(evaluated: Evaluated, names: Sequence[str]) -> float:
     """Return the fraction of the squared prediction error that effects leave on some of the held-out runs.
 
     Errors are in units of the noise at rest: jitter of the clock is an estimate from the motion, and a sensor that
@@ -178,7 +174,7 @@ def _remaining_prediction(evaluated: Evaluated, names: Sequence[str], criteria: 
     a wrong effect compensate for it.
     """
     validation = refine_dataset(
-        evaluated.validation, evaluated.after.machine, evaluated.outcome.data
+        evaluated.test.validation, evaluated.after.machine, evaluated.outcome.data
     ).with_runs(names)
     quiet = [
         dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape))

@@ -6,21 +6,16 @@ Where the search names nothing, the remaining error of complete runs is describe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
-from ...machine import Machine
-from ...preparation.sensor_properties import Range
-from ...recordings import Recording
 from ..budget import Budget
 from ..evidence.tried_effects import Log
 from ..fit.estimation import prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
-from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import description_helps, is_worse_than_plain, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.description import describe_remainder
-from .evaluation import Evaluated, evaluate, without_names
-from .recording_simulation import ModelEvaluation, error_ratio, evaluate_held_out
+from .evaluation import Evaluated, without_names
+from .recording_simulation import ModelEvaluation, error_ratio
 from .result import PlainResult
 
 _REFINED = (
@@ -39,24 +34,13 @@ _DESCRIPTION = (
 
 
 def at_least_plain(
-    evaluated: Evaluated,
-    plain: PlainFit | None,
-    machine: Machine,
-    ranges: dict[str, Range],
-    recordings: Sequence[Recording],
-    criteria: SelectionCriteria,
-    log: Log,
-    budget: Budget,
+    evaluated: Evaluated, plain: PlainFit | None, log: Log, budget: Budget
 ) -> tuple[PlainResult | None, Evaluated, str]:
     """Compare the outcome with the plain fit on the held-out runs, and deliver no machine that predicts them worse.
 
     Args:
         evaluated: Outcome of a search with its machines.
         plain: Plain fit to the fitted runs, if there is one.
-        machine: Machine as declared.
-        ranges: Ranges of the sensors that saturate, m or rad, by channel.
-        recordings: All recordings as measured.
-        criteria: Thresholds of the identification.
         log: Called with a line of text.
         budget: Budget of the identification, of which a description may use a part.
 
@@ -66,21 +50,17 @@ def at_least_plain(
     """
     if plain is None:
         return None, evaluated, ""
-    outcome, validation = evaluated.outcome, evaluated.validation
+    outcome, test = evaluated.outcome, evaluated.test
+    reference = test.errors(plain.machine.replace(name=f"{test.machine.name}-plain"), outcome.data)
 
-    def errors_of(candidate: Machine) -> ModelEvaluation:
-        return evaluate_held_out(candidate, outcome.data, validation, recordings, criteria)
+    def is_worse(model: ModelEvaluation) -> bool:
+        return is_worse_than_plain(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
 
-    def is_worse(after: ModelEvaluation) -> bool:
-        return is_worse_than_plain(error_ratio(after, reference), after.held_out.noise_ratio, criteria)
-
-    reference = errors_of(plain.machine.replace(name=f"{machine.name}-plain"))
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
-    if not machine.belts:
-        described = _described(
-            evaluated, plain, reference, machine, ranges, recordings, criteria, log, budget
-        )
+    if not test.machine.belts:
+        base = reference if is_worse(evaluated.before) else evaluated.before
+        described = _described(evaluated, plain, base, log, budget)
         if described is not None:
             return result, *described
     if not is_worse(evaluated.after):
@@ -88,8 +68,7 @@ def at_least_plain(
     if outcome.selected:  # their parameters were fitted to short predictions
         after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
-        refined = outcome._replace(after=after, selected=selected)
-        again = evaluate(refined, machine, ranges, validation, recordings, criteria)
+        again = test.evaluate(outcome._replace(after=after, selected=selected))
         if not is_worse(again.after):
             return result, again, _REFINED
     sentence = _PLAIN_DELIVERED.format(
@@ -97,27 +76,19 @@ def at_least_plain(
     )
     log(sentence)
     outcome = without_names(outcome, _WORSE_THAN_PLAIN) if outcome.selected else outcome
-    outcome = outcome._replace(after=plain.simulated)
-    delivered = evaluate(outcome, machine, ranges, validation, recordings, criteria)
+    delivered = test.evaluate(outcome._replace(after=plain.simulated))
     return dataclasses.replace(result, delivered=True), delivered, sentence
 
 
 def _described(
-    evaluated: Evaluated,
-    plain: PlainFit,
-    reference: ModelEvaluation,
-    machine: Machine,
-    ranges: dict[str, Range],
-    recordings: Sequence[Recording],
-    criteria: SelectionCriteria,
-    log: Log,
-    budget: Budget,
+    evaluated: Evaluated, plain: PlainFit, base: ModelEvaluation, log: Log, budget: Budget
 ) -> tuple[Evaluated, str] | None:
     """Return an outcome without names whose machine describes what is left, and a sentence about it.
 
-    None if effects are named, only noise is left, or the held-out runs are predicted no better with a description.
+    None if effects are named, only noise is left, or the held-out runs are predicted no better than by `base`, the
+    machine without a description.
     """
-    outcome = evaluated.outcome
+    outcome, test = evaluated.outcome, evaluated.test
     if not needs_description(outcome.verdict, len(outcome.selected), evaluated.after.held_out.noise_ratio):
         return None
     refit = refined_equally(outcome.before, outcome.data)
@@ -125,16 +96,11 @@ def _described(
     start = min(
         (plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
     )
-    found = describe_remainder(start, outcome.data, criteria, log, budget)
+    found = describe_remainder(start, outcome.data, test.criteria, log, budget)
     if found is None:
         return None
     fitted, labels = found
-    plain_is_better = is_worse_than_plain(
-        error_ratio(evaluated.before, reference), evaluated.before.held_out.noise_ratio, criteria
-    )
-    again = evaluate(
-        outcome._replace(after=fitted), machine, ranges, evaluated.validation, recordings, criteria
-    )
-    ratio = error_ratio(again.after, reference if plain_is_better else evaluated.before)
+    again = test.evaluate(outcome._replace(after=fitted))
+    ratio = error_ratio(again.after, base)
     log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
     return (again, _DESCRIPTION.format(", ".join(labels), ratio)) if description_helps(ratio) else None
