@@ -21,15 +21,13 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from ..machine import Machine
-from ..preparation.motion_windows import MotionWindows, determined_motion, leading_motions
+from ..preparation.motion_windows import MotionWindows, force_equations, leading_motions
 
 Array = NDArray[np.float64]
 
 # Fraction of the squared force of the drives, or of the squared motion, below which a motion is explained. On 33
 # recorded and simulated sets of right wiring, at most 0.05 is unexplained; with one wrong sign, 0.1 to 1.
 EXPLAINED = 0.2
-_RESTING = 0.02  # fraction of the largest speed; below, static friction may have any value
-_ROWS_PER_COEFFICIENT = 5  # rows that a regression needs
 
 
 class Balance(NamedTuple):
@@ -37,9 +35,9 @@ class Balance(NamedTuple):
 
     Attributes:
         unexplained: Fraction of the sum of squared forces that no machine explains, from 0 to 1.
-        inertia: Fitted inertia / declared inertia, by motion, shape (motions,).
-        viscous: Fitted viscous friction / declared one with the back-EMF, by motion, shape (motions,); NaN if none is
-            declared.
+        inertia: Fitted inertia / declared inertia, by motion, shape (motions,); NaN if the rows do not suffice.
+        viscous: Fitted viscous friction / declared one with the back-EMF, by motion, shape (motions,); NaN also if
+            none is declared.
     """
 
     unexplained: float
@@ -65,36 +63,22 @@ def force_balance(
     R = leading_motions(machine)
     if not len(R) or not windows:
         return None
-    motion = determined_motion(windows, machine, R, output_correction)
-    if motion is None:
-        return None
-    determined, position, velocity, acceleration = motion
-    gains = np.column_stack([R @ machine.coefficients({d.coordinate: d.gain}) for d in machine.drives])
-    force = np.concatenate([w.inputs for w in windows]) @ input_correction.T @ gains.T
-    mass = np.array([c.mass for c in machine.coordinates])
-    inertial = np.nan_to_num(acceleration) @ (R @ (mass[:, None] * R.T))
+    damping = _damping(machine)
     residual, total = 0.0, 0.0
-    inertia, viscous = np.full((2, len(determined)), np.nan)
-    for i, k in enumerate(determined):
-        rows = np.isfinite(acceleration).all(axis=1)
-        fastest = float(np.abs(velocity[rows, k]).max(initial=0.0))
-        rows &= np.abs(np.nan_to_num(velocity[:, k])) > _RESTING * fastest
-        F, z, dz = force[rows, k], position[rows, k], velocity[rows, k]
-        leading = machine.coordinates[int(np.argmax(np.abs(R[k]) > 0.0))]
-        free = [z - z.sum() / max(len(z), 1), np.ones(len(z))]
-        free += [np.sin(z), np.cos(z)] if leading.kind == "rotary" else []
-        # A coefficient of either sign is the difference of two positive ones.
-        signed = [sign * column for column in free for sign in (1.0, -1.0)]
-        columns = np.column_stack([inertial[rows, k], dz, np.sign(dz), *signed])
-        if len(z) < _ROWS_PER_COEFFICIENT * columns.shape[1] or not F.any():
+    inertia, viscous = [], []
+    for equations in force_equations(windows, machine, output_correction, input_correction, spring=True):
+        if not equations.determined:
+            inertia.append(np.nan)
+            viscous.append(np.nan)
             continue
+        force, columns = equations.force, equations.columns
         scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-        coefficients, left = nnls(columns / scale, F)
-        residual, total = residual + left**2, total + float(F @ F)
-        inertia[i] = coefficients[0] / scale[0]
-        declared = float(R[k] ** 2 @ _damping(machine))
-        viscous[i] = coefficients[1] / scale[1] / declared if declared else np.nan
-    return Balance(residual / total, inertia, viscous) if total else None
+        coefficients, left = nnls(columns / scale, force)
+        residual, total = residual + left**2, total + float(force @ force)
+        inertia.append(coefficients[0] / scale[0])
+        declared = float(R[equations.motion] ** 2 @ damping)
+        viscous.append(coefficients[1] / scale[1] / declared if declared else np.nan)
+    return Balance(residual / total, np.array(inertia), np.array(viscous)) if total else None
 
 
 def _damping(machine: Machine) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,8 @@ from .dataset import PreparedRecording
 
 Array = NDArray[np.float64]
 _OVERLAP = 2  # grid points of the balance per window
+_RESTING = 0.02  # fraction of the largest speed; below, static friction may have any value
+_ROWS_PER_COEFFICIENT = 5  # rows that a regression needs
 
 
 class MotionWindows(NamedTuple):
@@ -135,3 +137,68 @@ def determined_motion(
 
     position, velocity, acceleration = (motion(np.concatenate([w[i] for w in windows])) for i in range(3))
     return determined, position, velocity, acceleration
+
+
+class ForceEquations(NamedTuple):
+    """Equations for the balance of forces along one rigid motion z, one for each row in which it moves.
+
+    The force F of the drives is columns @ coefficients with coefficients >= 0: inertia relative to the declared one,
+    viscous friction, dry friction, then two for each term of either sign, which are its positive and its negative part.
+
+    Attributes:
+        motion: Index of the motion, see `leading_motions`.
+        force: Force F, N or Nm, shape (rows,).
+        columns: Declared inertial force, z', sign(z'), then both signs of each further term: z minus its mean where a
+            spring is asked for, 1, and for an angle sin(z) and cos(z); shape (rows, coefficients).
+    """
+
+    motion: int
+    force: Array
+    columns: Array
+
+    @property
+    def determined(self) -> bool:
+        """Whether the drives exert a force, and there are enough rows for a regression."""
+        return len(self.force) >= _ROWS_PER_COEFFICIENT * self.columns.shape[1] and bool(self.force.any())
+
+
+def force_equations(
+    windows: Sequence[MotionWindows],
+    machine: Machine,
+    output_correction: Array,
+    input_correction: Array,
+    *,
+    spring: bool,
+) -> Iterator[ForceEquations]:
+    """Yield the balance of forces along each rigid motion that the sensors determine.
+
+    Args:
+        windows: Motion of each run, at least one.
+        machine: Declared machine: directions of drives and sensors, inertia of its rigid motions.
+        output_correction: Matrix that multiplies the measurements, shape (sensors, sensors).
+        input_correction: Matrix that multiplies the inputs, shape (drives, drives).
+        spring: Whether a force in proportion to the position is a term.
+
+    Yields:
+        Equations, N or Nm, shape (rows,); of some motions too few for a regression (`ForceEquations.determined`).
+    """
+    R = leading_motions(machine)
+    motion = determined_motion(windows, machine, R, output_correction)
+    if motion is None:
+        return
+    determined, position, velocity, acceleration = motion
+    gains = np.column_stack([R @ machine.coefficients({d.coordinate: d.gain}) for d in machine.drives])
+    force = np.concatenate([w.inputs for w in windows]) @ input_correction.T @ gains.T
+    mass = np.array([c.mass for c in machine.coordinates])
+    inertial = np.nan_to_num(acceleration) @ (R @ (mass[:, None] * R.T))
+    for k in determined:
+        rows = np.isfinite(acceleration).all(axis=1)
+        fastest = float(np.abs(velocity[rows, k]).max(initial=0.0))
+        rows &= np.abs(np.nan_to_num(velocity[:, k])) > _RESTING * fastest
+        F, z, dz = force[rows, k], position[rows, k], velocity[rows, k]
+        free = [z - z.sum() / max(len(z), 1)] if spring else []
+        free.append(np.ones(len(z)))
+        if machine.coordinates[int(np.argmax(np.abs(R[k]) > 0.0))].kind == "rotary":
+            free += [np.sin(z), np.cos(z)]
+        signed = [sign * column for column in free for sign in (1.0, -1.0)]
+        yield ForceEquations(int(k), F, np.column_stack([inertial[rows, k], dz, np.sign(dz), *signed]))

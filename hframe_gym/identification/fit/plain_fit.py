@@ -28,7 +28,7 @@ from scipy.optimize import nnls
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import MIN_ROWS, Dataset
-from ...preparation.motion_windows import MotionWindows, determined_motion, leading_motions, motion_windows
+from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
 from ...recordings import comparison_window
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
@@ -38,8 +38,6 @@ Array = NDArray[np.float64]
 
 # Lengths of the windows, s. Short ones see fast motion, long ones suppress noise; the simulation decides between them.
 _SPANS = (0.02, 0.05, 0.1, 0.2, 0.4)
-_RESTING = 0.02  # fraction of the largest speed; below, static friction may have any value
-_ROWS_PER_COEFFICIENT = 5  # rows that a regression needs
 _REWEIGHTINGS = 10  # of the rows by their residuals
 _ROBUST = 1.5  # residuals beyond this multiple of the median count less
 # Shortest time constant, in windows: with less inertia, all of the motion follows the force within a window, and the
@@ -265,34 +263,18 @@ def _balance(
     machine: Machine, R: Array, windows: Sequence[MotionWindows], span: float
 ) -> dict[int, tuple[float, float, float, float]]:
     """Return inertia over the declared one, viscous and dry friction and offset, SI, by the index of the motion."""
-    motion = determined_motion(windows, machine, R, np.eye(len(machine.sensors)))
-    if motion is None:
-        return {}
-    determined, position, velocity, acceleration = motion
-    gains = np.column_stack([R @ machine.coefficients({d.coordinate: d.gain}) for d in machine.drives])
-    force = np.concatenate([w.inputs for w in windows]) @ gains.T
     mass = np.array([c.mass for c in machine.coordinates])
-    declared = R @ (mass[:, None] * R.T)
-    inertial = np.nan_to_num(acceleration) @ declared
-    finite = np.isfinite(acceleration).all(axis=1)
+    declared = np.diag(R @ (mass[:, None] * R.T))
+    as_measured = np.eye(len(machine.sensors)), np.eye(len(machine.drives))
     found = {}
-    for k in determined:
-        rows = finite & (np.abs(np.nan_to_num(velocity[:, k])) > 0.0)
-        fastest = float(np.abs(velocity[rows, k]).max(initial=0.0))
-        rows &= np.abs(np.nan_to_num(velocity[:, k])) > _RESTING * fastest
-        F, z, dz = force[rows, k], position[rows, k], velocity[rows, k]
-        free = [np.ones(len(z))]
-        if machine.coordinates[int(np.argmax(np.abs(R[k]) > 0.0))].kind == "rotary":
-            free += [np.sin(z), np.cos(z)]
-        # A coefficient of either sign is the difference of two positive ones.
-        signed = [sign * column for column in free for sign in (1.0, -1.0)]
-        columns = np.column_stack([inertial[rows, k], dz, np.sign(dz), *signed])
-        if len(z) < _ROWS_PER_COEFFICIENT * columns.shape[1] or not F.any():
+    for equations in force_equations(windows, machine, *as_measured, spring=False):
+        if not equations.determined:
             continue
-        inertia, viscous, dry, above, below = map(float, _robust_nonnegative(columns, F)[:5])
-        least = _SHORTEST_TIME_CONSTANT * span * viscous / declared[k, k]
+        coefficients = _robust_nonnegative(equations.columns, equations.force)
+        inertia, viscous, dry, above, below = map(float, coefficients[:5])
+        least = _SHORTEST_TIME_CONSTANT * span * viscous / declared[equations.motion]
         if max(inertia, least) > 0.0:
-            found[int(k)] = (max(inertia, least), viscous, dry, above - below)
+            found[equations.motion] = (max(inertia, least), viscous, dry, above - below)
     return found
 
 
