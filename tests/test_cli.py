@@ -22,7 +22,6 @@ from rich.console import Console
 from rich.table import Table
 
 from hframe_gym import agents
-from hframe_gym.cli import control_commands
 from hframe_gym.cli import tables as cli_tables
 from hframe_gym.cli.app import CONTROL_PERIOD
 from hframe_gym.cli.support import training_proposal
@@ -31,6 +30,7 @@ from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import TASKS, EnvConfig
 from hframe_gym.errors import InputError
+from hframe_gym.evaluation import file_labels
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import load_recording, machine_to_dict
@@ -597,7 +597,7 @@ def test_help_has_an_example(command: str, hframe_command: Command) -> None:
 
 def test_controllers_of_equal_name_have_plots_of_their_own() -> None:
     names = ["out/ppo", "pid", "ppo", "other/ppo", "module:name"]
-    assert control_commands._plot_labels(names) == ["ppo", "pid", "ppo_2", "ppo_3", "module-name"]
+    assert file_labels(names) == ["ppo", "pid", "ppo_2", "ppo_3", "module-name"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -4,33 +4,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from nicegui import events, ui
 
 from ..agents import shipped_agent_names
-from ..controllers import CONTROLLERS
-from ..envs import TASKS
-from ..evaluation import BANDS, period_concern
+from ..controllers import CONTROLLERS, period_concern, shorter_period
+from ..envs import TASKS, EnvConfig
+from ..evaluation import BANDS, file_labels
 from ..recordings import load_machine
 from ..web_page import number
 from .charts import curves_chart, height_of
 from .log_columns import Curve
 from .machine_stage import StageView
-from .session import CONTROL, evaluate_command
+from .session import MACHINE, evaluate_command
 from .stage import Stage, State, banner, heading, table
 from .stage_drawing import drawing_of, read_motions
 
-_COLOR_NAMES = (
-    "blue",
-    "orange",
-    "green",
-    "purple",
-    "ocher",
-    "red",
-)  # of the curves, `hframe_gym.web_page.SERIES`
+# Of the curves, in the order of `hframe_gym.web_page.SERIES`.
+_COLOR_NAMES = ("blue", "orange", "green", "purple", "ocher", "red")
 
 
 class ControlStage(Stage):
@@ -61,7 +54,7 @@ class ControlStage(Stage):
 
     def state(self) -> State:
         """Return whether controllers were compared."""
-        return "done" if self.session.path(CONTROL, "scores.json").exists() else ""
+        return "done" if self.session.path(self.session.control, "scores.json").exists() else ""
 
     @property
     def _randomize(self) -> str:
@@ -90,12 +83,11 @@ class ControlStage(Stage):
                 "neutral", "", f"{machine.name} has no tool that moves, so there are no controllers for it."
             )
             return
-        if self.session.corrected == "machine.json":
+        if self.session.corrected == MACHINE:
             banner("neutral", "", "No identification yet: controllers run on the machine as declared.")
-        concern = period_concern(machine, 0.01)
-        if concern and not self._period:
-            suggested = concern.rpartition("--period ")[2].rstrip(")")
-            self._period = suggested
+        shorter = shorter_period(machine, EnvConfig.period)
+        if shorter is not None and not self._period:
+            self._period = f"{shorter:g}"
         with ui.element("div").classes("hf-fields"):
             agents = [name for name in shipped_agent_names() if name not in CONTROLLERS]
             names = [*CONTROLLERS, *agents]
@@ -106,13 +98,13 @@ class ControlStage(Stage):
                 "dense outlined options-dense"
             )
             task.on_value_change(self._set_task)
-            period = ui.input("control period, s", value=self._period, placeholder="0.01").props(
-                "dense outlined stack-label"
-            )
+            default = f"{EnvConfig.period:g}"
+            period = ui.input("control period, s", value=self._period, placeholder=default)
+            period.props("dense outlined stack-label")
             period.on_value_change(self._set_period)
             episodes = ui.number("episodes", value=self._episodes, min=1, max=4096, step=1, format="%d")
             episodes.props("dense outlined").on_value_change(self._set_episodes)
-        if concern:
+        if concern := period_concern(machine, EnvConfig.period):
             ui.label(f"{concern[0].upper()}{concern[1:]}.").classes("hf-muted")
         self.command_box()
         if self.state() == "done":
@@ -141,9 +133,8 @@ class ControlStage(Stage):
 
     def _scores(self) -> dict[str, Any]:
         """Return the content of scores.json."""
-        content: dict[str, Any] = json.loads(
-            self.session.path(CONTROL, "scores.json").read_text(encoding="utf-8")
-        )
+        path = self.session.path(self.session.control, "scores.json")
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return content
 
     def _show_scores(self) -> None:
@@ -167,17 +158,17 @@ class ControlStage(Stage):
             error = "-" if left is None else "< 0.001" if left < 1e-3 else number(left)
             rows.append([name, *success, number(settling, "-"), error])
         table(head, rows, numbers=range(1, len(head)))
-        if self.session.path(CONTROL, "scorecard.html").exists():
-            ui.link("Open the scorecard", f"/session/{CONTROL}/scorecard.html", new_tab=True)
+        scorecard = f"{self.session.control}/scorecard.html"
+        if self.session.path(scorecard).exists():
+            ui.link("Open the scorecard", f"/session/{scorecard}", new_tab=True)
 
     def _show_motions(self) -> None:
         """Show the stage in motion, with one view for each controller."""
         machine = load_machine(self.session.path(self.session.corrected))
         drawing = drawing_of(machine)
-        names = [Path(name).name.replace(":", "-") for name in self._scores()["controllers"]]
-        files = [
-            path for path in (self.session.path(CONTROL, f"{name}.csv") for name in names) if path.exists()
-        ]
+        labels = file_labels(self._scores()["controllers"])
+        paths = [self.session.path(self.session.control, f"{label}.csv") for label in labels]
+        files = [path for path in paths if path.exists()]
         if drawing is None or not files:
             return
         motions = {path.stem: read_motions(path, machine) for path in files}

@@ -12,6 +12,7 @@ from urllib.parse import quote
 from nicegui import events, ui
 
 from ..exporters import EXPORTERS
+from ..exporters.base import ARGUMENT, HELP
 from .session import EXPORTS, export_command
 from .stage import Stage, State, heading
 
@@ -57,8 +58,6 @@ class ExportStage(Stage):
         kind = ui.select(kinds, value=self._kind, label="kind", on_change=lambda e: self._choose(e.value))
         kind.props("dense outlined options-dense data-kind").classes("w-full")
         exporter = EXPORTERS.get(self._kind)
-        from ..exporters.base import ARGUMENT, HELP
-
         with ui.element("div").classes("hf-fields"):
             for field in dataclasses.fields(exporter):
                 if field.name == "machine":

@@ -75,14 +75,13 @@ class Job:
         self.lines: list[str] = []
         self.progress = Progress()
         self.exit_code: int | None = None
-        self.began, self.ended = time.monotonic(), None
+        self.began = time.monotonic()
+        self._ended: float | None = None
         self.stopped = False
         self._session = session
         self._process: subprocess.Popen[str] | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
-
-    ended: float | None
 
     @property
     def running(self) -> bool:
@@ -92,7 +91,7 @@ class Job:
     @property
     def seconds(self) -> float:
         """Time since the job began, until it ended, s."""
-        return (self.ended or time.monotonic()) - self.began
+        return (self._ended or time.monotonic()) - self.began
 
     def stop(self) -> None:
         """Ask the commands to end, as Ctrl-C does: an identification keeps the best machine so far."""
@@ -123,7 +122,7 @@ class Job:
         except OSError as error:
             self.lines.append(f"hframe: {error}")
             code = 1
-        self.ended = time.monotonic()
+        self._ended = time.monotonic()
         self.exit_code = code
 
     def _run_command(self, words: list[str]) -> int:

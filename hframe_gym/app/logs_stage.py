@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import html
 from pathlib import Path
 from typing import Any
@@ -78,14 +79,14 @@ class LogsStage(Stage):
 
     def commands(self) -> list[list[str]]:
         """Return the commands that import the logs."""
-        choices = self._choices
-        choices.split = "" if self._split == "cuts" else self._split
-        choices.seconds = self._seconds.get(self._split, 0.5)
-        intervals = choices.intervals if self._split == "cuts" else []
-        chosen = ImportChoices(
-            choices.columns, choices.units, choices.scales, choices.split, choices.seconds, intervals
+        aside = self.session.aside_command(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)
+        chosen = dataclasses.replace(
+            self._choices,
+            split="" if self._split == "cuts" else self._split,
+            seconds=self._seconds.get(self._split, 0.5),
+            intervals=self._choices.intervals if self._split == "cuts" else [],
         )
-        return [*self.session.aside_command(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS), import_command(chosen)]
+        return [*aside, import_command(chosen)]
 
     def show(self) -> None:
         """Build the stage."""

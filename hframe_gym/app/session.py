@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from ..atomic_files import atomic_file, write_text
 from ..errors import InputError
@@ -12,7 +12,8 @@ from ..machine import Machine
 from ..operating_system import quoted
 from ..recordings import Interval, find_logs, load_machine, recording_files
 
-MACHINE, LOGS, RUNS, RESULT, CONTROL, EXPORTS = "machine.json", "logs", "runs", "result", "control", "export"
+MACHINE, LOGS, RUNS, RESULT, EXPORTS = "machine.json", "logs", "runs", "result", "export"
+CONTROL = "control"  # beside the machine that was controlled, where `hframe identify` proposes it as well
 FINDINGS = "check.json"
 SCRIPT = "commands.sh"  # all commands of the session, in the order in which they ran
 _SCRIPT_HEAD = (
@@ -97,6 +98,11 @@ class Session:
     def corrected(self) -> str:
         """Machine for controllers and exports: the corrected one if there is one, relative to the folder."""
         return f"{RESULT}/{MACHINE}" if self.path(RESULT, MACHINE).exists() else MACHINE
+
+    @property
+    def control(self) -> str:
+        """Folder of the comparisons of controllers on the machine `corrected`, relative to the folder."""
+        return control_folder(self.corrected)
 
     def log_path(self, name: str) -> Path:
         """Return where a log that the user dropped is stored; one of the same name is replaced.
@@ -276,6 +282,18 @@ def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[
     return [*words, *(["--force"] if force else []), "--out", RESULT]
 
 
+def control_folder(machine: str) -> str:
+    """Return the folder of the comparisons of controllers on a machine.
+
+    Args:
+        machine: Machine, relative to the folder of the session.
+
+    Returns:
+        Folder, relative to that of the session.
+    """
+    return (PurePosixPath(machine).parent / CONTROL).as_posix()
+
+
 def evaluate_command(
     controllers: Sequence[str],
     machine: str,
@@ -302,7 +320,8 @@ def evaluate_command(
     """
     words = ["evaluate", *controllers, "--machine", machine, "--task", task, "--randomize", randomize]
     words += ["--period", period.strip()] if period.strip() else []
-    return [*words, "--episodes", str(episodes), "--motions", str(motions), "--html", "--out", CONTROL]
+    words += ["--episodes", str(episodes), "--motions", str(motions), "--html"]
+    return [*words, "--out", control_folder(machine)]
 
 
 def export_command(

@@ -30,10 +30,8 @@ _STAGES: tuple[type[Stage], ...] = (
     ExportStage,
 )
 _POLL_S = 0.3  # s between two looks at a job
-_FILLED = (
-    "#0b69c7",
-    "#1f6fc4",
-)  # color of filled buttons, light and dark; white text has a contrast of 5 or more
+# Color of filled buttons, light and dark; white text has a contrast of 5 or more.
+_FILLED = ("#0b69c7", "#1f6fc4")
 
 
 def style_sheet() -> str:
@@ -76,14 +74,14 @@ class Window:
             ui.html("<b>hframe</b>", sanitize=False)
             ui.label(self.session.folder.name).props(f'title="{html.escape(str(self.session.folder))}"')
         await ui.context.client.connected(timeout=20.0)
-        dark, narrow = await ui.run_javascript(
-            "[matchMedia('(prefers-color-scheme: dark)').matches, innerWidth < 700]", timeout=10.0
+        dark = bool(
+            await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=10.0)
         )
         ui.run_javascript(
             "matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => location.reload())"
         )
-        ui.colors(primary=COLORS["after"][bool(dark)], accent=_FILLED[bool(dark)])
-        Page(self, dark=bool(dark), narrow=bool(narrow)).build()
+        ui.colors(primary=COLORS["after"][dark], accent=_FILLED[dark])
+        Page(self, dark=dark).build()
 
     @property
     def running(self) -> Job | None:
@@ -98,20 +96,17 @@ class Page:
         window: The window.
         session: The session.
         dark: Whether the display is dark.
-        narrow: Whether the display is that of a phone.
         stages: The stages by their keys.
     """
 
-    def __init__(self, window: Window, *, dark: bool, narrow: bool) -> None:
+    def __init__(self, window: Window, *, dark: bool) -> None:
         """Create the stages.
 
         Args:
             window: The window.
             dark: Whether the display is dark.
-            narrow: Whether the display is that of a phone.
         """
-        self.window, self.session, self.dark, self.narrow = window, window.session, dark, narrow
-
+        self.window, self.session, self.dark = window, window.session, dark
         self.stages: dict[str, Stage] = {kind.key: kind(self) for kind in _STAGES}
         self._tabs: dict[str, Any] = {}
         self._seen: dict[str, tuple[int, bool]] = {}

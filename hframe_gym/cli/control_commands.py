@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -235,36 +234,24 @@ def _write_evaluation(
     motions: int,
 ) -> list[Path]:
     """Write scores, plots and, unless `warned` is None, the scorecard, all together; return the files."""
-    from ..evaluation import save_plot, write_motions, write_scorecard, write_scores
+    from ..evaluation import file_labels, save_plot, write_motions, write_scorecard, write_scores
 
+    episodes_by_label = dict(zip(file_labels(recorded), recorded.values(), strict=True))
     with output_batch(out):
         written = [write_scores(out, scores)]
         if motions:
-            for label, episodes in zip(_plot_labels(recorded), recorded.values(), strict=True):
+            for label, episodes in episodes_by_label.items():
                 write_motions(out / f"{label}.csv", episodes, machine, motions)
                 written.append(out / f"{label}.csv")
         try:
-            for label, episode in zip(_plot_labels(recorded), recorded.values(), strict=True):
-                save_plot(out / f"{label}.png", episode, title=f"{label} on {machine.name}")
+            for label, episodes in episodes_by_label.items():
+                save_plot(out / f"{label}.png", episodes, title=f"{label} on {machine.name}")
                 written.append(out / f"{label}.png")
             if warned is not None:
                 written.append(write_scorecard(out, scores, recorded, warned))
         except ImportError as error:
             log(f"no plots: {error}")
     return written
-
-
-def _plot_labels(names: Iterable[str]) -> list[str]:
-    """Return a different file name without suffix for each controller: of a folder the last part, and no colon."""
-    labels: list[str] = []
-    for name in names:
-        label = base = Path(name).name.replace(":", "-")
-        number = 1
-        while label in labels:  # for example the folder out/ppo and the shipped agent ppo
-            number += 1
-            label = f"{base}_{number}"
-        labels.append(label)
-    return labels
 
 
 def _evaluate_by_protocol(

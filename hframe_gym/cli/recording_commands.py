@@ -270,7 +270,7 @@ def identify(
     if problem is not None and not isinstance(problem, ImportError):
         raise problem
     log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
-    log(f"Next: {next_command(result.verdict, result.after.machine, out).replace('RUNS', str(runs_dir))}")
+    log(f"Next: {next_command(result.verdict, result.after.machine, out)}")
     if result.unfinished is not None and result.unfinished.interrupted:
         raise typer.Exit(_INTERRUPTED)
 

@@ -1,6 +1,7 @@
 """Controllers of batches of machines, designed from a machine model; independent of Gymnasium.
 
 base                    interface, registry, full-state and output-feedback controllers
+control_period          control periods at which a controller can damp the vibrations on the belts
 environment_controller  controller on observations as an environment with `normalize` or `flat` returns them
 motion_model            machine model for controller design, and the operating points of its linearizations
 finite_horizon_control  point-to-point transfers, and tracking of a previewed goal
@@ -30,6 +31,7 @@ from .base import (
     UnitCheck,
     check_period,
 )
+from .control_period import period_concern, shorter_period
 from .environment_controller import EnvironmentController
 from .estimation_model import ParameterRatios
 from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, PreviewTracker
@@ -69,7 +71,9 @@ __all__ = [
     "TextbookPID",
     "UnitCheck",
     "check_period",
+    "period_concern",
     "scaled_machine",
+    "shorter_period",
 ]
 
 # A new controller in this folder registers itself. The time-optimal bound needs the extra `bound`.

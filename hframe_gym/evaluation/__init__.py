@@ -30,7 +30,7 @@ from .protocol_results import (
     write_result,
 )
 from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, make_entry, run_protocol
-from .runner import Evaluation, evaluate, rollout, write_motions, write_scores
+from .runner import Evaluation, evaluate, file_labels, rollout, write_motions, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
     ControllerFiles,
@@ -41,7 +41,6 @@ from .scenario import (
     environments_of,
     episode_conditions,
     make_controller,
-    period_concern,
 )
 from .scorecard import write_scorecard
 from .undeclared_effects import EFFECT_FAMILIES, acting_effects, effect_rules, with_absent_effects
@@ -78,6 +77,7 @@ __all__ = [
     "episode_conditions",
     "evaluate",
     "export_dataset",
+    "file_labels",
     "fill_unsettled",
     "get_protocol",
     "installed_versions",
@@ -85,7 +85,6 @@ __all__ = [
     "make_entry",
     "mean_with_interval",
     "paired_ratio",
-    "period_concern",
     "plot_episode",
     "protocol_bounds",
     "ratio_of_means",

@@ -16,14 +16,14 @@ import numpy as np
 
 from ..arrays import Array
 from ..atomic_files import write_text
-from ..controllers import Controller, EnvironmentController
+from ..controllers import Controller, EnvironmentController, period_concern
 from ..dynamics import Equations, MotionPoint, NotFiniteError
 from ..envs import MachineLike, RandomizationLike, SensorsLike, TaskLike
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import recorded_commands
 from .metrics import score_episodes, stored_bounds
-from .scenario import Episodes, Scenario, environments_of, make_controller, period_concern
+from .scenario import Episodes, Scenario, environments_of, make_controller
 
 SAMPLES_PER_PERIOD = 10
 MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes
@@ -236,6 +236,26 @@ def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
     return path
+
+
+def file_labels(controllers: Iterable[str]) -> list[str]:
+    """Return the name, without suffix, of the files of each controller of an evaluation; all names differ.
+
+    Args:
+        controllers: Names of controllers and agents, or folders of agents, in the order of the scores.
+
+    Returns:
+        Of a folder the last part, without colons, and with a number from the second of equal names on.
+    """
+    labels: list[str] = []
+    for name in controllers:
+        label = base = Path(name).name.replace(":", "-")
+        number = 1
+        while label in labels:  # for example the folder out/ppo and the shipped agent ppo
+            number += 1
+            label = f"{base}_{number}"
+        labels.append(label)
+    return labels
 
 
 def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count: int) -> None:

@@ -21,7 +21,6 @@ from ..controllers import (
     StateEstimator,
     check_period,
 )
-from ..dynamics import mode_frequencies
 from ..envs import (
     ActuatorsLike,
     EnvOptions,
@@ -42,7 +41,6 @@ from ..machine import Machine
 from ..registry import Registry, load_plugins, names_module
 
 LONGEST_EPISODE = 3600.0  # s
-SAMPLES_PER_MODE = 4.0  # control periods per period of the slowest belt mode that a warning suggests
 
 
 @dataclass(frozen=True)
@@ -361,23 +359,3 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
     except ValueError as error:
         raise InputError(str(error)) from None
     return controller
-
-
-def period_concern(machine: Machine, period: float) -> str | None:
-    """Return a warning if all vibrations of a machine on its belts have frequencies above half the control rate.
-
-    A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency). The
-    sentence suggests a period shorter than the present `period`, s.
-    """
-    modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
-    if not modes or min(modes) <= 0.5 / period:
-        return None
-    slowest = float(min(modes))
-    longest = 1.0 / (SAMPLES_PER_MODE * slowest)
-    decade = 10.0 ** np.floor(np.log10(longest))
-    shorter = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest)
-    return (
-        f"machine {machine.name!r}: its slowest belt mode, {slowest:.0f} Hz, is above half the control rate of "
-        f"{1.0 / period:.0f} Hz, so no controller can damp it; try a control period of {shorter:g} s "
-        f"(--period {shorter:g})"
-    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,10 +59,17 @@ def test_other_commands() -> None:
         "--out",
         "result",
     ]
-    words = evaluate_command(
-        ["pid"], "machine.json", task="reach", randomize="none", period="", episodes=8, motions=2
-    )
+    options: dict[str, Any] = {
+        "task": "reach",
+        "randomize": "none",
+        "period": "",
+        "episodes": 8,
+        "motions": 2,
+    }
+    words = evaluate_command(["pid"], "machine.json", **options)
     assert "--period" not in words
+    assert words[-1] == "control"
+    assert evaluate_command(["pid"], "result/machine.json", **options)[-1] == "result/control"
     assert export_command("c", "machine.json", {"period": "0.002", "flat": ""}, ["pid"])[1:] == [
         "c", "pid", "--machine", "machine.json", "--period", "0.002", "--flat", "--out", "export/c",
     ]  # fmt: skip

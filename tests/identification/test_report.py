@@ -7,6 +7,7 @@ import dataclasses
 import hashlib
 import json
 import re
+import shlex
 from importlib.metadata import version
 from pathlib import Path
 
@@ -542,6 +543,14 @@ def test_after_an_unexplained_error_comes_the_report_and_not_the_check_that_has_
     assert next_command("no_effect", AXIS, Path("out/rig")).startswith(
         "hframe evaluate pid --machine out/rig/machine"
     )
+
+
+def test_the_next_command_has_a_control_period_at_which_the_belts_can_be_damped() -> None:
+    assert "--period" not in next_command("no_effect", BUILTIN_MACHINES["hframe"](), Path("out/rig"))
+    command = next_command("no_effect", BUILTIN_MACHINES["corexy"](), Path("out/a rig"))
+    words = shlex.split(command)
+    assert words[words.index("--period") + 1] == "0.002"  # belts at 82 Hz
+    assert words[-2:] == ["--out", str(Path("out/a rig/control"))]
 
 
 def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:

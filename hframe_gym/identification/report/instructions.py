@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...controllers import TextbookPID
+from ...controllers import TextbookPID, shorter_period
+from ...envs import EnvConfig
 from ...errors import InputError
 from ...machine import BUILTIN_MACHINES, Machine
+from ...operating_system import quoted
 from ...web_page import number
 from ..fit.parameter_diagnostics import sum_text
 from ..judge.criteria import SelectionCriteria
@@ -19,7 +20,7 @@ _NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
     "rivals": "No experiment is proposed: no tested run within rated voltages and travel reliably distinguishes",
     "equivalent": "No recording can distinguish",
 }
-_PERIODS_S = (0.01, 0.005, 0.002, 0.001, 0.0005)  # control periods at which controllers are tried
+_SHORTER_PERIODS_S = (0.005, 0.002, 0.001, 0.0005)  # control periods at which a textbook PID is tried
 _MOTIONS = {  # by the quantity of a variable: the run that shows a dependence on it
     "velocity": "move {} at six or more constant speeds in both directions, from the slowest to the top speed",
     "position": "move {} slowly and at constant speed over its full travel, several times in both directions",
@@ -147,23 +148,30 @@ def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) ->
         )
         return _step(
             text,
-            f"hframe simulate --machine {shlex.quote(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv",
+            f"hframe simulate --machine {quoted(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv",
         )
+    period = shorter_period(machine, EnvConfig.period) or EnvConfig.period
     text = (
-        f"Design and compare controllers on the {which} machine, pid first, with a control period of 10 ms."
+        f"Design and compare controllers on the {which} machine, pid first, with a control period of "
+        f"{number(1e3 * period)} ms.{_textbook_period(machine, period)}"
     )
-    return _step(f'{text}{_textbook_period(machine)} In Python: gym.make("HFrame-v0", machine=...).', command)
+    argument = "" if period == EnvConfig.period else f", period={period:g}"
+    return _step(f'{text} In Python: gym.make("HFrame-v0", machine=...{argument}).', command)
 
 
-def _textbook_period(machine: Machine) -> str:
-    """Return a sentence about the control periods that a controller without a model of the belts permits."""
+def _textbook_period(machine: Machine, period: float) -> str:
+    """Return a sentence about the control periods, from `period` down, that a textbook PID permits.
+
+    It has no model of the belts.
+    """
+    tried = [period, *(shorter for shorter in _SHORTER_PERIODS_S if shorter < period)]
     try:
-        stable = next((p for p in _PERIODS_S if TextbookPID(machine, p).concern() is None), None)
+        stable = next((p for p in tried if TextbookPID(machine, p).concern() is None), None)
     except InputError:  # the controller cannot control such a machine
         return ""
     if stable is None:
-        return f" A textbook PID is unstable at {number(1e3 * _PERIODS_S[-1])} ms and more."
-    if stable == _PERIODS_S[0]:
+        return f" A textbook PID is unstable at {number(1e3 * tried[-1])} ms and more."
+    if stable == period:
         return " A textbook PID is stable at this period as well."
     return f" A textbook PID needs {number(1e3 * stable)} ms or less."
 
@@ -171,5 +179,5 @@ def _textbook_period(machine: Machine) -> str:
 def _again(saved: SavedResult, folder: Path) -> str:
     """Return the command that identifies further runs of the same machine."""
     known = saved.declared == BUILTIN_MACHINES["hframe"]()
-    machine = "" if known else f" --machine {shlex.quote(str(folder / 'declared.json'))}"
-    return f"hframe identify RUNS{machine} --out {shlex.quote(str(folder))}"
+    machine = "" if known else f" --machine {quoted(str(folder / 'declared.json'))}"
+    return f"hframe identify RUNS{machine} --out {quoted(str(folder))}"

@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ...atomic_files import complete_commit, newest
+from ...controllers import shorter_period
 from ...effects import EFFECTS
+from ...envs import EnvConfig
+from ...envs.workspace import workspace_of
 from ...errors import InputError
 from ...file_limits import read_arrays, read_document
 from ...machine import Machine
+from ...operating_system import quoted
 from ...recordings import load_machine
 from ..judge.verdict import Verdict
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
@@ -395,8 +399,6 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
 
 def _has_workspace(machine: Machine) -> bool:
     """Return whether controllers can be evaluated on a machine."""
-    from ...envs.workspace import workspace_of
-
     try:
         workspace_of(machine)
     except InputError:
@@ -413,11 +415,15 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
         folder: Folder of the result.
 
     Returns:
-        Command line that evaluates a controller on the machine. For the verdict "unexplained", or a machine for which
+        Command line that evaluates a controller on the machine, with a control period at which the belts can be
+        damped. For the verdict "unexplained", or a machine for which
         there are no controllers (it has no tool that moves within a declared range), a command that opens the report,
         which shows what the residual depends on and what to record next.
     """
     if verdict == "unexplained" or not _has_workspace(machine):
-        return f"hframe report {folder} --open"
+        return f"hframe report {quoted(str(folder))} --open"
+    machine_file, out = (quoted(str(folder / name)) for name in ("machine.json", "control"))
     randomize = " --randomize identified" if machine.uncertainty else ""
-    return f"hframe evaluate pid --machine {folder / 'machine.json'}{randomize} --html --out {folder / 'control'}"
+    shorter = shorter_period(machine, EnvConfig.period)
+    period = "" if shorter is None else f" --period {shorter:g}"
+    return f"hframe evaluate pid --machine {machine_file}{randomize}{period} --html --out {out}"

@@ -1,0 +1,54 @@
+"""Control periods at which a controller can damp the vibrations of a machine on its belts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..dynamics import mode_frequencies
+from ..machine import Machine
+
+SAMPLES_PER_MODE = (
+    4.0  # control periods per period of the slowest belt mode, at least, where one is suggested
+)
+
+
+def shorter_period(machine: Machine, period: float) -> float | None:
+    """Suggest a shorter control period if all vibrations of a machine on its belts are above half the control rate.
+
+    A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
+
+    Args:
+        machine: Machine to control.
+        period: Control period, s.
+
+    Returns:
+        Control period, s: 1, 2 or 5 times a power of ten. None if `period` suffices or no belt vibrates.
+    """
+    slowest = _slowest_mode(machine)
+    if slowest is None or slowest <= 0.5 / period:
+        return None
+    longest = 1.0 / (SAMPLES_PER_MODE * slowest)
+    decade = 10.0 ** np.floor(np.log10(longest))
+    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest))
+
+
+def period_concern(machine: Machine, period: float) -> str | None:
+    """Return a warning with the period that `shorter_period` suggests, or None if it suggests none.
+
+    Args:
+        machine: Machine to control.
+        period: Control period, s.
+    """
+    shorter, slowest = shorter_period(machine, period), _slowest_mode(machine)
+    if shorter is None:
+        return None
+    return (
+        f"machine {machine.name!r}: its slowest belt mode, {slowest:.0f} Hz, is above half the control rate of "
+        f"{1.0 / period:.0f} Hz, so no controller can damp it; try a control period of {shorter:g} s "
+        f"(--period {shorter:g})"
+    )
+
+
+def _slowest_mode(machine: Machine) -> float | None:
+    """Return the lowest frequency of a vibration on the belts, Hz; None if there is none."""
+    return min((float(f) for f in mode_frequencies(machine) if f > 0.0), default=None)
