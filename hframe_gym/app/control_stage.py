@@ -93,43 +93,20 @@ class ControlStage(Stage):
             names = [*CONTROLLERS, *agents]
             chosen = ui.select(names, value=self._controllers, multiple=True, label="controllers and agents")
             chosen.props("dense outlined options-dense use-chips data-controllers").classes("w-full")
-            chosen.on_value_change(self._set_controllers)
-            task = ui.select(list(TASKS), value=self._task, label="task").props(
-                "dense outlined options-dense"
-            )
-            task.on_value_change(self._set_task)
+            self.keep(chosen, "_controllers", lambda names: list(names or []))
+            task = ui.select(list(TASKS), value=self._task, label="task")
+            self.keep(task.props("dense outlined options-dense"), "_task", str)
             default = f"{EnvConfig.period:g}"
             period = ui.input("control period, s", value=self._period, placeholder=default)
-            period.props("dense outlined stack-label")
-            period.on_value_change(self._set_period)
+            self.keep(period.props("dense outlined stack-label"), "_period", lambda text: text or "")
             episodes = ui.number("episodes", value=self._episodes, min=1, max=4096, step=1, format="%d")
-            episodes.props("dense outlined").on_value_change(self._set_episodes)
+            self.keep(episodes.props("dense outlined"), "_episodes", lambda count: int(count or 1))
         if concern := period_concern(machine, EnvConfig.period):
             ui.label(f"{concern[0].upper()}{concern[1:]}.").classes("hf-muted")
         self.command_box()
         if self.state() == "done":
             self._show_scores()
             self._show_motions()
-
-    def _set_controllers(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose the controllers."""
-        self._controllers = list(event.value or [])
-        self.update_command()
-
-    def _set_task(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose the task."""
-        self._task = str(event.value)
-        self.update_command()
-
-    def _set_period(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose the control period."""
-        self._period = str(event.value or "")
-        self.update_command()
-
-    def _set_episodes(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose the number of episodes."""
-        self._episodes = int(event.value or 1)
-        self.update_command()
 
     def _scores(self) -> dict[str, Any]:
         """Return the content of scores.json."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from nicegui import events, ui
+from nicegui import ui
 
 from ..exporters import EXPORTERS
 from ..exporters.base import ARGUMENT, HELP
@@ -65,7 +65,7 @@ class ExportStage(Stage):
                 text = str(field.metadata[HELP])
                 if field.metadata[ARGUMENT]:
                     argument = ui.input(field.name, value=self._arguments).props("dense outlined stack-label")
-                    argument.on_value_change(self._set_arguments)
+                    self.keep(argument, "_arguments", lambda text: text or "")
                 elif isinstance(field.default, bool):
                     switch = ui.checkbox(field.name, value=field.name in self._options)
                     switch.props(f'title="{html.escape(_plain(text))}"')
@@ -99,11 +99,6 @@ class ExportStage(Stage):
         """Choose the kind of export."""
         self._kind, self._options, self._arguments = kind, {}, ""
         self.refresh()
-
-    def _set_arguments(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose the words without option."""
-        self._arguments = str(event.value or "")
-        self.update_command()
 
     def _set_option(self, name: str, value: str | None) -> None:
         """Choose an option; None removes it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from nicegui import events, ui
+from nicegui import ui
 
 from ..recordings import run_name
 from ..web_page import number
@@ -66,15 +66,13 @@ class IdentifyStage(Stage):
             held = ui.select(names, value=self._hold_out, multiple=True, label="held-out runs")
             held.props('hint="default: one of four"')
             held.props("dense outlined options-dense use-chips").classes("w-full")
-            held.on_value_change(self._set_hold_out)
-            budget = ui.input(
-                "budget, s of processor time", value=self._budget, placeholder="a minute per core"
-            )
-            budget.props("dense outlined stack-label data-budget").classes("w-full").on_value_change(
-                self._set_budget
-            )
+            self.keep(held, "_hold_out", lambda names: list(names or []))
+            label = "budget, s of processor time"
+            budget = ui.input(label, value=self._budget, placeholder="a minute per core")
+            budget.props("dense outlined stack-label data-budget").classes("w-full")
+            self.keep(budget, "_budget", lambda text: text or "")
             force = ui.checkbox("fit although the check finds faults", value=self._force)
-            force.on_value_change(self._set_force)
+            self.keep(force, "_force", bool)
         self.command_box()
         if self._stop is not None:
             self._stop.set_text("Stop and keep the best")
@@ -91,21 +89,6 @@ class IdentifyStage(Stage):
             )
         self._drawn = 0
         self._show_live()
-
-    def _set_hold_out(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose the held-out runs."""
-        self._hold_out = list(event.value or [])
-        self.update_command()
-
-    def _set_budget(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose the budget."""
-        self._budget = str(event.value or "")
-        self.update_command()
-
-    def _set_force(self, event: events.ValueChangeEventArguments[Any]) -> None:
-        """Choose whether faults are ignored."""
-        self._force = bool(event.value)
-        self.update_command()
 
     def progressed(self, job: Job) -> None:
         """Show output and progress."""

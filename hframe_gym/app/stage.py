@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol
 
 from nicegui import ui
@@ -183,6 +183,16 @@ class Stage(ABC):
         except (InputError, ValueError) as error:
             text = str(error)
         self._code.set_content(f"<pre>{html.escape(text)}</pre>")
+
+    def keep(self, field: Any, attribute: str, read: Callable[[Any], Any]) -> None:
+        """Keep the value of a field in an attribute of the stage, and show the commands that it means.
+
+        Args:
+            field: Element with a value.
+            attribute: Name of the attribute.
+            read: Function from the element's value, which may be None, to that of the attribute.
+        """
+        field.bind_value_to(self, attribute, read).on_value_change(self.update_command)
 
     def _copy(self) -> None:
         """Copy the commands to the clipboard."""

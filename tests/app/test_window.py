@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import shutil
 import time
 from pathlib import Path
 from urllib.error import HTTPError
@@ -20,6 +19,8 @@ from tests.browser import SCHEMES, WIDTHS, chromium
 
 pytest.importorskip("nicegui", reason="the extra app is not installed")
 pytestmark = pytest.mark.integration
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 # What is wider than the display although it does not scroll by itself, and fields and buttons without a name.
 _FAULTS = """
@@ -75,8 +76,7 @@ def test_runs_are_cut_with_the_mouse_and_by_numbers_and_a_wrong_column_is_explai
     session = tmp_path / "session"
     (session / "logs").mkdir(parents=True)
     (session / "logs" / "one.csv").write_bytes(foreign_logs(1)["Messung_1.csv"])
-    command = [sys.executable, "-m", "hframe_gym", "machines", "new", "--like", "axis", "--out"]
-    subprocess.run([*command, str(session / "machine.json")], check=True, capture_output=True)
+    save_machine(BUILTIN_MACHINES["axis"](), session / "machine.json")
     with served(session) as address, chromium() as driver:
         visitor = Visitor(driver, address)
         visitor.look(1280, "light")
@@ -105,15 +105,16 @@ def test_runs_are_cut_with_the_mouse_and_by_numbers_and_a_wrong_column_is_explai
 def test_an_identification_that_is_stopped_keeps_the_best_machine(tmp_path: Path) -> None:
     session = tmp_path / "session"
     session.mkdir()
-    examples = [sys.executable, "-m", "hframe_gym", "examples", "--out", str(tmp_path / "examples")]
-    subprocess.run(examples, check=True, capture_output=True)
-    (tmp_path / "examples" / "rig_a").rename(session / "runs")
-    command = [sys.executable, "-m", "hframe_gym", "machines", "new", "--like", "hframe", "--out"]
-    subprocess.run([*command, str(session / "machine.json")], check=True, capture_output=True)
+    shutil.copytree(EXAMPLES / "rig_a", session / "runs")
+    save_machine(BUILTIN_MACHINES["hframe"](), session / "machine.json")
     with served(session) as address, chromium() as driver:
         visitor = Visitor(driver, address)
         visitor.look(390, "dark")
         visitor.go("identify")
+        visitor.fill("[data-budget]", "100")
+        visitor.until(
+            "document.querySelector('main[data-stage=identify]').innerText.includes('--budget 100')", 10.0
+        )
         visitor.click("[data-run=identify]")
         visitor.until(
             "document.querySelector('main[data-stage=identify]').innerText.includes('Error of the best')",
@@ -182,8 +183,7 @@ def test_a_log_of_a_million_rows_is_drawn_with_its_peak(tmp_path: Path) -> None:
         header="time_ms;v_V;x_m",
         comments="",
     )
-    command = [sys.executable, "-m", "hframe_gym", "machines", "new", "--like", "axis", "--out"]
-    subprocess.run([*command, str(session / "machine.json")], check=True, capture_output=True)
+    save_machine(BUILTIN_MACHINES["axis"](), session / "machine.json")
     with served(session) as address, chromium() as driver:
         visitor = Visitor(driver, address)
         visitor.look(1280, "light")
