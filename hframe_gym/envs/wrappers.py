@@ -7,7 +7,7 @@ An environment without them is as fast as before.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -25,9 +25,9 @@ from .environment_batch import EnvironmentBatch
 from .quantities import QUANTITIES, Quantity, StepRecord
 
 KEY = "quantities"  # of the observation entry that `ObserveQuantities` adds
-_STREAM = (
-    7_919  # distinguishes the random numbers of disturbances from those of the environment with the same seed
-)
+_LIMIT = 10.0  # of observed quantities, in multiples of their typical largest value
+# Distinguishes the random numbers of disturbances from those of the environment with the same seed.
+_STREAM = 7_919
 
 
 class _Recorder:
@@ -59,6 +59,10 @@ class _Recorder:
         self._last = limited
         return {name: np.asarray(q.function(record), np.float64) for name, q in self.quantities.items()}
 
+    def first_values(self) -> dict[str, Array]:
+        """Return the quantities of the start, with actions of zero, shape (count,) each."""
+        return self.values(np.zeros(self._last.shape))
+
 
 def _weights(values: Mapping[str, float], meaning: str) -> dict[str, float]:
     """Check numbers by name of a quantity."""
@@ -68,7 +72,27 @@ def _weights(values: Mapping[str, float], meaning: str) -> dict[str, float]:
     return dict(values)
 
 
-class PenaltyWrapper(gym.Wrapper):
+class _Recording(gym.Wrapper):
+    """Base of the wrappers of single environments."""
+
+    def __init__(self, env: gym.Env, names: Sequence[str]) -> None:
+        super().__init__(env)
+        self._recorder = _Recorder(env, names)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, as the environment does."""
+        self._recorder.begin()
+        return self.env.reset(seed=seed, options=options)
+
+    def _step(self, action: Any) -> tuple[Any, dict[str, float]]:
+        """Make a step; return its result and the quantities."""
+        result = self.env.step(action)
+        return result, {name: column.item() for name, column in self._recorder.values(action).items()}
+
+
+class PenaltyWrapper(_Recording):
     """Subtract weighted quantities of the step from the reward.
 
     `info` has each quantity as `quantity_NAME`. `compute_reward` does not know them: do not relabel goals with it.
@@ -82,27 +106,18 @@ class PenaltyWrapper(gym.Wrapper):
     """
 
     def __init__(self, env: gym.Env, weights: Mapping[str, float]) -> None:
-        super().__init__(env)
+        super().__init__(env, list(weights))
         self.weights = _weights(weights, "weight")
-        self._recorder = _Recorder(env, list(weights))
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, as the environment does."""
-        self._recorder.begin()
-        return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Make a step, as the environment does, with the reward reduced."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        values = {name: v.item() for name, v in self._recorder.values(action).items()}
+        (observation, reward, terminated, truncated, info), values = self._step(action)
         penalty = sum(self.weights[name] * value for name, value in values.items())
         info.update({f"quantity_{name}": value for name, value in values.items()})
         return observation, float(reward) - penalty, terminated, truncated, info
 
 
-class CostWrapper(gym.Wrapper):
+class CostWrapper(_Recording):
     """Report costs beside the reward, as constrained reinforcement learning needs them.
 
     The cost of a step is the number of quantities that exceed their limits, in `info["cost"]`; `info["cost_NAME"]` has
@@ -122,21 +137,12 @@ class CostWrapper(gym.Wrapper):
     """
 
     def __init__(self, env: gym.Env, limits: Mapping[str, float], *, six_values: bool = False) -> None:
-        super().__init__(env)
+        super().__init__(env, list(limits))
         self.limits, self.six_values = _weights(limits, "limit"), six_values
-        self._recorder = _Recorder(env, list(limits))
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, as the environment does."""
-        self._recorder.begin()
-        return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Any, ...]:  # type: ignore[override]
         """Make a step, as the environment does, and report its cost."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        values = {name: v.item() for name, v in self._recorder.values(action).items()}
+        (observation, reward, terminated, truncated, info), values = self._step(action)
         exceeded = {name: float(value > self.limits[name]) for name, value in values.items()}
         cost = sum(exceeded.values())
         info.update({f"quantity_{name}": value for name, value in values.items()})
@@ -146,7 +152,35 @@ class CostWrapper(gym.Wrapper):
         return observation, reward, terminated, truncated, info
 
 
-class ObserveQuantities(gym.Wrapper):
+class _Observed:
+    """Quantities as entries of an observation.
+
+    Args:
+        quantities: The quantities.
+    """
+
+    def __init__(self, quantities: Iterable[Quantity]) -> None:
+        self._scales = np.array([quantity.largest for quantity in quantities])
+
+    def space(self, inner: spaces.Space[Any]) -> spaces.Space[Any]:
+        """Return the observation space of one environment with the quantities."""
+        added = spaces.Box(-_LIMIT, _LIMIT, self._scales.shape, np.float32)
+        if isinstance(inner, spaces.Dict):
+            return spaces.Dict({**inner.spaces, KEY: added})
+        assert isinstance(inner, spaces.Box)
+        low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def extended(self, observation: Any, values: Mapping[str, Any]) -> Any:
+        """Return an observation with the quantities: a number each, or an array of shape (count,) each."""
+        scaled = np.stack(list(values.values()), axis=-1) / self._scales
+        added = np.clip(scaled, -_LIMIT, _LIMIT).astype(np.float32)
+        if isinstance(observation, dict):
+            return {**observation, KEY: added}
+        return np.concatenate([observation, added], axis=-1)
+
+
+class ObserveQuantities(_Recording):
     """Add quantities of the last step to the observation: the key `quantities`, or further entries of a flat array.
 
     Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they are those
@@ -161,38 +195,22 @@ class ObserveQuantities(gym.Wrapper):
     """
 
     def __init__(self, env: gym.Env, names: Sequence[str]) -> None:
-        super().__init__(env)
-        self._recorder = _Recorder(env, names)
-        self._scales = np.array([q.largest for q in self._recorder.quantities.values()])
-        added = spaces.Box(-10.0, 10.0, (len(names),), np.float32)
-        inner = env.observation_space
-        if isinstance(inner, spaces.Dict):
-            self.observation_space = spaces.Dict({**inner.spaces, KEY: added})
-        else:
-            assert isinstance(inner, spaces.Box)
-            low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
-            self.observation_space = spaces.Box(low, high, dtype=np.float32)
+        super().__init__(env, names)
+        self._observed = _Observed(self._recorder.quantities.values())
+        self.observation_space = self._observed.space(env.observation_space)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, as the environment does."""
-        self._recorder.begin()
-        observation, info = self.env.reset(seed=seed, options=options)
-        return self._extended(observation, np.zeros(self._recorder._last.shape)), info
+        observation, info = super().reset(seed=seed, options=options)
+        values = {name: column.item() for name, column in self._recorder.first_values().items()}
+        return self._observed.extended(observation, values), info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Make a step, as the environment does."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return self._extended(observation, action), reward, terminated, truncated, info
-
-    def _extended(self, observation: Any, action: Any) -> Any:
-        """Return the observation with the quantities."""
-        values = np.concatenate(list(self._recorder.values(action).values())) / self._scales
-        added = np.clip(values, -10.0, 10.0).astype(np.float32)
-        if isinstance(observation, dict):
-            return {**observation, KEY: added}
-        return np.concatenate([observation, added])
+        (observation, reward, terminated, truncated, info), values = self._step(action)
+        return self._observed.extended(observation, values), reward, terminated, truncated, info
 
 
 class _VectorRecording(VectorWrapper):
@@ -290,35 +308,19 @@ class VectorObserveQuantities(_VectorRecording):
 
     def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
         super().__init__(env, names)
-        self._scales = np.array([q.largest for q in self._recorder.quantities.values()])
-        added = spaces.Box(-10.0, 10.0, (len(names),), np.float32)
-        inner = env.single_observation_space
-        if isinstance(inner, spaces.Dict):
-            self.single_observation_space = spaces.Dict({**inner.spaces, KEY: added})
-        else:
-            assert isinstance(inner, spaces.Box)
-            low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
-            self.single_observation_space = spaces.Box(low, high, dtype=np.float32)
+        self._observed = _Observed(self._recorder.quantities.values())
+        self.single_observation_space = self._observed.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
     def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
         """Begin episodes, as the environments do."""
         observation, info = super().reset(**keywords)
-        values = self._recorder.values(np.zeros(self._recorder._last.shape))
-        return self._extended(observation, values), info
+        return self._observed.extended(observation, self._recorder.first_values()), info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Make a step of all environments."""
         (observation, reward, terminated, truncated, info), values = self._step(actions)
-        return self._extended(observation, values), reward, terminated, truncated, info
-
-    def _extended(self, observation: Any, values: Mapping[str, Array]) -> Any:
-        """Return the observations with the quantities."""
-        columns = np.stack(list(values.values()), axis=1) / self._scales
-        added = np.clip(columns, -10.0, 10.0).astype(np.float32)
-        if isinstance(observation, dict):
-            return {**observation, KEY: added}
-        return np.concatenate([observation, added], axis=1)
+        return self._observed.extended(observation, values), reward, terminated, truncated, info
 
 
 # -- random forces -----------------------------------------------------------------------------------------------------
