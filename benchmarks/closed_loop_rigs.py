@@ -3,17 +3,16 @@
     python -m benchmarks.closed_loop_rigs                       # all eight
     python -m benchmarks.closed_loop_rigs --only 1 3 --log      # some of them; nothing is written
 
-The recordings are those of $HFRAME_DATA/closed_loop_rigs, else of ../shared/data/closed_loop_rigs; without them, the
-benchmark says so and ends. They come from a simulator that shares no code with this package: a controller follows
-machine programs, and its voltages saturate and pass a 12-bit converter. Each folder has ``runs`` to identify,
-``unseen`` runs in open loop to judge by, the declared ``machine.json``, and ``truth.json`` in words.
+The recordings are those of $HFRAME_DATA/closed_loop_rigs; without them, the benchmark says so and ends. They come
+from a simulator that shares no code with this package: a controller follows machine programs, and its voltages saturate
+and pass a 12-bit converter. Each folder has ``runs`` to identify, ``unseen`` runs in open loop to judge by, the declared
+``machine.json``, and ``truth.json`` in words.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.other_simulator_rigs import hidden
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import data_root, write_results
 from benchmarks.rig_score import identify_rig, root_mean_square
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine
@@ -106,7 +105,7 @@ def main() -> None:
     parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()
-    data = Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data") / "closed_loop_rigs"
+    data = data_root() / "closed_loop_rigs"
     if not data.is_dir():
         sys.exit("skipped: no folder closed_loop_rigs in $HFRAME_DATA")
     console, rows = Console(width=170), []

@@ -3,17 +3,16 @@
     python -m benchmarks.public_axes                          # all four
     python -m benchmarks.public_axes --only odrive --log      # some of them; nothing is written
 
-The recordings are those of $HFRAME_DATA/public_axes, else of ../shared/data/public_axes; without them, the benchmark
-says so and ends. Each folder has ``runs`` and the ``machine.json`` that a newcomer wrote. The error to beat is that of
-an inverse-dynamics fit, refined as an output-error fit of inertia, viscous and dry friction and an offset, which
-somebody else computed on the same held-out runs. No licenses permit shipping the recordings.
+The recordings are those of $HFRAME_DATA/public_axes; without them, the benchmark says so and ends. Each folder has
+``runs`` and the ``machine.json`` that a newcomer wrote. The error to beat is that of an inverse-dynamics fit, refined
+as an output-error fit of inertia, viscous and dry friction and an offset, which somebody else computed on the same
+held-out runs. No licenses permit shipping the recordings.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from pathlib import Path
@@ -23,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import data_root, write_results
 from hframe_gym.identification import identify
 from hframe_gym.identification.report.recording_simulation import ModelEvaluation
 from hframe_gym.recordings import load_machine, load_recordings
@@ -138,7 +137,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="SET", choices=tuple(SETS))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()
-    data = Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data") / "public_axes"
+    data = data_root() / "public_axes"
     if not data.is_dir():
         sys.exit("skipped: no folder public_axes in $HFRAME_DATA")
     console, rows = Console(width=170), []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,11 @@ _PACKAGES = (
     "torch",
     "casadi",
 )
+
+
+def data_root() -> Path:
+    """Return the folder of recordings that are not shipped: $HFRAME_DATA, else ../shared/data."""
+    return Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data")
 
 
 def surroundings() -> dict[str, Any]:

@@ -60,6 +60,17 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str =
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def _codes(words: Iterable[str]) -> str:
+    """Format words as code, separated by commas."""
+    return ", ".join(f"`{word}`" for word in words)
+
+
+def _correct(row: dict[str, Any]) -> str:
+    """Return whether an identification named all effects and no other: "yes", or what is wrong."""
+    wrong = [*(["missed"] if not row["complete"] else []), *(["extra"] if row["extra"] else [])]
+    return ", ".join(wrong) or "yes"
+
+
 def identify_examples(results: dict[str, Any]) -> str:
     """Format the held-out errors of the shipped rigs by channel."""
     rows = []
@@ -148,15 +159,10 @@ def other_simulator_rigs(results: dict[str, Any]) -> str:
     """Format the fourteen rigs of another simulator: truth, named effects, errors on unseen runs and time."""
     rows = []
     for r in results["rigs"]:
-        marks = [
-            text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present
-        ]
-        named = ", ".join(f"`{label}`" for label in r["named"]) or r["verdict"]
         errors = (f"{r['unseen'][machine]['mean']:.3g}" for machine in ("before", "after"))
         residue = "yes" if r["residue"] else ""
-        rows.append(
-            [r["hidden"], residue, named, ", ".join(marks) or "yes", *errors, f"{r['seconds']['wall']:.0f} s"]
-        )
+        named = _codes(r["named"]) or r["verdict"]
+        rows.append([r["hidden"], residue, named, _correct(r), *errors, f"{r['seconds']['wall']:.0f} s"])
     header = ["hidden", "residue", "named", "right", "unseen runs: before", "after", "time"]
     return markdown(header, rows)
 
@@ -165,15 +171,10 @@ def closed_loop_rigs(results: dict[str, Any]) -> str:
     """Format the eight rigs with a position controller: truth, verdict, what is left, hint and time."""
     rows = []
     for r in results["rigs"]:
-        named = ", ".join(f"`{label}`" for label in r["named"]) or f"`{r['verdict']}`"
         hint = "" if r["hint"] is None else f"{r['hint']['component']}: {r['hint']['variable']}"
-        marks = [
-            text for text, present in (("missed", not r["complete"]), ("extra", bool(r["extra"]))) if present
-        ]
         errors = (f"{r['unseen'][machine]:.3g}" for machine in ("declared", "before", "after"))
-        rows.append(
-            [r["hidden"], named, ", ".join(marks) or "yes", hint, *errors, f"{r['cpu_seconds']:.0f} s"]
-        )
+        answer = _codes(r["named"] or [r["verdict"]])
+        rows.append([r["hidden"], answer, _correct(r), hint, *errors, f"{r['cpu_seconds']:.0f} s"])
     header = [
         "hidden",
         "verdict",
@@ -191,11 +192,11 @@ def public_axes(results: dict[str, Any]) -> str:
     """Format the public recordings of motors and axes: errors of the machines, the fit to beat, verdict and time."""
     rows = []
     for r in results["sets"]:
-        named = ", ".join(f"`{label}`" for label in r["named"]) or f"`{r['verdict']}`"
         stages = ("declared", "plain", "before", "after", "reference")
         errors = ("-" if r["errors"][s] is None else f"{r['errors'][s]:.3g} {r['unit']}" for s in stages)
         ratio = "-" if r["ratio"] is None else f"{r['ratio']:.2f}"
-        rows.append([f"{r['machine']} ({r['source']})", named, *errors, ratio, f"{r['cpu_seconds']:.0f} s"])
+        answer = _codes(r["named"] or [r["verdict"]])
+        rows.append([f"{r['machine']} ({r['source']})", answer, *errors, ratio, f"{r['cpu_seconds']:.0f} s"])
     machines = ["declared", "plain fit", "refitted", "delivered", "to beat"]
     return markdown(["recordings", "verdict", *machines, "ratio", "processor time"], rows)
 
@@ -205,13 +206,13 @@ def outside_library(results: dict[str, Any]) -> str:
     rows = []
     for r in results["rigs"]:
         hint = r["hint"]
-        named = ", ".join(f"`{label}`" for label in r["named"]) or f"`{r['verdict']}`"
-        false = ", ".join(f"`{label}`" for label in r["false"]) or ("verdict" if r["false_verdict"] else "")
+        answer = _codes(r["named"] or [r["verdict"]])
+        false = _codes(r["false"]) or ("verdict" if r["false_verdict"] else "")
         right = "right" if hint["right"] else "component" if hint["right_component"] else "wrong"
         text = f"{hint['component']}: {hint['variable']}" if hint["component"] else "none"
         errors = (f"{r['unseen'][machine]:.3g}" for machine in ("before", "after", "true"))
         loop = "closed" if r["closed_loop"] else "open"
-        rows.append([r["hidden"], loop, named, false, *errors, text, right, f"{r['cpu_seconds']:.0f} s"])
+        rows.append([r["hidden"], loop, answer, false, *errors, text, right, f"{r['cpu_seconds']:.0f} s"])
     header = [
         "hidden",
         "loop",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.results_file import FIGURES, ROOT
+from benchmarks.results_file import FIGURES, ROOT, data_root
 from hframe_gym.atomic_files import atomic_file
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import Machine
@@ -22,7 +21,7 @@ MACHINES = ROOT / "benchmarks" / "machines"
 
 
 def data_folder(name: str, console: Console) -> Path | None:
-    """Find the data of a machine in $HFRAME_DATA or ../shared/data.
+    """Find the data of a machine, see `data_root`.
 
     Args:
         name: Name of the machine's folder.
@@ -31,9 +30,8 @@ def data_folder(name: str, console: Console) -> Path | None:
     Returns:
         The folder, or None if it does not exist.
     """
-    base = Path(os.environ.get("HFRAME_DATA") or ROOT.parent / "shared" / "data")
-    if (base / name).is_dir():
-        return base / name
+    if (folder := data_root() / name).is_dir():
+        return folder
     console.print(
         f"{name}: skipped, no folder {name} in $HFRAME_DATA (docs/real_machines.md lists the sources)"
     )
