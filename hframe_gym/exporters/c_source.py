@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, option
-from .formula_source import C99, Formula, write_body
+from .formula_source import C99, Formula, Parameter, write_body
 from .inverse_dynamics import BISECTIONS
 from .motion_formulas import MotionFormulas, Vectors, check_prefix, motion_formulas
 
@@ -47,9 +47,7 @@ class CExporter(MachineExporter):
         """Return header, source and test bench."""
         prefix = check_prefix(self.prefix)
         motion = motion_formulas(machine, self.period)
-        comment = (
-            "/*\n" + "".join(f" * {line}\n" for line in self.header(machine, *motion.statements())) + " */\n"
-        )
+        comment = c_comment(self.header(machine, *motion.statements()))
         return {
             f"{prefix}.h": comment + _header(motion, prefix),
             f"{prefix}.c": comment + _source(motion, prefix),
@@ -72,11 +70,7 @@ def _header(motion: MotionFormulas, prefix: str) -> str:
     """Return the header file."""
     guard = f"{prefix.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "#ifdef __cplusplus", 'extern "C" {', "#endif", ""]
-    for formula in motion.formulas:
-        lines += ["/*", f" * {formula.comment}", " *"]
-        signals = dict.fromkeys((*formula.inputs, *formula.outputs))
-        lines += [f" * {signal.name}: {signal.comment}" for signal in signals]
-        lines += [" */", f"{_signature(formula, prefix)};", ""]
+    lines += [declaration(formula, prefix) for formula in motion.formulas]
     lines += ["#ifdef __cplusplus", "}", "#endif", "", "#endif"]
     return "\n".join(lines) + "\n"
 
@@ -93,16 +87,25 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
         blocks.append(_block(f"static double {prefix}_amplifier_{j}(double command)", lines))
         blocks.append(_inverse(prefix, j, float(motion.dynamics.limits[j])))
     for formula in motion.formulas:
-        used |= write_body(formula, language).used
-        signature, block = function_block(formula, language)
-        blocks.append(f"/* {formula.comment} */\n{signature}\n{block}")
-    constants = [
-        f"static const double {p.identifier} = {p.value!r}; /* {p.comment} */"
-        for p in motion.parameters
-        if p.identifier in used
-    ]
-    parts = [f'#include "{prefix}.h"\n\n#include <math.h>\n', "\n".join(constants) + "\n"]
+        text, names = definition(formula, language)
+        used |= names
+        blocks.append(text)
+    parts = [f'#include "{prefix}.h"\n\n#include <math.h>\n', constants(motion.parameters, used)]
     return "\n".join([*parts, *helper_functions(language), *blocks])
+
+
+def c_comment(lines: Sequence[str]) -> str:
+    """Write lines as one comment of C."""
+    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + " */\n"
+
+
+def constants(parameters: Iterable[Parameter], used: Collection[str]) -> str:
+    """Write the parameters whose identifiers are used as constants."""
+    return "".join(
+        f"static const double {p.identifier} = {p.value!r}; /* {p.comment} */\n"
+        for p in parameters
+        if p.identifier in used
+    )
 
 
 def helper_functions(language: C99) -> list[str]:
@@ -110,12 +113,19 @@ def helper_functions(language: C99) -> list[str]:
     return [_HELPERS[name].format(p=language.prefix) for name in sorted(language.helpers & set(_HELPERS))]
 
 
-def function_block(formula: Formula, language: C99) -> tuple[str, str]:
-    """Write a formula as a function: its first line without the brace, and its body in braces."""
+def declaration(formula: Formula, prefix: str) -> str:
+    """Declare a formula as a function, after a comment that explains its arguments."""
+    signals = dict.fromkeys((*formula.inputs, *formula.outputs))
+    about = [formula.comment, "", *(f"{signal.name}: {signal.comment}" for signal in signals)]
+    return f"{c_comment(about)}{_signature(formula, prefix)};\n"
+
+
+def definition(formula: Formula, language: C99) -> tuple[str, frozenset[str]]:
+    """Define a formula as a function; return its text, and the texts of the parameters and inputs that it uses."""
     body = write_body(formula, language)
     unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
     lines = [*(f"(void){name};" for name in unused), *body.lines]
-    return _signature(formula, language.prefix), "{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
+    return f"/* {formula.comment} */\n{_block(_signature(formula, language.prefix), lines)}", body.used
 
 
 def _block(signature: str, lines: Sequence[str]) -> str:

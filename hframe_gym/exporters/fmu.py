@@ -1,28 +1,35 @@
-"""FMU for co-simulation (FMI 3.0, C source) of a machine."""
+"""FMU (functional mock-up unit) of a machine for co-simulation by FMI 3.0, as C source.
+
+`templates/fmi3.c` has the functions of FMI and the integrator; both are the same for all machines. `model.c` has the
+functions that the integrator calls, traced from the equations of motion of the machine. An importer is a program that
+loads the FMU.
+"""
 
 from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
-
 from ..dynamics import Equations, MotionPoint, resolved_step
+from ..dynamics.physics.parameterized_machine import Value
 from ..dynamics.simulation import LONGEST_STEP
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
 from .base import EXPORTERS, Files, MachineExporter, indented, plain
-from .c_source import function_block, helper_functions
-from .formula_source import C99, Formula, Signal, parameters_of, trace_formula, write_body
+from .c_source import c_comment, constants, declaration, definition, helper_functions
+from .formula_source import C99, Formula, Signal, parameters_of, trace_formula
 
 _FIRST_INPUT, _FIRST_OUTPUT, _FIRST_START = 1, 1001, 2001  # value references
 _UNITS = {"m": 'm="1"', "rad": 'rad="1"', "V": 'kg="1" m="2" s="-3" A="-1"', "s": 's="1"'}
 _DATE = (1980, 1, 1, 0, 0, 0)  # of the files in the archive: equal exports are equal
-_DELAYS = ("delay", "measurement_delay", "rest_angle_offset")
+# Formulas of effects that the FMU does not have: a delay needs earlier values of a signal, and the angle of an
+# eccentric pulley at rest is not a linear function of the start position.
+_UNSUPPORTED_FORMULAS = ("delay", "measurement_delay", "rest_angle_offset")
 
 
 @EXPORTERS.register("fmu")
@@ -30,20 +37,25 @@ _DELAYS = ("delay", "measurement_delay", "rest_angle_offset")
 class FmuExporter(MachineExporter):
     """Write a functional mock-up unit (FMI 3.0, co-simulation) of a machine as C source.
 
-    Inputs are the drive voltages, held over each communication step; outputs are the sensors without noise; the
-    parameters start_AXIS place the tool, at rest. It has the equations and the integrator of this package, effects
-    included. The tool that imports it compiles it: FMPy does with `fmpy compile stage.fmu`.
+    Inputs are the drive voltages, V, held over each communication step; outputs are the sensors without noise, m or
+    rad. The stage starts at rest; the parameters start_x, start_y and so on, one per tool axis, are the start position,
+    m. The FMU has the equations of motion, with the effects of the machine, and the integrator of this package. The
+    importer compiles the source, FMPy for example by `fmpy compile stage.fmu`.
 
     Example:  hframe export fmu --machine hframe --out stage.fmu
     """
 
     def files(self, machine: Machine) -> Files:
         """Return the archive."""
-        unsupported = [e.label for e in machine.effects if any(getattr(e.definition, h) for h in _DELAYS)]
+        unsupported = [
+            effect.label
+            for effect in machine.effects
+            if any(getattr(effect.definition, formula) for formula in _UNSUPPORTED_FORMULAS)
+        ]
         if unsupported:
             raise InputError(
                 f"machine {machine.name!r}: an FMU has no place for {', '.join(unsupported)} (delays, eccentric "
-                "pulleys); remove it from a copy of the machine and add a delay in the tool that imports the FMU"
+                "pulleys); remove it from a copy of the machine and add a delay in the program that imports the FMU"
             )
         if not machine.tool_axes or not machine.sensors:
             raise InputError(
@@ -56,15 +68,15 @@ class FmuExporter(MachineExporter):
                 "copy of the machine"
             )
         token = self.provenance(machine)["machine_sha256"]
-        comment = "/*\n" + "".join(f" * {line}\n" for line in self.header(machine)) + " */\n"
-        formulas = _formulas(machine)
+        comment = c_comment(self.header(machine))
+        functions = _model_functions(machine)
         contents = {
             "modelDescription.xml": self._description(machine, token),
             "sources/buildDescription.xml": _BUILD,
             "sources/fmi3.c": (resources.files(__package__) / "templates" / "fmi3.c").read_text("utf-8"),
-            "sources/model.h": comment + _header(formulas),
-            "sources/model.c": comment + _source(machine, formulas),
-            "sources/sizes.h": comment + _sizes(machine, formulas, token),
+            "sources/model.h": comment + _header(functions),
+            "sources/model.c": comment + _source(machine, functions),
+            "sources/sizes.h": comment + _sizes(machine, token),
         }
         archive = io.BytesIO()
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
@@ -80,21 +92,19 @@ class FmuExporter(MachineExporter):
                 f'<Float64 name={quoteattr(channel)} valueReference="{_FIRST_INPUT + j}" causality="input" '
                 'variability="discrete" start="0.0" unit="V"/>'
             )
-        outputs = []
         for j, sensor in enumerate(machine.sensors):
-            reference, unit = _FIRST_OUTPUT + j, machine.sensor_unit(sensor)
             variables.append(
-                f'<Float64 name={quoteattr(sensor.channel)} valueReference="{reference}" causality="output" '
-                f'unit="{unit}"/>'
+                f'<Float64 name={quoteattr(sensor.channel)} valueReference="{_FIRST_OUTPUT + j}" causality="output" '
+                f'unit="{machine.sensor_unit(sensor)}"/>'
             )
-            outputs.append(reference)
         for k, axis in enumerate(machine.tool_axes):
             variables.append(
                 f'<Float64 name={quoteattr("start_" + axis)} valueReference="{_FIRST_START + k}" causality="parameter" '
                 'variability="fixed" start="0.0" unit="m"/>'
             )
-        structure = "".join(f'<Output valueReference="{r}"/>' for r in outputs)
-        structure += "".join(f'<InitialUnknown valueReference="{r}"/>' for r in outputs)
+        outputs = range(_FIRST_OUTPUT, _FIRST_OUTPUT + len(machine.sensors))
+        structure = "".join(f'<Output valueReference="{reference}"/>' for reference in outputs)
+        structure += "".join(f'<InitialUnknown valueReference="{reference}"/>' for reference in outputs)
         units = "".join(f'<Unit name="{name}"><BaseUnit {base}/></Unit>' for name, base in _UNITS.items())
         about = " | ".join(self.header(machine))
         text = (
@@ -122,158 +132,239 @@ _BUILD = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def _formulas(machine: Machine) -> list[Formula]:
-    """Trace the parts of `dynamics.reference_step` that depend on the machine."""
+class _EffectInput(NamedTuple):
+    """A quantity of the force balance on which the state of an effect depends.
+
+    Attributes:
+        effect: Index of the effect in `Equations.instances`.
+        name: "level", the Coulomb friction force, N or Nm, or "i", the current of the drive, A.
+    """
+
+    effect: int
+    name: str
+
+
+def _effect_inputs(machine: Machine) -> list[_EffectInput]:
+    """Return the inputs of all effects that have a state, in the order of the array `effect_input` of model.c."""
+    equations = Equations(machine)
+    zeros = [0.0] * len(machine.coordinates)
+    arguments = equations.balance(MotionPoint(zeros, zeros), [0.0] * len(machine.drives)).arguments
+    return [_EffectInput(k, name) for k in equations.states for name in arguments.get(k, {})]
+
+
+def _model_functions(machine: Machine) -> list[Formula]:
+    """Trace the functions of model.c, in the order in which a step of the integrator calls them.
+
+    The names of the points and of the quantities are those of `reference_step`, which states the steps 1 to 4.
+    """
     parameters = parameters_of(machine)
-    count, drives = len(machine.coordinates), len(machine.drives)
-    numeric = Equations(machine)
-    states = len(numeric.states)
-    definitions = [e.definition for e in machine.effects]
-    nonlinear_belts = any(d.tension or d.belt_travel for d in definitions)
-    time, elapsed = Signal("time", 0, "s"), Signal("elapsed", 0, "time since the states were valid, s")
-    travel, speed = Signal("travel", count, "belt travel, m"), Signal("speed", count, "its rate, m/s")
-    shift = Signal("shift", count, "correction of the travel, m")
-    state = Signal("state", max(states, 1), "states of effects, SI")
-    voltage = Signal("voltage", drives, "commanded voltages, V")
-    force, level = Signal("force", count, "forces, N"), Signal("level", count, "Coulomb friction, N")
-    keys: list[tuple[int, str]] = []
+    count = len(machine.coordinates)
+    states, inputs = len(Equations(machine).states), len(_effect_inputs(machine))
 
-    def point(equations: Equations, t: Any, p: Any, v: Any, z: Any, dt: Any) -> MotionPoint:
-        return MotionPoint(p, v, t, dict(zip(equations.states, z, strict=False)), dt)
-
-    def half_way(values: Any, t: Any, p: Any, v: Any, z: Any, dt: Any, u: Any) -> list[Any]:
-        equations = Equations(machine, values)
-        here, volts = point(equations, t, p, v, z, dt), equations.motor_voltages(u)
-        belts = equations.belt_forces(here, equations.belt_states(here))
-        balance = equations.force_balance(here, volts, equations.add_drive_forces(belts, volts))
-        return [*balance.forces, *balance.coulomb]
-
-    def corrected(values: Any, t: Any, p: Any, dp: Any, v: Any, z: Any, dt: Any, u: Any) -> list[Any]:
-        equations = Equations(machine, values)
-        volts = equations.motor_voltages(u)
-        there = point(equations, t, [a + b for a, b in zip(p, dp, strict=True)], v, z, dt)
-        if nonlinear_belts:
-            belts = equations.belt_forces(there, equations.belt_states(there))
-        else:  # the stiffness at the half-way point serves again, as in the simulator
-            here = point(equations, t, p, v, z, dt)
-            found = equations.belt_states(here)
-            belts = equations.belt_forces(here, found)
-            for belt, row in zip(found, equations.extension_rows, strict=True):
-                change = belt.stiffness * sum(g * dp[i] for i, g in row.items())
-                belts = [f - row[i] * change if i in row else f for i, f in enumerate(belts)]
-        balance = equations.force_balance(there, volts, equations.add_drive_forces(belts, volts))
-        keys[:] = [(k, name) for k in equations.states for name in balance.arguments.get(k, {})]
-        values_of = [balance.arguments[k][name] for k, name in keys] or [0.0]
-        return [*balance.forces, *balance.coulomb, *values_of]
-
-    def next_state(values: Any, z: Any, arguments: Any, traveled: Any, v: Any, dt: Any) -> list[Any]:
-        equations = Equations(machine, values)
-        of_effect: dict[int, dict[str, Any]] = {}
-        for (k, name), value in zip(keys, arguments, strict=False):
-            of_effect.setdefault(k, {})[name] = value
-        found = [
-            equations.next_state(k, z[row], of_effect.get(k, {}), traveled, v, dt)
-            for row, k in enumerate(equations.states)
-        ]
-        return found or [z[0]]
-
-    def sensors(values: Any, p: Any) -> list[Any]:
-        equations = Equations(machine, values)
-        return equations.sensor_readings([p[i] * equations.per_radius(i) for i in range(count)])
-
-    first = trace_formula(
-        "half_way",
-        "Forces at the half-way point.",
-        (time, travel, speed, state, elapsed, voltage),
-        (force, level),
-        half_way,
-        parameters,
+    time = Signal("time", 0, "time in the middle of the step, s")
+    half_way_travel = Signal("half_way_travel", count, "belt travel p + h/2 v, m")
+    correction = Signal(
+        "correction", count, "h^2/12 a, m, which leads from the half-way to the corrected point"
     )
-    # The number of arguments of the effects' states is known after a trace.
-    trace_arguments = Signal("arguments", 1, "inputs of the states of effects")
-    inputs = (time, travel, shift, speed, state, elapsed, voltage)
-    second = trace_formula(
-        "corrected",
-        "Forces at the corrected point.",
-        inputs,
-        (force, level, trace_arguments),
-        corrected,
-        parameters,
+    speed = Signal("speed", count, "speed v at the beginning of the step, m/s")
+    mean_speed = Signal("mean_speed", count, "mean speed in the step, v + h/2 a, m/s")
+    traveled = Signal("traveled", count, "change of the belt travel in the step, m")
+    half_step = Signal("half_step", 0, "h/2, s: time from the beginning of the step to the point")
+    step = Signal("step", 0, "length h of the step, s")
+    voltage = Signal("voltage", len(machine.drives), "commanded voltage of each drive, V")
+    force = Signal("force", count, "sum of all forces but viscous and Coulomb friction, N")
+    coulomb = Signal("coulomb", count, "Coulomb friction force F, a magnitude, N")
+    # Arrays of C have at least one entry.
+    effect_state = Signal(
+        "effect_state", max(states, 1), "states of the effects at the beginning of the step, SI"
     )
-    arguments = Signal("arguments", max(len(keys), 1), "inputs of the states of effects")
-    second.outputs = (force, level, arguments)
-    third = trace_formula(
-        "next_state",
-        "States of effects after a step.",
-        (state, arguments, Signal("traveled", count, "m"), speed, Signal("dt", 0, "s")),
-        (state,),
-        next_state,
-        parameters,
+    next_effect_state = Signal(
+        "effect_state", max(states, 1), "states of the effects, SI, which are advanced"
     )
-    readings = Signal("output", len(machine.sensors), "readings of the sensors, m or rad")
-    fourth = trace_formula("sensors", "Readings of the sensors.", (travel,), (readings,), sensors, parameters)
-    return [first, second, third, fourth]
+    effect_input = Signal(
+        "effect_input",
+        max(inputs, 1),
+        "Coulomb friction forces, N or Nm, and drive currents, A, on which states of effects depend",
+    )
 
+    def traced(
+        name: str,
+        comment: str,
+        arguments: Sequence[Signal],
+        results: Sequence[Signal],
+        function: Callable[..., list[Value]],
+    ) -> Formula:
+        def of_parameters(values: Mapping[str, Value], *entries: Value) -> list[Value]:
+            return function(Equations(machine, values), *entries)
 
-def _header(formulas: list[Formula]) -> str:
-    """Return model.h."""
-    lines = [function_block(f, C99("model"))[0] + ";" for f in formulas]
-    return "#ifndef MODEL_H\n#define MODEL_H\n\n" + "\n".join(lines) + "\n\n#endif\n"
+        return trace_formula(name, comment, arguments, results, of_parameters, parameters)
 
-
-def _source(machine: Machine, formulas: list[Formula]) -> str:
-    """Return model.c."""
-    language, used, blocks = C99("model"), set[str](), []
-    for formula in formulas:
-        used |= write_body(formula, language).used
-        signature, block = function_block(formula, language)
-        blocks.append(f"/* {formula.comment} */\n{signature}\n{block}")
-    constants = [
-        f"static const double {p.identifier} = {p.value!r}; /* {p.comment} */"
-        for p in parameters_of(machine).values()
-        if p.identifier in used
+    return [
+        traced(
+            "forces_at_half_way_point",
+            "Step 1: forces along the belt travel of each coordinate at the half-way point.",
+            (time, half_way_travel, speed, effect_state, half_step, voltage),
+            (force, coulomb),
+            _forces_at_half_way_point,
+        ),
+        traced(
+            "forces_at_corrected_point",
+            "Step 2: forces along the belt travel of each coordinate at the corrected point.",
+            (time, half_way_travel, correction, mean_speed, effect_state, half_step, voltage),
+            (force, coulomb, effect_input),
+            _forces_at_corrected_point,
+        ),
+        traced(
+            "next_effect_state",
+            "Step 4: states of the effects at the end of the step.",
+            (next_effect_state, effect_input, traveled, mean_speed, step),
+            (next_effect_state,),
+            _next_effect_state,
+        ),
+        traced(
+            "sensors",
+            "Readings of the sensors without noise.",
+            (Signal("travel", count, "belt travel of each coordinate, m"),),
+            (Signal("reading", len(machine.sensors), "reading of each sensor, m or rad"),),
+            _sensors,
+        ),
     ]
+
+
+def _forces_at_half_way_point(
+    equations: Equations,
+    time: Value,
+    half_way_travel: Sequence[Value],
+    speed: Sequence[Value],
+    effect_state: Sequence[Value],
+    half_step: Value,
+    voltage: Sequence[Value],
+) -> list[Value]:
+    """Return the forces, then the Coulomb friction forces, in step 1 of `reference_step`, N."""
+    states = dict(zip(equations.states, effect_state, strict=False))
+    point = MotionPoint(half_way_travel, speed, time, states, half_step)
+    balance = equations.balance(point, voltage)
+    return [*balance.forces, *balance.coulomb]
+
+
+def _forces_at_corrected_point(
+    equations: Equations,
+    time: Value,
+    half_way_travel: Sequence[Value],
+    correction: Sequence[Value],
+    mean_speed: Sequence[Value],
+    effect_state: Sequence[Value],
+    half_step: Value,
+    voltage: Sequence[Value],
+) -> list[Value]:
+    """Return the forces, the Coulomb friction forces, N, and the effects' inputs in step 2 of `reference_step`."""
+    states = dict(zip(equations.states, effect_state, strict=False))
+    travel = [p + dp for p, dp in zip(half_way_travel, correction, strict=True)]
+    point = MotionPoint(travel, mean_speed, time, states, half_step)
+    motor_voltages = equations.motor_voltages(voltage)
+    if equations.nonlinear_belts:
+        belt_forces = equations.belt_forces(point, equations.belt_states(point))
+    else:  # f1 - G' k G h^2/12 a, with the stiffness k at the half-way point
+        half_way = MotionPoint(half_way_travel, mean_speed, time, states, half_step)
+        belts = equations.belt_states(half_way)
+        belt_forces = equations.belt_forces(half_way, belts)
+        for belt, row in zip(belts, equations.extension_rows, strict=True):
+            tension_change = belt.stiffness * sum(g * correction[i] for i, g in row.items())
+            belt_forces = [
+                force - row[i] * tension_change if i in row else force for i, force in enumerate(belt_forces)
+            ]
+    forces = equations.add_drive_forces(belt_forces, motor_voltages)
+    balance = equations.force_balance(point, motor_voltages, forces)
+    inputs = [balance.arguments[k][name] for k, name in _effect_inputs(equations.machine)]
+    return [*balance.forces, *balance.coulomb, *(inputs or [0.0])]
+
+
+def _next_effect_state(
+    equations: Equations,
+    effect_state: Sequence[Value],
+    effect_input: Sequence[Value],
+    traveled: Sequence[Value],
+    mean_speed: Sequence[Value],
+    step: Value,
+) -> list[Value]:
+    """Return the states of the effects in step 4 of `reference_step`, SI."""
+    inputs: dict[int, dict[str, Value]] = {k: {} for k in equations.states}
+    for (k, name), value in zip(_effect_inputs(equations.machine), effect_input, strict=False):
+        inputs[k][name] = value
+    if not equations.states:
+        return list(effect_state)
+    return [
+        equations.next_state(k, state, inputs[k], traveled, mean_speed, step)
+        for k, state in zip(equations.states, effect_state, strict=True)
+    ]
+
+
+def _sensors(equations: Equations, travel: Sequence[Value]) -> list[Value]:
+    """Return the readings of the sensors, m or rad."""
+    return equations.sensor_readings([p * equations.per_radius(i) for i, p in enumerate(travel)])
+
+
+def _header(functions: Sequence[Formula]) -> str:
+    """Return model.h."""
+    about = c_comment(
+        [
+            "Functions of the machine for the integrator, whose steps fmi3.c states.",
+            "Forces and speeds are along the belt travel of a coordinate, which is radius * angle for a pulley.",
+        ]
+    )
+    declarations = "\n".join(declaration(function, "model") for function in functions)
+    return f"#ifndef MODEL_H\n#define MODEL_H\n\n{about}\n{declarations}\n#endif\n"
+
+
+def _source(machine: Machine, functions: Sequence[Formula]) -> str:
+    """Return model.c."""
+    language, used, definitions = C99("model"), set[str](), []
+    for function in functions:
+        text, names = definition(function, language)
+        used |= names
+        definitions.append(text)
     parts = [
         '#include "model.h"\n\n#include <math.h>\n',
-        "\n".join(constants) + "\n",
+        constants(parameters_of(machine).values(), used),
         *helper_functions(language),
-        *blocks,
+        *definitions,
     ]
     return "\n".join(parts)
 
 
-def _sizes(machine: Machine, formulas: list[Formula], token: str) -> str:
-    """Return sizes.h: numbers of quantities, and coefficients of the coordinates."""
+def _sizes(machine: Machine, token: str) -> str:
+    """Return sizes.h: numbers of quantities, value references, and constants of the coordinates."""
     equations = Equations(machine)
-    count = len(machine.coordinates)
-    arguments = next(s for f in formulas for s in f.inputs if s.name == "arguments")
-    rigid = rest_positions_per_axis(machine) * machine.travel_per_unit[:, None]
-    numbers = {
-        "COORDINATES": count,
+    coordinates = range(len(machine.coordinates))
+    mass = [float(equations.mass(i)) for i in coordinates]
+    viscous = [[float(equations.viscous(i, side)) for side in (1.0, -1.0)] for i in coordinates]
+    per_axis = (rest_positions_per_axis(machine) * machine.travel_per_unit[:, None]).tolist()
+    macros = {
+        "COORDINATES": len(machine.coordinates),
         "DRIVES": len(machine.drives),
         "SENSORS": len(machine.sensors),
         "AXES": len(machine.tool_axes),
-        "STATES": len(equations.states),
-        "ARGUMENTS": arguments.size,
-        "FIRST_INPUT": _FIRST_INPUT,
+        "EFFECT_STATES": len(equations.states),
+        "EFFECT_INPUTS": len(_effect_inputs(machine)),
+        "FIRST_INPUT": f"{_FIRST_INPUT} /* value references, of drives, sensors and start positions */",
         "FIRST_OUTPUT": _FIRST_OUTPUT,
         "FIRST_START": _FIRST_START,
+        "LONGEST_STEP": f"{resolved_step(machine, LONGEST_STEP)!r} /* of the integrator, s */",
+        "INSTANTIATION_TOKEN": f'"{token}"',
     }
-    viscous = [[float(equations.viscous(i, side)) for side in (1.0, -1.0)] for i in range(count)]
-    mass = [float(equations.mass(i)) for i in range(count)]
-    lines = [f"#define {name} {value}" for name, value in numbers.items()]
+    lines = [f"#define {name} {value}" for name, value in macros.items()]
     lines += [
-        f"#define LONGEST_STEP {resolved_step(machine, LONGEST_STEP)!r}",
-        f'#define TOKEN "{token}"',
         "",
+        "/* Mass of each coordinate along its belt travel, kg. */",
+        f"static const double MASS[COORDINATES] = {_c_list(mass)};",
+        "/* Viscous friction of each coordinate, with the back-EMF, forward and backward, Ns/m. */",
+        f"static const double VISCOUS[COORDINATES][2] = {_c_list(map(_c_list, viscous))};",
+        "/* Belt travel of each coordinate per travel of each tool axis, with unstretched belts, m/m. */",
+        f"static const double TRAVEL_PER_AXIS[COORDINATES][AXES] = {_c_list(map(_c_list, per_axis))};",
     ]
-    lines += [
-        f"static const double MASS[{count}] = {{{', '.join(map(repr, mass))}}}; /* of the belt travel, kg */"
-    ]
-    for name, rows, about in (
-        ("VISCOUS", viscous, "Ns/m, forward and backward"),
-        ("RIGID", np.asarray(rigid).tolist(), "belt travel per travel of each axis"),
-    ):
-        entries = ", ".join("{" + ", ".join(map(repr, row)) + "}" for row in rows)
-        lines.append(f"static const double {name}[{count}][{len(rows[0])}] = {{{entries}}}; /* {about} */")
     return "#ifndef SIZES_H\n#define SIZES_H\n\n" + "\n".join(lines) + "\n\n#endif\n"
+
+
+def _c_list(values: Iterable[float | str]) -> str:
+    """Return values as an initializer of C."""
+    return "{" + ", ".join(map(str, values)) + "}"

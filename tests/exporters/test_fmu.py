@@ -20,7 +20,7 @@ from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import load_machine
 from tests.effects.one_of_each import CASES
 
-# What the FMI standard's header defines; the importing tool brings it along.
+# What the header of the FMI standard defines; an importer brings it along.
 HEADER = """
 #ifndef fmi3Functions_h
 #define fmi3Functions_h
@@ -62,7 +62,7 @@ def voltages(machine: Machine) -> np.ndarray:
 
 
 def outputs_of_library(library: ctypes.CDLL, machine: Machine, token: str, start: list[float]) -> np.ndarray:
-    """Simulate with a compiled FMU, as an importing tool does; return its outputs, shape (ROWS, sensors)."""
+    """Simulate with a compiled FMU, as an importer does; return its outputs, shape (ROWS, sensors)."""
     library.fmi3InstantiateCoSimulation.restype = ctypes.c_void_p
     nothing = [None] * 4
     create = library.fmi3InstantiateCoSimulation

@@ -49,8 +49,6 @@ class KernelSource:
             present sample, under the voltages that have acted until then. They are 0 at the start.
         delayed: Whether a drive has a delay.
         lagged: Whether a sensor has a delay.
-        nonlinear_belts: Whether an effect makes the force of a belt nonlinear. A step then evaluates the belts at both
-            of its points; otherwise it extrapolates the force from the first point with constant stiffness.
         uses_time: Whether an effect depends on time.
         text: Source of the functions prepare (constants of a step), voltage_delays, advance (the integrator),
             read_sensors and measurement_delays.
@@ -78,7 +76,6 @@ class KernelSource:
         definitions = [e.definition for e in machine.effects]
         self.delayed = any(d.delay for d in definitions)
         self.lagged = any(d.measurement_delay for d in definitions)
-        self.nonlinear_belts = any(d.tension or d.belt_travel for d in definitions)
         hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]
         self.uses_time = any("t" in argument_names(f) for f in hooks) or any(
             d.against == "time" for d in definitions

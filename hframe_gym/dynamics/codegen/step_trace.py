@@ -52,7 +52,6 @@ class KernelShape(Protocol):
     felt: int
     states: int
     delayed: bool
-    nonlinear_belts: bool
     uses_time: bool
 
     def directions(self, i: int) -> tuple[str, ...]:
@@ -194,7 +193,7 @@ class StepTrace:
             corrected = [q + dq for q, dq in zip(half_way, correction, strict=True)]
             mean_speed = [fma(6.0 / h, dq, v) for v, dq in zip(self.speed, correction, strict=True)]
             point = MotionPoint(corrected, mean_speed, self.time + half, self.effect_states, half)
-            if self.source.nonlinear_belts:
+            if equations.nonlinear_belts:
                 belt_forces = equations.belt_forces(point, equations.belt_states(point))
                 drive_and_belts = self._drive_and_belt_forces(belt_forces, motor_voltages)
             else:  # the stiffness at the half-way point serves again

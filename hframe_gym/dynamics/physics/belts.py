@@ -38,6 +38,15 @@ class BeltEquations(ParameterizedMachine):
             parameters keep the machine's values.
     """
 
+    @property
+    def nonlinear_belts(self) -> bool:
+        """Whether an effect makes the force of a belt nonlinear.
+
+        The integrator then evaluates the belts at both points of a step; otherwise it extrapolates their forces from
+        the half-way point with constant stiffness.
+        """
+        return any(e.definition.tension or e.definition.belt_travel for e in self.machine.effects)
+
     def belt_states(self, point: MotionPoint) -> list[BeltState]:
         """Return extension, stiffness and tension of each belt (eq. 38-44 of Sollmann et al. 2010)."""
         travel = [self._belt_travel(i, point) for i in range(len(point.travel))]  # with eccentric pulleys

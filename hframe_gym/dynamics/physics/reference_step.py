@@ -59,8 +59,6 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
     p, v = state.travel, state.speed
     coordinates = range(len(p))
     motor_voltages = equations.motor_voltages(voltages)
-    definitions = [e.definition for e in equations.machine.effects]
-    nonlinear_belts = any(d.tension or d.belt_travel for d in definitions)
 
     # 1. Forces at the half-way point, and the acceleration.
     half_way = [p[i] + 0.5 * h * v[i] for i in coordinates]
@@ -75,7 +73,7 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
     corrected = [half_way[i] + shift[i] for i in coordinates]
     mean_speed = [v[i] + 0.5 * h * a[i] for i in coordinates]
     point = MotionPoint(corrected, mean_speed, state.time + 0.5 * h, state.effect_states, 0.5 * h)
-    if nonlinear_belts:
+    if equations.nonlinear_belts:
         forces = equations.add_drive_forces(
             equations.belt_forces(point, equations.belt_states(point)), motor_voltages
         )

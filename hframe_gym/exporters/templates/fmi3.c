@@ -1,8 +1,14 @@
 /*
- * Co-simulation of a stage by FMI 3.0: the integrator of hframe_gym around the formulas of the machine.
+ * Co-simulation of a stage by FMI 3.0: the integrator of hframe_gym around the functions of the machine in model.c.
  *
- * One step of length h, from belt travel p and speed v: forces at p + h/2 v give the acceleration a; forces again at
- * p + h/2 v + h^2/12 a; then the exact flow of m dv/dt = f - b v - F sign v over h, through a stop, gives v and p.
+ * One step of length h, from the belt travel p and the speed v of each coordinate, with constant voltages:
+ *
+ *   1. half-way point    p1 = p + h/2 v; the forces f1 and F1 (Coulomb friction) there give the acceleration a
+ *   2. corrected point   p2 = p1 + h^2/12 a, with the mean speed v + h/2 a; forces f2 and F2
+ *   3. exact flow        m dv/dt = f2 - b v - F2 sign v over h, through a stop, gives v and p
+ *   4. effect states     states of the effects of the machine after h
+ *
+ * Units: m, m/s, N, kg, s, V; f contains all forces but viscous friction b v and Coulomb friction F.
  */
 #include "fmi3Functions.h"
 
@@ -15,28 +21,36 @@
 
 typedef struct {
     double time;
-    double input[DRIVES];
-    double start[AXES];
+    double voltage[DRIVES];
+    double start[AXES]; /* position of the stage's tool at the start, m */
     double travel[COORDINATES];
     double speed[COORDINATES];
-    double state[STATES + 1];
+    double effect_state[EFFECT_STATES + 1]; /* at least one entry, as C requires */
 } Stage;
 
-static double clipped(double value, double limit)
+static double limited(double value, double limit)
 {
     return fmax(fmin(value, limit), -limit);
 }
 
-static double dry_friction(double v, double f, double level)
+/* Coulomb friction force; at rest it equals the force f, up to the limit F. */
+static double coulomb_friction(double v, double f, double F)
 {
-    return v == 0.0 ? clipped(f, level) : copysign(level, v);
+    return v == 0.0 ? limited(f, F) : copysign(F, v);
 }
 
-/* Speed and travel after the time t of m dv/dt = net - b v. */
-static void exponential(double v, double net, double b, double m, double t, double *speed, double *travel)
+/* Whether a coordinate moves backward or, at rest, the force on it points backward: index in a row of VISCOUS. */
+static int is_backward(double v, double f)
+{
+    return copysign(1.0, v == 0.0 ? f : v) < 0.0;
+}
+
+/* Speed after the time t of m dv/dt = net - b v from the speed v, and the distance traveled. */
+static void viscous_flow(double v, double net, double b, double m, double t, double *speed, double *traveled)
 {
     const double z = b * t / m;
-    double mean = 0.0, ramp = 0.0;
+    double mean = 0.0; /* (1 - exp(-z)) / z */
+    double ramp = 0.0; /* (z - 1 + exp(-z)) / z^2 */
     if (z < 0.5) { /* series, because the closed forms cancel */
         double term = 1.0;
         int k;
@@ -50,61 +64,71 @@ static void exponential(double v, double net, double b, double m, double t, doub
         ramp = (z - 1.0 + exp(-z)) / (z * z);
     }
     *speed = v * exp(-z) + net * t / m * mean;
-    *travel = v * t * mean + net * t * t / m * ramp;
+    *traveled = v * t * mean + net * t * t / m * ramp;
 }
 
-static void flow(double v, double f, double level, const double viscous[2], double m, double h, double *speed,
-                 double *travel)
+/*
+ * Speed after the time h of m dv/dt = f - b v - F sign v from the speed v, and the distance traveled. A coordinate that
+ * stops rests then, or leaves in the direction of f. viscous: b in the direction of motion, and in the opposite one.
+ */
+static void flow(double v, double f, double F, const double viscous[2], double m, double h, double *speed,
+                 double *traveled)
 {
-    const double net = f - dry_friction(v, f, level);
+    const double net = f - coulomb_friction(v, f, F);
     const double b = viscous[0];
-    double stop, before, unused;
-    exponential(v, net, b, m, h, speed, travel);
+    double time_to_stop, traveled_to_stop, no_speed;
+    viscous_flow(v, net, b, m, h, speed, traveled);
     if (*speed * v >= 0.0)
         return;
-    stop = b != 0.0 ? m / b * log1p(-b * v / net) : -m * v / net;
-    exponential(v, net, b, m, stop, &unused, &before);
-    exponential(0.0, f - clipped(f, level), viscous[1], m, h - stop, speed, travel);
-    *travel += before;
+    time_to_stop = b != 0.0 ? m / b * log1p(-b * v / net) : -m * v / net;
+    viscous_flow(v, net, b, m, time_to_stop, &no_speed, &traveled_to_stop);
+    viscous_flow(0.0, f - limited(f, F), viscous[1], m, h - time_to_stop, speed, traveled);
+    *traveled += traveled_to_stop;
 }
 
 static void step(Stage *s, double h)
 {
-    double half_way[COORDINATES], shift[COORDINATES], mean_speed[COORDINATES], traveled[COORDINATES];
-    double force[COORDINATES], level[COORDINATES], arguments[ARGUMENTS + 1];
-    const double middle = s->time + 0.5 * h;
+    double half_way_travel[COORDINATES], correction[COORDINATES], mean_speed[COORDINATES], traveled[COORDINATES];
+    double force[COORDINATES], coulomb[COORDINATES], effect_input[EFFECT_INPUTS + 1];
+    const double time = s->time + 0.5 * h;
     int i;
+
     for (i = 0; i < COORDINATES; i++)
-        half_way[i] = s->travel[i] + 0.5 * h * s->speed[i];
-    model_half_way(middle, half_way, s->speed, s->state, 0.5 * h, s->input, force, level);
+        half_way_travel[i] = s->travel[i] + 0.5 * h * s->speed[i];
+    model_forces_at_half_way_point(time, half_way_travel, s->speed, s->effect_state, 0.5 * h, s->voltage, force,
+                                   coulomb);
     for (i = 0; i < COORDINATES; i++) {
         const double v = s->speed[i], f = force[i];
-        const double b = VISCOUS[i][copysign(1.0, v == 0.0 ? f : v) < 0.0];
-        const double a = (f - b * v - dry_friction(v, f, level[i])) / MASS[i];
-        shift[i] = h * h / 12.0 * a;
+        const double b = VISCOUS[i][is_backward(v, f)];
+        const double a = (f - b * v - coulomb_friction(v, f, coulomb[i])) / MASS[i];
+        correction[i] = h * h / 12.0 * a;
         mean_speed[i] = v + 0.5 * h * a;
     }
-    model_corrected(middle, half_way, shift, mean_speed, s->state, 0.5 * h, s->input, force, level, arguments);
+
+    model_forces_at_corrected_point(time, half_way_travel, correction, mean_speed, s->effect_state, 0.5 * h,
+                                    s->voltage, force, coulomb, effect_input);
     for (i = 0; i < COORDINATES; i++) {
         const double v = s->speed[i], f = force[i];
-        const int behind = copysign(1.0, v == 0.0 ? f : v) < 0.0;
-        const double viscous[2] = {VISCOUS[i][behind], VISCOUS[i][!behind]};
-        flow(v, f, level[i], viscous, MASS[i], h, &s->speed[i], &traveled[i]);
+        const int backward = is_backward(v, f);
+        const double viscous[2] = {VISCOUS[i][backward], VISCOUS[i][!backward]};
+        flow(v, f, coulomb[i], viscous, MASS[i], h, &s->speed[i], &traveled[i]);
         s->travel[i] += traveled[i];
     }
-    model_next_state(s->state, arguments, traveled, mean_speed, h);
+
+    model_next_effect_state(s->effect_state, effect_input, traveled, mean_speed, h);
     s->time += h;
 }
 
-static void rest(Stage *s)
+/* Places the stage at its start, at rest with unstretched belts. */
+static void rest_at_start(Stage *s)
 {
     int i, k;
     for (i = 0; i < COORDINATES; i++) {
         s->travel[i] = s->speed[i] = 0.0;
         for (k = 0; k < AXES; k++)
-            s->travel[i] += RIGID[i][k] * s->start[k];
+            s->travel[i] += TRAVEL_PER_AXIS[i][k] * s->start[k];
     }
-    memset(s->state, 0, sizeof s->state);
+    memset(s->effect_state, 0, sizeof s->effect_state);
 }
 
 const char *fmi3GetVersion(void)
@@ -128,7 +152,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     (void)instanceName; (void)resourcePath; (void)visible; (void)loggingOn; (void)eventModeUsed;
     (void)earlyReturnAllowed; (void)requiredIntermediateVariables; (void)nRequiredIntermediateVariables;
     (void)instanceEnvironment; (void)logMessage; (void)intermediateUpdate;
-    if (instantiationToken == NULL || strcmp(instantiationToken, TOKEN) != 0)
+    if (instantiationToken == NULL || strcmp(instantiationToken, INSTANTIATION_TOKEN) != 0)
         return NULL;
     return calloc(1, sizeof(Stage));
 }
@@ -143,13 +167,13 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
 {
     (void)toleranceDefined; (void)tolerance; (void)stopTimeDefined; (void)stopTime;
     ((Stage *)instance)->time = startTime;
-    rest(instance);
+    rest_at_start(instance);
     return fmi3OK;
 }
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
-    rest(instance);
+    rest_at_start(instance);
     return fmi3OK;
 }
 
@@ -181,19 +205,19 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
                           fmi3Float64 values[], size_t nValues)
 {
     Stage *s = instance;
-    double outputs[SENSORS];
+    double readings[SENSORS];
     size_t k;
     if (nValues != nValueReferences)
         return fmi3Error;
-    model_sensors(s->travel, outputs);
+    model_sensors(s->travel, readings);
     for (k = 0; k < nValues; k++) {
         const fmi3ValueReference r = valueReferences[k];
         if (r == 0)
             values[k] = s->time;
         else if (r >= FIRST_INPUT && r < FIRST_INPUT + DRIVES)
-            values[k] = s->input[r - FIRST_INPUT];
+            values[k] = s->voltage[r - FIRST_INPUT];
         else if (r >= FIRST_OUTPUT && r < FIRST_OUTPUT + SENSORS)
-            values[k] = outputs[r - FIRST_OUTPUT];
+            values[k] = readings[r - FIRST_OUTPUT];
         else if (r >= FIRST_START && r < FIRST_START + AXES)
             values[k] = s->start[r - FIRST_START];
         else
@@ -212,10 +236,10 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     for (k = 0; k < nValues; k++) {
         const fmi3ValueReference r = valueReferences[k];
         if (r >= FIRST_INPUT && r < FIRST_INPUT + DRIVES) {
-            s->input[r - FIRST_INPUT] = values[k];
+            s->voltage[r - FIRST_INPUT] = values[k];
         } else if (r >= FIRST_START && r < FIRST_START + AXES) {
             s->start[r - FIRST_START] = values[k];
-            rest(s);
+            rest_at_start(s);
         } else {
             return fmi3Error;
         }
