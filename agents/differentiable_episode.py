@@ -84,8 +84,9 @@ class SimulatedPeriod:
         )  # states of effects begin at zero in every period
         start[:, : state.shape[1]] = state / self._units(values)
         held, before = (np.repeat(values[:, None], SAMPLES, axis=1) for values in (volts, last_volts))
-        earlier = before if self.delayed else before[:, :0]
-        return self._motion.simulate_after(earlier, start, held, values, parallel=False)
+        return self._motion.simulate(
+            start, held, values, earlier=before if self.delayed else None, parallel=False
+        )
 
     def outputs(self, motions: Motions) -> Array:
         """Read the results of a period from its motions.

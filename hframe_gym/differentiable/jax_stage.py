@@ -6,15 +6,13 @@ are therefore no faster under `jax.jit`, and `vmap` calls them once for each ele
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..arrays import Array
-from ..dynamics import Friction
 from ..errors import InputError
-from ..machine import Machine
 from .stage import Stage
 
 try:
@@ -24,7 +22,7 @@ except ImportError as error:
     raise ImportError("differentiable stages for JAX need jax: pip install 'hframe_gym[jax]'") from error
 
 
-class JaxStage(Stage):
+class JaxStage(Stage[Any]):
     """Stage whose motions JAX differentiates in reverse mode (`jax.grad`, `jax.vjp`), also inside `jax.jit`.
 
     JAX must compute in float64: set `jax.config.update("jax_enable_x64", True)` first. Forward mode, second derivatives
@@ -34,63 +32,31 @@ class JaxStage(Stage):
         InputError: If JAX computes in float32.
     """
 
-    def __init__(
-        self,
-        machine: Machine,
-        period: float = 0.01,
-        *,
-        longest_step: float = 0.5e-3,
-        end_stops: bool = False,
-        friction: Friction = "exact",
-        parallel: bool = True,
-    ) -> None:
+    def check_library(self) -> None:
+        """Check that JAX is set to compute in float64."""
         if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             raise InputError('JAX computes in float32; call jax.config.update("jax_enable_x64", True) before')
-        super().__init__(
-            machine,
-            period,
-            longest_step=longest_step,
-            end_stops=end_stops,
-            friction=friction,
-            parallel=parallel,
-        )
-        self._rollout = _rollout_function(self)
 
-    def rest(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Any:
-        """Return states at rest with unstretched belts.
-
-        Args:
-            tool: Positions of the linear coordinates, m, shape (B, linear coordinates); default: all at 0.
-            batch: Number B of states if `tool` is not given.
-
-        Returns:
-            States, SI, shape (B, S).
-        """
-        return jnp.asarray(self.rest_states(tool, batch=batch))
+    @staticmethod
+    def from_numpy(values: Array) -> Any:
+        """Convert an array of NumPy to one of JAX."""
+        return jnp.asarray(values)
 
     def rollout(self, start: Any, voltages: Any, parameters: Any = None) -> Any:
-        """Simulate B machines over T periods; the voltages are held over each period.
-
-        Args:
-            start: First states, SI, shape (B, S).
-            voltages: Voltages, V, shape (B, T, drives).
-            parameters: Parameters in the order of `parameter_names`, SI, shape (P,) or (B, P). Default: those of the
-                machine.
-
-        Returns:
-            States at the beginning and at the end of every period, SI, shape (B, T + 1, S).
-
-        Raises:
-            InputError: If a shape does not fit the machine or the other arguments.
-        """
+        """Simulate as `Stage.rollout` does; within `jax.jit`, a motion that diverges raises an error of JAX."""
         values = jnp.asarray(self.nominal if parameters is None else parameters)
         if values.ndim == 1:
             values = jnp.broadcast_to(values, (len(start), len(values)))
         self.checked(start.shape, voltages.shape, values.shape, None)
         return self._rollout(start, voltages, values)
 
+    @cached_property
+    def _rollout(self) -> Any:
+        """The simulation as a function of JAX with a rule for its derivatives."""
+        return _rollout_function(self)
 
-def _rollout_function(stage: Stage) -> Any:
+
+def _rollout_function(stage: Stage[Any]) -> Any:
     """Return the simulation as a function of JAX with a rule for its derivatives."""
 
     def states_of(start: Array, voltages: Array, parameters: Array) -> Array:

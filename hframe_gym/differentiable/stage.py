@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +16,11 @@ from ..errors import InputError
 from ..machine import Machine, rest_state
 
 _DIVERGED = 1e6  # m, rad or per second, as in `simulate`
+Tensor = TypeVar("Tensor")  # array of the library that differentiates
 
 
-class Stage:
-    """Machine whose motions are differentiated, without a library for derivatives.
+class Stage(ABC, Generic[Tensor]):
+    """Machine whose motions a library differentiates; a subclass connects it with one library.
 
     Args:
         machine: Machine to simulate.
@@ -52,6 +55,7 @@ class Stage:
         friction: Friction = "exact",
         parallel: bool = True,
     ) -> None:
+        self.check_library()
         felt = [s.channel for s in machine.sensors if s.quantity in ("acceleration", "current")]
         if felt:
             raise InputError(
@@ -70,7 +74,37 @@ class Stage:
         self.rated = np.array([drive.rated_voltage for drive in machine.drives])
         self._tool = tool_terms(machine) if machine.tool_axes else None
 
-    def rest_states(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Array:
+    def check_library(self) -> None:
+        """Check that the library computes in float64; the constructor calls it first.
+
+        Raises:
+            InputError: If it does not.
+        """
+
+    @staticmethod
+    @abstractmethod
+    def from_numpy(values: Array) -> Tensor:
+        """Convert an array of NumPy to one of the library."""
+
+    @abstractmethod
+    def rollout(self, start: Tensor, voltages: Tensor, parameters: Tensor | None = None) -> Tensor:
+        """Simulate B machines over T periods; the voltages are held over each period.
+
+        Args:
+            start: First states, SI, shape (B, S).
+            voltages: Voltages, V, shape (B, T, drives).
+            parameters: Parameters in the order of `parameter_names`, SI, shape (P,) or (B, P). Default: those of the
+                machine.
+
+        Returns:
+            States at the beginning and at the end of every period, SI, shape (B, T + 1, S).
+
+        Raises:
+            InputError: If a shape does not fit the machine or the other arguments.
+            NotFiniteError: If a motion diverges.
+        """
+
+    def rest(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Tensor:
         """Return states at rest with unstretched belts.
 
         Args:
@@ -80,6 +114,10 @@ class Stage:
         Returns:
             States, SI, shape (B, S).
         """
+        return self.from_numpy(self.rest_states(tool, batch=batch))
+
+    def rest_states(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Array:
+        """Return the states of `rest` as an array of NumPy."""
         rows = (
             [rest_state(self.machine, row) for row in np.atleast_2d(np.asarray(tool, float))]
             if (tool is not None)
@@ -195,12 +233,11 @@ class Stage:
         Raises:
             NotFiniteError: If a motion diverges.
         """
-        before = np.zeros((len(start), 0, len(self.rated))) if earlier is None else earlier
-        motions = self.motion.simulate_after(
-            before,
+        motions = self.motion.simulate(
             start,
             voltages,
             self.with_end_stops(parameters),
+            earlier=earlier,
             start_time=start_time,
             parallel=self.parallel,
         )

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from numpy.typing import ArrayLike
-
+from ..arrays import Array
 from ..errors import InputError
 from .stage import Stage
 
@@ -18,7 +17,7 @@ except ImportError as error:
 Tensor = torch.Tensor
 
 
-class DifferentiableStage(Stage):
+class DifferentiableStage(Stage[torch.Tensor]):
     """Stage whose motions torch differentiates with respect to initial state, voltages and machine parameters.
 
     All tensors are on the processor and are computed in float64; gradients have the type of what they belong to. Second
@@ -34,17 +33,10 @@ class DifferentiableStage(Stage):
             distance.backward()  # voltages.grad, shape (1, 50, 2)
     """
 
-    def rest(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Tensor:
-        """Return states at rest with unstretched belts.
-
-        Args:
-            tool: Positions of the linear coordinates, m, shape (B, linear coordinates); default: all at 0.
-            batch: Number B of states if `tool` is not given.
-
-        Returns:
-            States, SI, shape (B, S).
-        """
-        return torch.from_numpy(self.rest_states(tool, batch=batch))
+    @staticmethod
+    def from_numpy(values: Array) -> Tensor:
+        """Convert an array of NumPy to a tensor, which shares its memory."""
+        return torch.from_numpy(values)
 
     def parameters(self, changes: Mapping[str, Any], *, batch: int = 1) -> Tensor:
         """Return the parameters of B machines, with some values replaced by tensors that may require gradients.
@@ -73,26 +65,17 @@ class DifferentiableStage(Stage):
         earlier: Tensor | None = None,
         start_time: float = 0.0,
     ) -> Tensor:
-        """Simulate B machines over T periods; the voltages are held over each period.
+        """Simulate as `Stage.rollout` does, with two further arguments.
 
         Args:
-            start: First states, SI, shape (B, S).
-            voltages: Voltages, V, shape (B, T, drives).
-            parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
             earlier: Voltages of periods before the first one, V, shape (B, any number, drives), which matter for drives
                 with a delay. Default: the first voltages acted before.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
-        Returns:
-            States at the beginning and at the end of every period, SI, shape (B, T + 1, S).
-
         Raises:
-            InputError: If a shape does not fit the machine or the other arguments, or a tensor is on another device.
-            NotFiniteError: If a motion diverges.
+            InputError: As in `Stage.rollout`, or if a tensor is on another device.
         """
-        values = torch.from_numpy(self.nominal) if parameters is None else parameters
-        if values.ndim == 1 and start.ndim == 2:
-            values = values.expand(len(start), -1)
+        values = self._parameters_or_nominal(parameters, len(start) if start.ndim == 2 else 1)
         tensors = [start, voltages, values, *(() if earlier is None else (earlier,))]
         for tensor in tensors:
             if tensor.device.type != "cpu":
@@ -105,6 +88,11 @@ class DifferentiableStage(Stage):
             start.double(), voltages.double(), values.double(), before.double(), self, start_time
         )
         return result
+
+    def _parameters_or_nominal(self, parameters: Tensor | None, batch: int) -> Tensor:
+        """Return the given parameters, or those of the machine, for each machine of a batch."""
+        values = torch.from_numpy(self.nominal) if parameters is None else parameters
+        return values.expand(batch, -1) if values.ndim == 1 else values
 
     def step(
         self,
@@ -120,16 +108,10 @@ class DifferentiableStage(Stage):
         Args:
             state: States, SI, shape (B, S).
             voltages: Voltages, V, shape (B, drives).
-            parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
-            earlier: Voltages of periods before, V, shape (B, any number, drives), for drives with a delay.
-            start_time: Time since the machines were switched on, s, for effects that depend on it.
+            parameters: This and the further arguments are those of `rollout`.
 
         Returns:
             States at the end of the period, SI, shape (B, S).
-
-        Raises:
-            InputError: As in `rollout`.
-            NotFiniteError: If a motion diverges.
         """
         states = self.rollout(state, voltages[:, None], parameters, earlier=earlier, start_time=start_time)
         return states[:, 1]
@@ -144,8 +126,7 @@ class DifferentiableStage(Stage):
         Returns:
             Readings, m or rad, shape (B, n, sensors).
         """
-        values = torch.from_numpy(self.nominal) if parameters is None else parameters
-        values = values.expand(len(states), -1) if values.ndim == 1 else values
+        values = self._parameters_or_nominal(parameters, len(states))
         result: Tensor = _readings(states.double(), values.double(), self)
         return result
 
@@ -181,7 +162,7 @@ class _Rollout(torch.autograd.Function):
         voltages: Tensor,
         parameters: Tensor,
         earlier: Tensor,
-        stage: Stage,
+        stage: Stage[Tensor],
         start_time: float,
     ) -> Tensor:
         arrays = [tensor.detach().numpy() for tensor in (start, voltages, parameters, earlier)]
@@ -192,7 +173,7 @@ class _Rollout(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Any:  # type: ignore[override]
-        stage: Stage = ctx.stage
+        stage: Stage[Tensor] = ctx.stage
         found = stage.motion.gradients(
             ctx.motions, gradient.numpy(), by_parameters=ctx.needs_input_grad[2], parallel=stage.parallel
         )
@@ -205,7 +186,7 @@ class _Readings(torch.autograd.Function):
     """Readings of the sensors as a differentiable function of states and parameters."""
 
     @staticmethod
-    def forward(ctx: Any, states: Tensor, parameters: Tensor, stage: Stage) -> Tensor:  # type: ignore[override]
+    def forward(ctx: Any, states: Tensor, parameters: Tensor, stage: Stage[Tensor]) -> Tensor:  # type: ignore[override]
         ctx.stage, ctx.columns = stage, parameters.shape[1]
         ctx.states, ctx.parameters = (
             states.detach().numpy(),
@@ -216,7 +197,7 @@ class _Readings(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Any:  # type: ignore[override]
-        stage: Stage = ctx.stage
+        stage: Stage[Tensor] = ctx.stage
         found = stage.motion.readings_gradients(
             ctx.states, ctx.parameters, gradient.numpy(), parallel=stage.parallel
         )

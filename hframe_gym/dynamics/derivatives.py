@@ -8,7 +8,6 @@ there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -18,6 +17,7 @@ from ..errors import InputError
 from ..machine import Machine
 from .codegen.derivative_loops import periods_back, periods_forward, readings_back, readings_forward
 from .codegen.derivative_source import DERIVATIVE_FUNCTIONS, derivative_source
+from .codegen.kernel import generate_kernel
 from .codegen.kernel_source import FUNCTIONS, KernelSource
 from .codegen.lane_program import LaneProgram
 from .codegen.machine_code import LANES
@@ -32,33 +32,25 @@ Friction = Literal["exact", "smoothed", "sliding"]
 
 @dataclass(frozen=True)
 class _Program:
-    """Addresses of the functions of a machine's shape, and numbers of rows."""
+    """The kernel of a machine's shape, and the addresses of its functions and of those of the derivatives by name."""
 
     source: KernelSource
     kernel: dict[str, int]
     derivatives: dict[str, int]
 
 
-@lru_cache(maxsize=64)
-def _program(shape: _Shape, friction: Friction) -> _Program:
-    """Return the compiled functions of a machine's shape."""
-    source = KernelSource(shape.machine)
-    kernel = LaneProgram(source.text, FUNCTIONS)
-    derivatives = LaneProgram(derivative_source(source, friction=friction), DERIVATIVE_FUNCTIONS)
-    return _Program(source, dict(kernel.addresses), dict(derivatives.addresses))
+_PROGRAMS: dict[tuple[object, ...], _Program] = {}  # of this process, by shape and friction
 
 
-class _Shape:
-    """A machine that is equal to others of its shape."""
-
-    def __init__(self, machine: Machine) -> None:
-        self.machine = machine
-
-    def __hash__(self) -> int:
-        return hash(self.machine.shape)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Shape) and self.machine.shape == other.machine.shape
+def _program(machine: Machine, friction: Friction) -> _Program:
+    """Return the compiled functions of a machine's shape; generate and compile them at the first request."""
+    key = (machine.shape, friction)
+    if key not in _PROGRAMS:
+        text, source = generate_kernel(machine)
+        kernel = LaneProgram(text, FUNCTIONS)
+        derivatives = LaneProgram(derivative_source(source, friction=friction), DERIVATIVE_FUNCTIONS)
+        _PROGRAMS[key] = _Program(source, dict(kernel.addresses), dict(derivatives.addresses))
+    return _PROGRAMS[key]
 
 
 @dataclass(frozen=True)
@@ -131,7 +123,7 @@ class DifferentiableMotion:
         self.machine, self.period = machine, float(period)
         self._steps = max(1, int(np.ceil(period / longest_step - 1e-6)))
         self.step = self.period / self._steps
-        self._program = _program(_Shape(machine), friction)
+        self._program = _program(machine, friction)
         source = self._program.source
         self._count = len(machine.coordinates)
         self._sizes = (self._count, len(source.layout.derived), len(machine.drives))
@@ -161,6 +153,7 @@ class DifferentiableMotion:
         inputs: Array,
         parameters: Array,
         *,
+        earlier: Array | None = None,
         start_time: float = 0.0,
         parallel: bool = True,
     ) -> Motions:
@@ -168,51 +161,25 @@ class DifferentiableMotion:
 
         Args:
             start: First states, SI, shape (B, S).
-            inputs: Voltages of the T periods, V, shape (B, T, drives). Before the first period, the first one acts.
+            inputs: Voltages of the T periods, V, shape (B, T, drives).
             parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
+            earlier: Voltages of the periods before the first one, V, shape (B, any number, drives), for drives with a
+                delay. Before all given voltages, the first of them act.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
             parallel: Whether to distribute the machines over threads.
 
         Returns:
             The motions over T periods, with states of shape (B, T + 1, S); T is the number of voltages.
         """
-        return self._simulate(start, inputs, parameters, 0, start_time, parallel)
-
-    def simulate_after(
-        self,
-        earlier: Array,
-        start: Array,
-        inputs: Array,
-        parameters: Array,
-        *,
-        start_time: float = 0.0,
-        parallel: bool = True,
-    ) -> Motions:
-        """Simulate B machines whose drives have a delay, after periods with known voltages.
-
-        Args:
-            earlier: Voltages of the periods before the first one, V, shape (B, earlier, drives).
-            start: First states, SI, shape (B, S).
-            inputs: Voltages of the T periods, V, shape (B, T, drives).
-            parameters: Parameters in the order of `Machine.parameters`, SI, shape (B, P).
-            start_time: Time since the machines were switched on, s.
-            parallel: Whether to distribute the machines over threads.
-
-        Returns:
-            The motions over T periods, with states of shape (B, T + 1, S).
-        """
-        both = np.concatenate([earlier, inputs], axis=1)
-        return self._simulate(start, both, parameters, earlier.shape[1], start_time, parallel)
-
-    def _simulate(
-        self, start: Array, inputs: Array, parameters: Array, before: int, start_time: float, parallel: bool
-    ) -> Motions:
-        """Simulate; the first `before` voltages are those of earlier periods."""
+        periods = inputs.shape[1]
+        if earlier is not None:
+            inputs = np.concatenate([earlier, inputs], axis=1)
+        # Copies, because the caller may change its arrays before it calls `gradients`.
         inputs, parameters = (
-            np.ascontiguousarray(values, dtype=np.float64) for values in (inputs, parameters)
+            np.array(values, dtype=np.float64, order="C") for values in (inputs, parameters)
         )
         batch, count = len(start), self._count
-        states = np.empty((batch, inputs.shape[1] - before + 1, self.state_size + 1))
+        states = np.empty((batch, periods + 1, self.state_size + 1))
         units = self._units(parameters)
         states[:, 0, : 2 * count] = start[:, : 2 * count] * units
         states[:, 0, 2 * count] = start_time
@@ -225,7 +192,6 @@ class DifferentiableMotion:
                 functions,
                 self._sizes,
                 self.delayed,
-                before,
                 inputs,
                 parameters,
                 self.step,
@@ -256,7 +222,6 @@ class DifferentiableMotion:
         """
         states, inputs, parameters = motions.kernel_states, motions.inputs, motions.parameters
         batch, count = len(states), self._count
-        before = inputs.shape[1] - states.shape[1] + 1
         units = self._units(parameters)
         adjoint = np.insert(by_states, 2 * count, 0.0, axis=2)
         adjoint[:, :, : 2 * count] /= units[:, None]
@@ -277,7 +242,6 @@ class DifferentiableMotion:
                 functions,
                 self._sizes,
                 (self.delayed, by_parameters),
-                before,
                 inputs,
                 parameters,
                 self.step,

@@ -65,8 +65,12 @@ class Case:
         self.of_readings = generator.normal(size=(batch, periods + 1, len(machine.sensors))) / 1e-3
 
     def simulate(self, arrays):
-        return self.motion.simulate_after(
-            arrays["earlier"], arrays["start"], arrays["inputs"], arrays["parameters"], start_time=0.3
+        return self.motion.simulate(
+            arrays["start"],
+            arrays["inputs"],
+            arrays["parameters"],
+            earlier=arrays["earlier"],
+            start_time=0.3,
         )
 
     def value(self, arrays):

@@ -10,113 +10,94 @@ from __future__ import annotations
 
 import numpy as np
 
+from .blocks import read_block, write_block
 from .compiled import compiled, compiled_only
 from .machine_code import LANES
 from .native_calls import call_at
 
 
 @compiled_only
-def _load_lanes(block: int, k: int, table, rows) -> None:
-    """Copy row k of a table over periods, shape (B, periods, rows), to the lanes of a block."""
-    for lane in range(LANES):
-        b = block * LANES + lane
-        if b >= table.shape[0]:
-            b = block * LANES  # lanes without a machine repeat the first one
-        for row in range(rows.shape[0]):
-            rows[row, lane] = table[b, k, row]
+def _delayed_interval(k: int, s: int, steps: int, delay: float, h: float) -> tuple:
+    """Find the voltages that act during a step after a delay: those of one period, or of two.
+
+    Args:
+        k: Index of the period among those whose voltages are given.
+        s: Index of the step in the period.
+        steps: Number of steps per period.
+        delay: Delay of the drive, s.
+        h: Length of a step, s.
+
+    Returns:
+        Index of the period whose voltage acts first, of the next one, and the fraction of the step in which the latter
+        acts. Before the first period, its voltage acts.
+    """
+    begin = k * steps + s - delay / h  # of the interval in which the voltages were commanded, in steps
+    i = int(np.floor(begin / steps + 1e-9))  # not the period before because of rounding
+    later = max(0.0, begin + 1.0 - (i + 1) * steps)
+    return max(i, 0), max(i + 1, 0), later
 
 
 @compiled_only
-def _load_parameters(block: int, parameters, rows) -> None:
-    """Copy the parameters of the machines of a block, shape (B, parameters), to its lanes."""
-    for lane in range(LANES):
-        b = block * LANES + lane
-        if b >= parameters.shape[0]:
-            b = block * LANES
-        for row in range(rows.shape[0]):
-            rows[row, lane] = parameters[b, row]
-
-
-@compiled_only
-def _set_voltages(
-    block: int, k: int, before: int, steps: int, h: float, inputs, delays, delayed: bool, out
-) -> None:
+def _set_voltages(block: int, k: int, steps: int, h: float, inputs, delays, delayed: bool, out) -> None:
     """Set the voltages of a period: one row per drive, or with delays the mean voltages of each step.
 
     Args:
         block: Index of the block.
-        k: Index of the period.
-        before: Number of periods before the first one whose voltages are given.
+        k: Index of the period in `inputs`.
         steps: Number of steps per period.
         h: Length of a step, s.
-        inputs: Voltages, V, shape (B, before + periods, drives); the first ones also act earlier.
+        inputs: Voltages, V, shape (B, earlier and simulated periods, drives).
         delays: Delay of each drive, s, shape (drives, LANES).
         delayed: Whether a drive has a delay.
         out: Output, V, shape (drives or steps * drives, LANES).
     """
     for lane in range(LANES):
-        b = block * LANES + lane
-        if b >= inputs.shape[0]:
-            b = block * LANES
+        b = min(block * LANES + lane, inputs.shape[0] - 1)
         for j in range(delays.shape[0]):
             if not delayed:
-                out[j, lane] = inputs[b, before + k, j]
+                out[j, lane] = inputs[b, k, j]
                 continue
             for s in range(steps):
-                begin = (before + k) * steps + s - delays[j, lane] / h  # in steps
-                i = int(np.floor(begin / steps + 1e-9))  # period in which the interval begins
-                later = max(0.0, begin + 1.0 - (i + 1) * steps)  # part of the step in the next period
-                value = inputs[b, max(i, 0), j]
+                i, following, later = _delayed_interval(k, s, steps, delays[j, lane], h)
+                value = inputs[b, i, j]
                 if later > 0.0:
-                    value += later * (inputs[b, max(i + 1, 0), j] - value)
+                    value += later * (inputs[b, following, j] - value)
                 out[s * delays.shape[0] + j, lane] = value
 
 
 @compiled_only
 def _add_voltages_back(
-    block: int,
-    k: int,
-    before: int,
-    steps: int,
-    h: float,
-    inputs,
-    delays,
-    delayed: bool,
-    adjoint,
-    out,
-    delays_out,
+    block: int, k: int, steps: int, h: float, inputs, delays, delayed: bool, adjoint, out, delays_out
 ) -> None:
     """Add the derivatives by the voltages of a period; the transpose of `_set_voltages`.
 
     Args:
-        block: Index of the block.
-        k: Index of the period.
-        before: Number of periods before the first one whose voltages are given.
-        steps: Number of steps per period.
-        h: Length of a step, s.
-        inputs: Voltages, V, shape (B, before + periods, drives).
-        delays: Delay of each drive, s, shape (drives, LANES).
-        delayed: Whether a drive has a delay.
         adjoint: Derivatives by the voltages of the steps, 1/V, shape (drives or steps * drives, LANES).
-        out: Output, derivatives by the voltages, 1/V, shape (B, before + periods, drives).
+        out: Output, derivatives by the voltages, 1/V, in the shape of `inputs`.
         delays_out: Output, derivatives by the delays, 1/s, shape (drives, LANES).
     """
     for lane in range(min(LANES, out.shape[0] - block * LANES)):
         b = block * LANES + lane
         for j in range(delays.shape[0]):
             if not delayed:
-                out[b, before + k, j] += adjoint[j, lane]
+                out[b, k, j] += adjoint[j, lane]
                 continue
             for s in range(steps):
                 change = adjoint[s * delays.shape[0] + j, lane]
-                begin = (before + k) * steps + s - delays[j, lane] / h
-                i = int(np.floor(begin / steps + 1e-9))
-                later = max(0.0, begin + 1.0 - (i + 1) * steps)
-                out[b, max(i, 0), j] += (1.0 - later) * change
+                i, following, later = _delayed_interval(k, s, steps, delays[j, lane], h)
+                out[b, i, j] += (1.0 - later) * change
                 if later > 0.0:
-                    out[b, max(i + 1, 0), j] += later * change
-                    rise = inputs[b, max(i + 1, 0), j] - inputs[b, max(i, 0), j]
+                    out[b, following, j] += later * change
+                    rise = inputs[b, following, j] - inputs[b, i, j]
                     delays_out[j, lane] -= change * rise / h
+
+
+@compiled_only
+def _add_block(rows, begin: int, block) -> None:
+    """Add the rows of LANES machines from index `begin` on to the columns of a block; see `read_block`."""
+    for lane in range(min(LANES, rows.shape[0] - begin)):
+        for k in range(rows.shape[1]):
+            block[k, lane] += rows[begin + lane, k]
 
 
 @compiled
@@ -124,7 +105,6 @@ def periods_forward(
     functions: tuple,
     sizes: tuple,
     delayed: bool,
-    before: int,
     inputs,
     parameters,
     h: float,
@@ -139,8 +119,8 @@ def periods_forward(
         functions: Addresses of the kernel's functions prepare, voltage_delays and advance.
         sizes: Numbers of coordinates, step constants and drives.
         delayed: Whether a drive has a delay.
-        before: Number of periods before the first one whose voltages are given.
-        inputs: Voltages, V, shape (B, before + periods, drives).
+        inputs: Voltages, V, shape (B, earlier + simulated periods, drives); `states` gives the number of the
+            latter. Before all of them, the first voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
         steps: Number of steps per period.
@@ -151,6 +131,7 @@ def periods_forward(
     """
     prepare, voltage_delays, advance = functions
     coordinates, constants, drives = sizes
+    earlier = inputs.shape[1] - (states.shape[1] - 1)
     block_parameters = np.zeros((parameters.shape[1], LANES))
     derived = np.zeros((constants, LANES))
     delays = np.zeros((drives, LANES))
@@ -158,17 +139,15 @@ def periods_forward(
     state = np.zeros((states.shape[2], LANES))
     no_forces = np.zeros((coordinates, LANES))
     for block in range(first, last):
-        _load_parameters(block, parameters, block_parameters)
+        read_block(parameters, block * LANES, block_parameters)
         call_at(prepare, block_parameters, derived, h)
         if delayed:
             call_at(voltage_delays, block_parameters, delays)
-        _load_lanes(block, 0, states, state)
+        read_block(states[:, 0], block * LANES, state)
         for k in range(states.shape[1] - 1):
-            _set_voltages(block, k, before, steps, h, inputs, delays, delayed, voltages)
+            _set_voltages(block, earlier + k, steps, h, inputs, delays, delayed, voltages)
             call_at(advance, state, block_parameters, derived, voltages, no_forces, h, steps)
-            for lane in range(min(LANES, states.shape[0] - block * LANES)):
-                for row in range(states.shape[2]):
-                    states[block * LANES + lane, k + 1, row] = state[row, lane]
+            write_block(state, block * LANES, states.shape[2], states[:, k + 1])
 
 
 @compiled
@@ -176,7 +155,6 @@ def periods_back(
     functions: tuple,
     sizes: tuple,
     flags: tuple,
-    before: int,
     inputs,
     parameters,
     h: float,
@@ -196,8 +174,8 @@ def periods_back(
             and voltage_delays_back.
         sizes: Numbers of coordinates, step constants and drives.
         flags: Whether a drive has a delay, and whether to compute derivatives by the parameters.
-        before: Number of periods before the first one whose voltages are given.
-        inputs: Voltages, V, shape (B, before + periods, drives).
+        inputs: Voltages, V, shape (B, earlier + simulated periods, drives); `states` gives the number of the
+            latter. Before all of them, the first voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
         steps: Number of steps per period.
@@ -206,13 +184,14 @@ def periods_back(
         states: Belt travel, m, its rate, m/s, time, s, and effect states, shape (B, periods + 1, rows).
         adjoint: Derivatives by these states, 1/m, s/m, ..., shape (B, periods + 1, rows); those by time are ignored.
         start_out: Output, derivatives by the first states, shape (B, rows).
-        inputs_out: Output, derivatives by the voltages, 1/V, shape (B, before + periods, drives); zero on entry.
+        inputs_out: Output, derivatives by the voltages, 1/V, in the shape of `inputs`; zero on entry.
         parameters_out: Output, derivatives by the parameters, shape (B, parameters).
     """
     prepare, voltage_delays, advance, step_back, prepare_back, voltage_delays_back = functions
     coordinates, constants, drives = sizes
     delayed, by_parameters = flags
     rows = states.shape[2]
+    earlier = inputs.shape[1] - (states.shape[1] - 1)
     block_parameters = np.zeros((parameters.shape[1], LANES))
     derived = np.zeros((constants, LANES))
     delays = np.zeros((drives, LANES))
@@ -226,8 +205,7 @@ def periods_back(
     adjoint_derived = np.zeros((constants, LANES))
     adjoint_parameters = np.zeros((parameters.shape[1], LANES))
     for block in range(first, last):
-        lanes = min(LANES, states.shape[0] - block * LANES)
-        _load_parameters(block, parameters, block_parameters)
+        read_block(parameters, block * LANES, block_parameters)
         call_at(prepare, block_parameters, derived, h)
         if delayed:
             call_at(voltage_delays, block_parameters, delays)
@@ -236,11 +214,9 @@ def periods_back(
         adjoint_parameters[:] = 0.0
         block_adjoint[:] = 0.0
         for k in range(states.shape[1] - 2, -1, -1):
-            for lane in range(lanes):
-                for row in range(rows):
-                    block_adjoint[row, lane] += adjoint[block * LANES + lane, k + 1, row]
-            _load_lanes(block, k, states, history[0])
-            _set_voltages(block, k, before, steps, h, inputs, delays, delayed, voltages)
+            _add_block(adjoint[:, k + 1], block * LANES, block_adjoint)
+            read_block(states[:, k], block * LANES, history[0])
+            _set_voltages(block, earlier + k, steps, h, inputs, delays, delayed, voltages)
             for s in range(steps - 1):
                 history[s + 1] = history[s]
                 of_this = voltages[s * of_step :]
@@ -261,8 +237,7 @@ def periods_back(
                 )
             _add_voltages_back(
                 block,
-                k,
-                before,
+                earlier + k,
                 steps,
                 h,
                 inputs,
@@ -276,12 +251,9 @@ def periods_back(
             call_at(prepare_back, block_parameters, adjoint_derived, adjoint_parameters, h)
             if delayed:
                 call_at(voltage_delays_back, block_parameters, adjoint_delays, adjoint_parameters)
-        for lane in range(lanes):
-            b = block * LANES + lane
-            for row in range(rows):
-                start_out[b, row] = block_adjoint[row, lane] + adjoint[b, 0, row]
-            for row in range(parameters.shape[1]):
-                parameters_out[b, row] = adjoint_parameters[row, lane]
+        _add_block(adjoint[:, 0], block * LANES, block_adjoint)
+        write_block(block_adjoint, block * LANES, rows, start_out)
+        write_block(adjoint_parameters, block * LANES, parameters.shape[1], parameters_out)
 
 
 @compiled
@@ -306,22 +278,17 @@ def readings_back(
     adjoint_state = np.zeros((states.shape[2], LANES))
     of_readings = np.zeros((adjoint.shape[2], LANES))
     for block in range(first, last):
-        lanes = min(LANES, states.shape[0] - block * LANES)
-        _load_parameters(block, parameters, block_parameters)
+        read_block(parameters, block * LANES, block_parameters)
         adjoint_parameters[:] = 0.0
         for k in range(states.shape[1]):
-            _load_lanes(block, k, states, state)
-            _load_lanes(block, k, adjoint, of_readings)
+            read_block(states[:, k], block * LANES, state)
+            read_block(adjoint[:, k], block * LANES, of_readings)
             adjoint_state[:] = 0.0
             call_at(
                 read_sensors_back, state, block_parameters, of_readings, adjoint_state, adjoint_parameters
             )
-            for lane in range(lanes):
-                for row in range(states.shape[2]):
-                    states_out[block * LANES + lane, k, row] = adjoint_state[row, lane]
-        for lane in range(lanes):
-            for row in range(parameters.shape[1]):
-                parameters_out[block * LANES + lane, row] = adjoint_parameters[row, lane]
+            write_block(adjoint_state, block * LANES, states.shape[2], states_out[:, k])
+        write_block(adjoint_parameters, block * LANES, parameters.shape[1], parameters_out)
 
 
 @compiled
@@ -340,10 +307,8 @@ def readings_forward(read_sensors: int, states, parameters, first: int, last: in
     state = np.zeros((states.shape[2], LANES))
     reading = np.zeros((readings.shape[2], LANES))
     for block in range(first, last):
-        _load_parameters(block, parameters, block_parameters)
+        read_block(parameters, block * LANES, block_parameters)
         for k in range(states.shape[1]):
-            _load_lanes(block, k, states, state)
+            read_block(states[:, k], block * LANES, state)
             call_at(read_sensors, state, block_parameters, reading)
-            for lane in range(min(LANES, states.shape[0] - block * LANES)):
-                for j in range(readings.shape[2]):
-                    readings[block * LANES + lane, k, j] = reading[j, lane]
+            write_block(reading, block * LANES, readings.shape[2], readings[:, k])

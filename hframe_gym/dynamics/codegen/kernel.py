@@ -63,8 +63,8 @@ class Kernel:
     forced: bool
 
 
-def _generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Generate the source of a kernel, and its description; parameter values do not matter."""
+def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
+    """Return the source text of a kernel, and what it was generated from; parameter values do not matter."""
     source = KernelSource(machine, forced=forced)
     components = {
         "coordinates": machine.coordinates,
@@ -79,7 +79,7 @@ def _generate(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSou
 
 def kernel_source_text(machine: Machine) -> str:
     """Return the generated Python source with which a machine is simulated, for inspection."""
-    return _generate(machine)[0]
+    return generate_kernel(machine)[0]
 
 
 _KERNELS: dict[tuple[object, ...], Kernel] = {}  # of this process, by shape
@@ -96,7 +96,7 @@ def kernel_for(machine: Machine, *, forced: bool = False) -> Kernel:
     """
     key = (machine.shape, forced)
     if key not in _KERNELS:
-        text, source = _generate(machine, forced=forced)
+        text, source = generate_kernel(machine, forced=forced)
         program = LaneProgram(text, FUNCTIONS)
         sizes = (
             len(machine.coordinates),
