@@ -2,13 +2,12 @@
 
 PPO estimates the gradient of the return from the noise of its actions. Here the chain rule computes it: an episode is a
 chain of policy and machine, and backpropagation through time gives the derivatives of its cost with respect to the
-weights of the policy. The derivatives of the machine over one control period are finite differences of the compiled
-simulator: 11 simulations of 10 ms for a state of 8 and an action of 2 entries, which take about as long as the network.
+weights of the policy. The derivatives of the machine over one control period are those of `DifferentiableMotion`.
 
-Static friction makes the motion depend discontinuously on state and voltage, and derivatives grow from period to period
-where the tool is close to its goal. Three measures keep the gradient useful: the steps of the finite differences are
-random, which smooths the derivatives; the derivative with respect to the state is multiplied by a discount in every
-period; and its norm is limited in every period.
+With exact derivatives, static friction would hide that a higher voltage moves a resting tool, and derivatives grow from
+period to period where the tool is close to its goal. Three measures keep the gradient useful: the derivatives of static
+friction are smoothed (`dynamics.Friction`); the derivative with respect to the state is multiplied by a discount in
+every period; and its norm is limited in every period.
 
 Importing this module needs the extra `agents`.
 
@@ -56,7 +55,7 @@ class AnalyticPolicyGradient:
         policy: Name of the policy class; "MultiInputPolicy" is the only one.
         env: Environments whose resets provide machines, starts and goals.
         learning_rate: Learning rate of Adam as a function of the fraction of the run that remains.
-        seed: Seed of weights and finite differences.
+        seed: Seed of the weights and of the number of periods at the beginning that are not differentiated.
         device: "cpu".
         policy_kwargs: Keyword arguments of the policy class.
         periods: Control periods of an episode.
@@ -69,7 +68,7 @@ class AnalyticPolicyGradient:
 
     Attributes:
         policy: Policy with averaged weights (exponential moving average), which is evaluated and saved.
-        num_timesteps: Environment steps so far; the simulations for finite differences do not count.
+        num_timesteps: Environment steps so far.
         logger: Logger of stable-baselines3.
         action_space: Space of the actions, drives.
         generators: Generators of all random numbers that do not come from torch or the environment.

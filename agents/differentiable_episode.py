@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hframe_gym.arrays import Array
-
+from ..arrays import Array
 from ..dynamics import DifferentiableMotion, Equations, Friction, Motions
 from ..envs.tasks.base import ReferenceTrajectories
 from ..envs.workspace import EndStops
@@ -79,9 +78,8 @@ class SimulatedPeriod:
             The motions, with states of shape (B, SAMPLES + 1, S); `outputs` reads them.
         """
         values = self._end_stops.parameters(parameters)
-        start = np.zeros(
-            (len(state), self._motion.state_size)
-        )  # states of effects begin at zero in every period
+        # The states of effects begin at zero in every period.
+        start = np.zeros((len(state), self._motion.state_size))
         start[:, : state.shape[1]] = state / self._units(values)
         held, before = (np.repeat(values[:, None], SAMPLES, axis=1) for values in (volts, last_volts))
         return self._motion.simulate(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
+from ..dynamics import Motions
 from ..errors import InputError
 from .stage import Stage
 
@@ -43,7 +44,12 @@ class JaxStage(Stage[Any]):
         return jnp.asarray(values)
 
     def rollout(self, start: Any, voltages: Any, parameters: Any = None) -> Any:
-        """Simulate as `Stage.rollout` does; within `jax.jit`, a motion that diverges raises an error of JAX."""
+        """Simulate as `Stage.rollout` does.
+
+        Raises:
+            InputError: As in `Stage.rollout`.
+            JaxRuntimeError: If a motion diverges; JAX reports the `NotFiniteError` in its text.
+        """
         values = jnp.asarray(self.nominal if parameters is None else parameters)
         if values.ndim == 1:
             values = jnp.broadcast_to(values, (len(start), len(values)))
@@ -59,15 +65,17 @@ class JaxStage(Stage[Any]):
 def _rollout_function(stage: Stage[Any]) -> Any:
     """Return the simulation as a function of JAX with a rule for its derivatives."""
 
+    def motions_of(*arguments: Array) -> Motions:
+        start, voltages, parameters = (np.asarray(values, dtype=np.float64) for values in arguments)
+        return stage.simulate(start, voltages, parameters)
+
     def states_of(start: Array, voltages: Array, parameters: Array) -> Array:
-        arrays = [np.asarray(values, dtype=np.float64) for values in (start, voltages, parameters)]
-        return stage.simulate(arrays[0], arrays[1], arrays[2], None, 0.0).states
+        return motions_of(start, voltages, parameters).states
 
     def gradients_of(
         start: Array, voltages: Array, parameters: Array, change: Array
     ) -> tuple[Array, Array, Array]:
-        arrays = [np.asarray(values, dtype=np.float64) for values in (start, voltages, parameters)]
-        motions = stage.simulate(arrays[0], arrays[1], arrays[2], None, 0.0)
+        motions = motions_of(start, voltages, parameters)
         found = stage.motion.gradients(motions, np.asarray(change), parallel=stage.parallel)
         return found.start, found.inputs, np.ascontiguousarray(found.parameters[:, : parameters.shape[1]])
 

@@ -216,7 +216,13 @@ class Stage(ABC, Generic[Tensor]):
             )
 
     def simulate(
-        self, start: Array, voltages: Array, parameters: Array, earlier: Array | None, start_time: float
+        self,
+        start: Array,
+        voltages: Array,
+        parameters: Array,
+        *,
+        earlier: Array | None = None,
+        start_time: float = 0.0,
     ) -> Motions:
         """Simulate, and check that the motions stay finite.
 

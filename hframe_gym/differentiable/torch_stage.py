@@ -165,8 +165,9 @@ class _Rollout(torch.autograd.Function):
         stage: Stage[Tensor],
         start_time: float,
     ) -> Tensor:
-        arrays = [tensor.detach().numpy() for tensor in (start, voltages, parameters, earlier)]
-        ctx.motions = stage.simulate(arrays[0], arrays[1], arrays[2], arrays[3], start_time)
+        arrays = [tensor.detach().numpy() for tensor in (start, voltages, parameters)]
+        before = earlier.detach().numpy()
+        ctx.motions = stage.simulate(*arrays, earlier=before, start_time=start_time)
         ctx.stage, ctx.before, ctx.columns = stage, earlier.shape[1], parameters.shape[1]
         return torch.from_numpy(ctx.motions.states)
 
@@ -188,10 +189,8 @@ class _Readings(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, states: Tensor, parameters: Tensor, stage: Stage[Tensor]) -> Tensor:  # type: ignore[override]
         ctx.stage, ctx.columns = stage, parameters.shape[1]
-        ctx.states, ctx.parameters = (
-            states.detach().numpy(),
-            stage.with_end_stops(parameters.detach().numpy()),
-        )
+        ctx.states = states.detach().numpy()
+        ctx.parameters = stage.with_end_stops(parameters.detach().numpy())
         return torch.from_numpy(stage.motion.readings(ctx.states, ctx.parameters, parallel=stage.parallel))
 
     @staticmethod

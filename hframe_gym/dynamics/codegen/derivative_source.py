@@ -6,7 +6,7 @@ with respect to the results of a function, they compute its derivatives with res
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ..physics.equations import ForceBalance
 from ..symbolic.elementwise import absolute, where
@@ -52,19 +52,14 @@ class _StepBack(StepTrace):
         by_row = dict(enumerate(rows))
         for row, k in enumerate(self.equations.states):
             by_row[2 * count + 1 + row] = (argument_states[k], self.effect_states[k])
-        seeds: dict[Expression, Expression] = {}
-        for row, (_, result) in by_row.items():
-            seed = trace.let("seed", row, trace.read("adjoint_state", row))
-            seeds[result] = seeds[result] + seed if result in seeds else seed
+        seeds = _seeds(trace, "adjoint_state", {row: result for row, (_, result) in by_row.items()})
         arrays = ("inputs", "parameters", "derived") if by_parameters else ("inputs",)
         loaded = {key: value for key, value in trace.loaded.items() if key[0] in arrays}
         with trace.section("derivatives"):
             found = trace.adjoints(seeds, [*(argument for argument, _ in by_row.values()), *loaded.values()])
             for row, (argument, _) in by_row.items():
                 trace.write("adjoint_state", row, found.get(argument, trace.expression(0.0)))
-            for (array, row), value in loaded.items():
-                if value in found:
-                    trace.add_to(f"adjoint_{array}", row, found[value])
+            _add_to_rows(trace, loaded, found)
         trace.drop_unused_branches()
 
     def _voltages(self) -> list[Expression]:
@@ -142,12 +137,28 @@ def _add_derivatives(trace: ReverseTrace, results: str, arguments: Sequence[str]
     """Append statements that add the derivatives of a weighted sum of the results to rows of the arguments."""
     trace.line(f'"""Derivatives of {results}."""')
     loaded = {key: value for key, value in trace.loaded.items() if key[0] in arguments}
+    stored = {row: value for (array, row), value in trace.stored.items() if array == results}
+    seeds = _seeds(trace, f"adjoint_{results}", stored)
+    _add_to_rows(trace, loaded, trace.adjoints(seeds, loaded.values()))
+
+
+def _seeds(
+    trace: ReverseTrace, array: str, results: Mapping[int, Expression]
+) -> dict[Expression, Expression]:
+    """Load the derivatives by the results of a function from their rows of an array, by result."""
     seeds: dict[Expression, Expression] = {}
-    for (array, row), value in trace.stored.items():
-        if array == results:
-            seed = trace.let("seed", row, trace.read(f"adjoint_{results}", row))
-            seeds[value] = seeds[value] + seed if value in seeds else seed
-    found = trace.adjoints(seeds, loaded.values())
+    for row, result in results.items():
+        seed = trace.let("seed", row, trace.read(array, row))
+        seeds[result] = seeds[result] + seed if result in seeds else seed  # two rows may hold the same result
+    return seeds
+
+
+def _add_to_rows(
+    trace: ReverseTrace,
+    loaded: Mapping[tuple[str, int], Expression],
+    derivatives: Mapping[Expression, Expression],
+) -> None:
+    """Append statements that add the derivatives by loaded rows to the rows of the arrays `adjoint_...`."""
     for (array, row), value in loaded.items():
-        if value in found:
-            trace.add_to(f"adjoint_{array}", row, found[value])
+        if value in derivatives:
+            trace.add_to(f"adjoint_{array}", row, derivatives[value])

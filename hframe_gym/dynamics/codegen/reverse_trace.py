@@ -196,7 +196,7 @@ class ReverseTrace(Trace):
         return results
 
     def drop_unused_branches(self) -> None:
-        """Remove the branches whose results no other statement needs; derivatives mostly need them not."""
+        """Remove the branches whose results no other statement needs, which are most of them."""
         dropped = {id(guard): guard for guard in self._guards}
         while True:
             unused = {id(s) for guard in dropped.values() for s in guard.statements}
@@ -289,9 +289,8 @@ class ReverseTrace(Trace):
         taken = {node: seed for node, seed in taken.items() if node in active}
         taken = self._backward(nodes[:last], guard.first, taken, active)
         targets = [node for node in {**skipped, **taken} if node in active]
-        none = self.node(
-            "where", guard.condition, 0.0, 0.0
-        )  # zeros of all machines; a number would be no register
+        # Zero for every machine: a register, which a number would not be.
+        none = self.node("where", guard.condition, 0.0, 0.0)
         variables = [
             super(ReverseTrace, self).variable("derivative", None, skipped.get(node, none))
             for node in targets
