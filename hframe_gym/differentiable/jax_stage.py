@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from ..arrays import Array
 from ..dynamics import Motions
@@ -33,16 +34,19 @@ class JaxStage(Stage[Any]):
         InputError: If JAX computes in float32.
     """
 
+    @override
     def check_library(self) -> None:
         """Check that JAX is set to compute in float64."""
         if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             raise InputError('JAX computes in float32; call jax.config.update("jax_enable_x64", True) before')
 
     @staticmethod
+    @override
     def from_numpy(values: Array) -> Any:
         """Convert an array of NumPy to one of JAX."""
         return jnp.asarray(values)
 
+    @override
     def rollout(self, start: Any, voltages: Any, parameters: Any = None) -> Any:
         """Simulate as `Stage.rollout` does.
 

@@ -84,7 +84,14 @@ class Stage(ABC, Generic[Tensor]):
     @staticmethod
     @abstractmethod
     def from_numpy(values: Array) -> Tensor:
-        """Convert an array of NumPy to one of the library."""
+        """Convert an array of NumPy to one of the library.
+
+        Args:
+            values: Array of any shape.
+
+        Returns:
+            Array of the same shape and values.
+        """
 
     @abstractmethod
     def rollout(self, start: Tensor, voltages: Tensor, parameters: Tensor | None = None) -> Tensor:
@@ -114,18 +121,13 @@ class Stage(ABC, Generic[Tensor]):
         Returns:
             States, SI, shape (B, S).
         """
-        return self.from_numpy(self.rest_states(tool, batch=batch))
-
-    def rest_states(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Array:
-        """Return the states of `rest` as an array of NumPy."""
-        rows = (
-            [rest_state(self.machine, row) for row in np.atleast_2d(np.asarray(tool, float))]
-            if (tool is not None)
-            else [rest_state(self.machine)] * batch
-        )
-        states = np.zeros((len(rows), len(self.state_names)))
+        if tool is None:
+            rows = [rest_state(self.machine)] * batch
+        else:
+            rows = [rest_state(self.machine, row) for row in np.atleast_2d(np.asarray(tool, float))]
+        states = np.zeros((len(rows), len(self.state_names)))  # states of effects begin at zero
         states[:, : rows[0].size] = rows
-        return states
+        return self.from_numpy(states)
 
     def column(self, name: str) -> int:
         """Return the index of a parameter.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from typing_extensions import override
+
 from ..arrays import Array
 from ..errors import InputError
 from .stage import Stage
@@ -34,6 +36,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
     """
 
     @staticmethod
+    @override
     def from_numpy(values: Array) -> Tensor:
         """Convert an array of NumPy to a tensor, which shares its memory."""
         return torch.from_numpy(values)
@@ -56,6 +59,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
             columns[self.column(name)] = torch.as_tensor(value, dtype=torch.float64).expand(batch)
         return torch.stack(columns, dim=1)
 
+    @override
     def rollout(
         self,
         start: Tensor,
@@ -108,7 +112,9 @@ class DifferentiableStage(Stage[torch.Tensor]):
         Args:
             state: States, SI, shape (B, S).
             voltages: Voltages, V, shape (B, drives).
-            parameters: This and the further arguments are those of `rollout`.
+            parameters: Parameters, SI, shape (P,) or (B, P).
+            earlier: Voltages of periods before, V, shape (B, any number, drives).
+            start_time: Time since the machines were switched on, s.
 
         Returns:
             States at the end of the period, SI, shape (B, S).
