@@ -88,7 +88,7 @@ def errors(machine: Machine) -> dict[str, Any]:
     stage = DifferentiableStage(machine, parallel=False)
     motion, count = stage.motion, len(machine.coordinates)
     arrays = {
-        "start": stage.rest_states(batch=CHECKED),
+        "start": stage.rest(batch=CHECKED).numpy(),
         "inputs": generator.uniform(-VOLTS, VOLTS, (CHECKED, 5, len(machine.drives))),
         "parameters": np.tile(stage.nominal, (CHECKED, 1))
         * generator.uniform(0.9, 1.1, (CHECKED, len(stage.nominal))),
