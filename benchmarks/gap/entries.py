@@ -8,7 +8,7 @@ command line.
 |---|---|---|
 | `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
 | `ppo`, `sac`, `apg`, `apg_wide`, `residual` | zero-shot | shipped agents, trained with default randomization |
-| `pid-plain`, ... | identified | designed from the machine whose own parameters are refitted |
+| `pid-refitted`, ... | identified | designed from the machine whose own parameters are refitted |
 | `pid-corrected`, ... | identified | designed from the machine with the effects that identification found |
 | `pid-posterior`, ... | identified | the same, and the state estimator begins with the posterior of the parameters |
 | `pid-online`, ... | online | parameters estimated in practice episodes are kept from one to the next |
@@ -38,7 +38,7 @@ from hframe_gym.machine import Machine
 from tests.reference_simulator import Array
 
 Trackname = Literal["zero-shot", "identified", "online"]
-MODELS = ("plain", "corrected", "posterior")
+MODELS = ("refitted", "corrected", "posterior")
 # Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
 _FLOOR = 0.02
 
@@ -200,11 +200,11 @@ class IdentifiedController(DeclaredController):
     def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
         """Identify the plant from the standard session, or load it."""
         self.found = _standard(declared, recorder, folder)
-        self.machine = self.found.plain if self.model == "plain" else self.found.corrected
+        self.machine = self.found.refitted if self.model == "refitted" else self.found.corrected
         self.covariance = posterior_covariance(self.machine) if self.model == "posterior" else None
 
     def key(self) -> str | None:
-        """Return a hash of controller, machine and covariance: without effects, plain and corrected are the same."""
+        """Return a hash of controller, machine and covariance: without effects, refitted and corrected are the same."""
         machine = self.machine
         sensors = [[s.channel, s.noise, s.resolution, s.zero] for s in machine.sensors]
         covariance = None if self.covariance is None else self.covariance.tolist()

@@ -1,8 +1,9 @@
 """Identify a plant from its recordings, once: the machines are kept in the folder of the results.
 
 A folder of an identification holds the answer of `hframe identify` and `recordings.json` with hashes of the session
-(the plant and what was recorded) and of the recordings to which it belongs. A plant is recorded again if the session
-has changed, and identified again if the recordings, or the budget of the identification, have changed.
+(the plant and what was recorded), of the recordings to which it belongs, and of the code that identified them. A plant
+is recorded again if the session or the code has changed, and identified again if the recordings, the code or the budget
+of the identification have changed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.identification import source_key
 from hframe_gym.atomic_files import write_text
 from hframe_gym.identification import identify, write_result
 from hframe_gym.machine import Machine
@@ -28,7 +30,7 @@ class Identified(NamedTuple):
     """Machines of one identification.
 
     Attributes:
-        plain: The declared machine with its own parameters refitted.
+        refitted: The declared machine with its own parameters refitted.
         corrected: The same with the effects that were found, and the covariance of the parameters.
         verdict: "effect_found", "no_effect" or "unexplained".
         found: Labels name@site of the effects.
@@ -36,7 +38,7 @@ class Identified(NamedTuple):
         cpu_s: Processor time of the identification, s.
     """
 
-    plain: Machine
+    refitted: Machine
     corrected: Machine
     verdict: str
     found: tuple[str, ...]
@@ -60,14 +62,15 @@ def identified(
     """
     note = folder / "recordings.json"
     known = json.loads(note.read_text("utf-8")) if note.is_file() else {}
-    if known.get("session") != session:
+    code = source_key()
+    if (known.get("session"), known.get("code")) != (session, code):
         recordings = record()
-        key = _key(recordings)
+        key = _key(recordings, code)
         if known.get("sha256") != key:
             began = time.process_time()
             write_result(identify(recordings, declared, budget=IDENTIFY_S), folder)
             known = {"sha256": key, "cpu_s": round(time.process_time() - began, 1)}
-        known["session"] = session
+        known |= {"session": session, "code": code}
         write_text(note, json.dumps(known) + "\n")
     report = json.loads((folder / "report.json").read_text("utf-8"))
     return Identified(
@@ -80,9 +83,9 @@ def identified(
     )
 
 
-def _key(recordings: Sequence[Recording]) -> str:
-    """Return a hash of recordings and of the budget."""
-    digest = hashlib.sha256(f"{IDENTIFY_S:g}".encode())
+def _key(recordings: Sequence[Recording], code: str) -> str:
+    """Return a hash of recordings, of the code that identifies them and of the budget."""
+    digest = hashlib.sha256(f"{code} {IDENTIFY_S:g}".encode())
     for recording in recordings:
         digest.update(recording.name.encode())
         for values in (recording.time_s, recording.inputs, recording.outputs):

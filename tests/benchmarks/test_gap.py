@@ -240,7 +240,7 @@ def test_names_of_entries() -> None:
     assert {"pid", "predictive-corrected", "adaptive-pid-online", "ppo", "apg-identified"} <= set(
         entry_names()
     )
-    assert get_entry("pid-plain").track == "identified"
+    assert get_entry("pid-refitted").track == "identified"
     assert get_entry("predictive-online").track == "online"
     assert get_entry(f"{__name__}:Still") is Still
     for name in ("nothing", "no.such.module:Class", f"{__name__}:Constant", "pid-best"):
@@ -250,7 +250,7 @@ def test_names_of_entries() -> None:
 
 def test_the_hash_of_an_entry_covers_its_name_and_source() -> None:
     hashes = {
-        results.sha256_of(get_entry(name)) for name in ("pid", "pid-plain", "pid-corrected", "predictive")
+        results.sha256_of(get_entry(name)) for name in ("pid", "pid-refitted", "pid-corrected", "predictive")
     }
     assert len(hashes) == 4
 
@@ -331,7 +331,7 @@ def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.Monkey
         "benchmarks.gap.entries._standard", lambda declared, recorder, folder: found[len(runs) >= 6]
     )
     rows = []
-    for name in ("pid-plain", "pid-corrected", "predictive-plain", "predictive-corrected"):
+    for name in ("pid-refitted", "pid-corrected", "predictive-refitted", "predictive-corrected"):
         known = {(row["plant"], row["key"]): row for row in rows}
         rows.append(protocol.score(get_entry(name)(), IDEAL, tmp_path, known))
     assert len(runs) == 9
