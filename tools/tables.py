@@ -617,7 +617,9 @@ def gap_steps(results: dict[str, Any]) -> str:
 def gap_plants(results: dict[str, Any]) -> str:
     """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
     names = [
-        f"{base}{step}" for base in ("pid", "predictive") for step in ("", "-refitted", "-corrected", "-online")
+        f"{base}{step}"
+        for base in ("pid", "predictive")
+        for step in ("", "-refitted", "-corrected", "-online")
     ]
     names = [name for name in names if name in results["entries"]]
     rows = []
