@@ -73,8 +73,8 @@ def test_the_fraction_that_remains_counts_beyond_an_exact_machine() -> None:
 
 def test_a_fit_that_explains_everything_does_not_lead_to_no_effect() -> None:
     """As with a noise that was estimated far too large, the search takes any error for explained."""
-    blind = SelectionCriteria(explained_chi2=1e9, max_residue_bandwidth=60.0)
-    result = identify(limited_runs([9.0] * 4), AXIS, budget=0.0, criteria=blind)
+    blind = SelectionCriteria(explained_chi2=1e9)
+    result = identify(limited_runs([4.0] * 4), AXIS, budget=0.0, criteria=blind)
     assert result.left > 2.0
     assert result.verdict == "unexplained"
     assert f"{result.left:.3g} times the noise of the sensors" in result.reason

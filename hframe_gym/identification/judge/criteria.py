@@ -112,14 +112,8 @@ class SelectionCriteria(SearchEffort):
         max_table_cross_validation: Largest cost of data to which a table was not fitted, relative to the cost without
             the table: a geometric mean over pieces of the runs.
         explained_chi2: Chi-squared per sample below which the model explains the data.
-        max_residue_bandwidth: Largest bandwidth, rad/s, of the most likely observer at which a machine without effects
-            can explain the data. If the widest observer (60 rad/s) is needed, forces of unknown size are missing.
         explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data,
             where the initial value is large.
-        max_table_cost_fraction: A model with a table that leaves more than noise is accepted if its cost is below this
-            fraction of the cost of the best model without tables.
-        max_table_cost_of_several_effects: A single table replaces two or more selected effects if its cost is below
-            this fraction of theirs, and below `max_table_cost_fraction` times the cost of the refitted machine.
         max_partial_excess: Selected effects that leave more than noise are reported if they reduce the error beyond the
             noise to less than this fraction of the refitted machine's. It suffices that one of two errors falls so far:
             chi-squared per sample - `one_step_floor` in one-step prediction, or the root mean square error in
@@ -134,9 +128,6 @@ class SelectionCriteria(SearchEffort):
             an observer of 15 rad/s, that effects may leave to be named if they do not explain the fitted runs. Three
             wrong names for a torque constant that falls with the current left 0.10, two for friction that rises with
             the time at rest 0.07; Stribeck friction beside a log that misses the voltages between its rows leaves 0.01.
-        max_remaining_explained: The same for effects that explain the fitted runs at the noise and with the observer of
-            the fit, where the simulation error counts if it falls more. Each effect was larger than what remains; this
-            limit holds where the noise of the fit was estimated too large.
     """
 
     min_gain_simulation: float = 0.003
@@ -156,12 +147,8 @@ class SelectionCriteria(SearchEffort):
     min_table_gain_fraction: float = 0.2
     max_table_cross_validation: float = 0.4
     explained_chi2: float = 1.5
-    max_residue_bandwidth: float = 30.0
     explained_fraction: float = 1e-4
-    max_table_cost_fraction: float = 0.1
-    max_table_cost_of_several_effects: float = 0.5
     max_partial_excess: float = 0.25
     max_noise_ratio_explained: float = 2.0
     max_motion_error: float = 0.1
     max_remaining: float = 0.03
-    max_remaining_explained: float = 0.5

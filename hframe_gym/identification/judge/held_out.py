@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .effect import NO_GAIN
-from .error import Measured
+from .error import CLEAR, Measured
 
-# Fraction of a squared simulation error that an effect must remove to count although an observer shows no gain. Model
-# error that adds up in a run rarely imitates an effect as well.
-CLEAR_GAIN = 0.5
 # Root mean square change of the predictions by an effect / their error, below which the runs do not excite it.
 MIN_EXCITATION = 0.05
 
@@ -32,7 +29,7 @@ def gain_of_effect(gain: float, simulated: Measured | None) -> float:
     if gain > 0.0 or simulated is None:
         return gain
     of_simulation = simulated()
-    return of_simulation if of_simulation > CLEAR_GAIN else gain
+    return of_simulation if of_simulation > 1.0 - 1.0 / CLEAR else gain
 
 
 def is_excited(change: float, error: float) -> bool:

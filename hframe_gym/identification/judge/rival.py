@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .criteria import SelectionCriteria
-from .error import FitError
-
-# Factor of the increase of chi-squared up to which two effects resemble each other, because it is known to first order.
-FIRST_ORDER = 2.0
+from .error import CLEAR, FitError
 
 
 def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteria) -> float:
@@ -85,10 +82,12 @@ def remains_rival(evidence: RivalEvidence) -> bool:
 
 
 def largest_resembling_loss(variance: float, criteria: SelectionCriteria) -> float:
-    """Return the increase of chi-squared, dimensionless, up to which these runs do not distinguish two effects.
+    """Return the increase of chi-squared, dimensionless, up to which these runs may not distinguish two effects.
+
+    It is known to first order only, so that it must be clearly larger than what chance may cause.
 
     Args:
         variance: Long-run variance of the residual in the effect's direction / that of white noise, dimensionless.
         criteria: Decision threshold `min_chance_gain`.
     """
-    return FIRST_ORDER * criteria.min_chance_gain * variance
+    return CLEAR * criteria.min_chance_gain * variance

@@ -9,24 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .criteria import SelectionCriteria
-from .error import FitError, Measured
+from .error import AS_GOOD, CLEAR, FAR, FitError, Measured
 
 # Two runs may differ in almost any parameter, and two must agree with each other for another one to contradict them.
 MIN_RUNS_COMPARED = 3
-# Chi-squared per sample of a run / that of the other runs, above which it contradicts them. Effects that only single
-# runs excite reach 30; the search therefore tries to explain such a run before it is left out.
-CONTRADICTION = 10.0
-# Ratio of chi-squared per sample of two explanations that are equally good.
-AS_GOOD = 1.2
-# Gain on a held-out run below which the effects cause its error: half of the squared error or more.
-CAUSED_ERROR = -1.0
 # Range of a quantity over the runs / its mean, below which all runs need the same other value.
 EQUAL = 0.1
 # Fraction of this range below which two runs have the same value.
 SAME = 0.05
-# Ratio of mean square errors in simulation (geometric mean over the runs), with an observer for each run / with one for
-# all, from which the parameters are not accepted.
-MAX_SIMULATED_RATIO = 2.0
 
 
 def contradicting_run(ratios: Mapping[str, float]) -> str | None:
@@ -39,7 +29,7 @@ def contradicting_run(ratios: Mapping[str, float]) -> str | None:
     if len(ratios) < MIN_RUNS_COMPARED:
         return None
     worst = list(ratios)[int(np.argmax(list(ratios.values())))]
-    return worst if ratios[worst] > CONTRADICTION else None
+    return worst if ratios[worst] > FAR else None
 
 
 @dataclass(frozen=True)
@@ -61,14 +51,14 @@ class HeldOutRun:
 def contradicts(run: HeldOutRun) -> bool:
     """Return whether a held-out run contradicts the machine that explains the fitted runs.
 
-    A run whose error is caused by an effect, or by all effects together, refutes these and does not count.
+    An effect, or all effects together, that clearly worsen a run cause its error: it refutes them and does not count.
 
     Args:
         run: What the run shows.
     """
-    if not run.error.cost > CONTRADICTION * max(1.0, run.fitted_chi2) * run.error.count:
+    if not run.error.cost > FAR * max(1.0, run.fitted_chi2) * run.error.count:
         return False
-    return not (run.gains is not None and min(run.gains()) < CAUSED_ERROR)
+    return not (run.gains is not None and min(run.gains()) < 1.0 - CLEAR)
 
 
 def uses_all_runs(chi2_without: float, complete_explained: bool, complete_chi2: Measured) -> bool:
@@ -80,7 +70,7 @@ def uses_all_runs(chi2_without: float, complete_explained: bool, complete_chi2: 
         complete_explained: Whether the effects found in all runs explain all runs.
         complete_chi2: Chi-squared per sample that they leave, with the widest observer.
     """
-    return complete_explained or complete_chi2() < CONTRADICTION * chi2_without
+    return complete_explained or complete_chi2() < FAR * chi2_without
 
 
 def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float, chi2_others: float) -> bool:
@@ -146,7 +136,7 @@ def accepts_run_observers(log_ratio: float) -> bool:
         log_ratio: Logarithm of the ratio of mean square errors in simulation, with them / with one observer for all
             runs, mean over the runs; not finite if the simulation diverges.
     """
-    return log_ratio < math.log(MAX_SIMULATED_RATIO)
+    return log_ratio < math.log(CLEAR)
 
 
 def exchanges_held_out(differing: int, held_out: int, fitted: int) -> bool:

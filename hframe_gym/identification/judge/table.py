@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .criteria import SelectionCriteria
-from .error import FitError, is_enough, required_gain
+from .error import CLEAR, FAR, FitError, is_enough, required_gain
 
 
 def required_table_gain(error: FitError, criteria: SelectionCriteria) -> float:
@@ -74,20 +74,13 @@ class TableEvidence:
     effects: int = 0
 
 
-def accepts_table(evidence: TableEvidence, criteria: SelectionCriteria) -> bool:
+def accepts_table(evidence: TableEvidence) -> bool:
     """Return whether a machine with tables is accepted: it leaves only noise, or little of the best other machine.
 
-    Several effects may only imitate one unknown curve, so that a single table replaces two or more with less.
+    Several effects may only imitate one unknown curve, so that a table replaces two or more if it is clearly better.
 
     Args:
         evidence: What the machines leave.
-        criteria: Decision thresholds `max_table_cost_fraction` and `max_table_cost_of_several_effects`.
     """
-    if evidence.explained:
-        return True
-    if evidence.effects > 1:
-        ratio = criteria.max_table_cost_of_several_effects
-        limit = min(criteria.max_table_cost_fraction * evidence.refitted, ratio * evidence.with_effects)
-    else:
-        limit = criteria.max_table_cost_fraction * min(evidence.refitted, evidence.with_effects)
-    return evidence.cost < limit
+    with_effects = (CLEAR if evidence.effects > 1 else FAR) * evidence.cost < evidence.with_effects
+    return evidence.explained or (with_effects and FAR * evidence.cost < evidence.refitted)

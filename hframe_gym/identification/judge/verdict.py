@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .criteria import SelectionCriteria
-from .error import FitError, required_gain
+from .error import AS_GOOD, CLEAR, FitError, required_gain
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
@@ -110,8 +110,7 @@ def contradiction_of_names(evidence: Evidence, explained: bool, criteria: Select
     Args:
         evidence: What the held-out runs say.
         explained: Whether the machine with effects explains the fitted runs, at the noise and the observer of the fit.
-        criteria: Decision thresholds `max_noise_ratio_explained`, `max_remaining`, `max_partial_excess` and
-            `max_remaining_explained`.
+        criteria: Decision thresholds `max_noise_ratio_explained`, `max_remaining` and `max_partial_excess`.
 
     Returns:
         A clause.
@@ -126,7 +125,9 @@ def contradiction_of_names(evidence: Evidence, explained: bool, criteria: Select
     # Of a real machine, a tenth of the error may remain whatever is added. Effects that are its main causes hold all
     # the same; a wrong effect that imitates a cause acts elsewhere, or depends on another variable.
     partial = criteria.max_partial_excess if evidence.causes_named else criteria.max_remaining
-    limit = criteria.max_remaining_explained if explained else partial
+    limit = (
+        1.0 / CLEAR if explained else partial
+    )  # this holds where the noise of the fit was estimated too large
     if measured <= limit:
         return ""
     return (
@@ -279,27 +280,22 @@ def is_worse_than_plain(ratio: float, left: float, criteria: SelectionCriteria) 
     return ratio > AS_GOOD_AS_PLAIN and not left <= criteria.max_noise_ratio_explained
 
 
-# Multiple of the noise that is left on the held-out runs, from which a description of it is worth its time.
-_DESCRIBED_FROM = 2.0
-# Ratio of errors on the held-out runs below which a description is delivered; it has two effects more.
-_DESCRIPTION_HELPS = 0.9
-
-
-def needs_description(verdict: Verdict, names: int, left: float) -> bool:
+def needs_description(verdict: Verdict, names: int, left: float, criteria: SelectionCriteria) -> bool:
     """Return whether what is left should be described, because no cause of it is named.
 
     Args:
         verdict: Verdict of the search.
         names: Number of effects that are named.
         left: Simulation error on the held-out runs in units of the noise; not a number if the machine diverges.
+        criteria: Decision threshold `max_noise_ratio_explained`.
     """
-    return verdict == "unexplained" and not names and not left < _DESCRIBED_FROM
+    return verdict == "unexplained" and not names and not left <= criteria.max_noise_ratio_explained
 
 
 def description_helps(ratio: float) -> bool:
-    """Return whether a machine with a description is delivered in place of the one without.
+    """Return whether a machine with a description, which has more effects, is delivered in place of the one without.
 
     Args:
         ratio: Ratio of their simulation errors on the held-out runs.
     """
-    return ratio < _DESCRIPTION_HELPS
+    return AS_GOOD * ratio**2 < 1.0

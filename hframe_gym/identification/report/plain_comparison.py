@@ -89,7 +89,8 @@ def _described(
     machine without a description.
     """
     outcome, test = evaluated.outcome, evaluated.test
-    if not needs_description(outcome.verdict, len(outcome.selected), evaluated.after.held_out.noise_ratio):
+    left = evaluated.after.held_out.noise_ratio
+    if not needs_description(outcome.verdict, len(outcome.selected), left, test.criteria):
         return None
     refit = refined_equally(outcome.before, outcome.data)
     equal = equally_weighted(outcome.data)

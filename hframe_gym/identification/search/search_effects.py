@@ -430,9 +430,7 @@ class _Search:
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
                 replaced = len(effects) if start is self.base else 0
                 errors = self._wide_cost(candidate), self.base.cost, wide.cost
-                if kept and accepts_table(
-                    TableEvidence(self._explains(candidate), *errors, replaced), criteria
-                ):
+                if kept and accepts_table(TableEvidence(self._explains(candidate), *errors, replaced)):
                     return candidate, kept
         return None
 

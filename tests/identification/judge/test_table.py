@@ -56,4 +56,4 @@ def test_a_table_is_accepted_if_it_explains_or_leaves_little(
     explained: bool, cost: float, refitted: float, with_effects: float, effects: int, accepted: bool
 ) -> None:
     evidence = TableEvidence(explained, cost, refitted, with_effects, effects)
-    assert judge.accepts_table(evidence, CRITERIA) == accepted
+    assert judge.accepts_table(evidence) == accepted
