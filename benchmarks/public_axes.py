@@ -24,7 +24,7 @@ from rich.table import Table
 
 from benchmarks.results_file import data_root, write_results
 from hframe_gym.identification import identify
-from hframe_gym.identification.report.recording_simulation import ModelEvaluation
+from hframe_gym.identification.validate.machine_errors import ModelEvaluation
 from hframe_gym.recordings import load_machine, load_recordings
 
 

@@ -1,17 +1,18 @@
 """Identification of a machine from recordings: initial states, fit, selection of effects, evaluation and report."""
 
-from ..preparation.dataset import MIN_ROWS, Dataset, PreparedRecording, prepare
+from ..preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
+from ..preparation.division import hold_out
 from ..preparation.rest_measurement import InitialState, estimate_initial_state
-from .evidence.held_out import hold_out
+from ..preparation.session import prepare
 from .evidence.tried_effects import SelectedEffect
 from .fit.estimation import Fit, fit
 from .identify import identify
 from .judge.criteria import SelectionCriteria
 from .predict.free_parameters import FreeParameter, default_free_parameters
 from .propose.screening import screen
-from .report.recording_simulation import SimulatedRecording, initial_state_of_recording, simulate_recording
 from .report.result import IdentificationResult, write_result
 from .search.forward_selection import EffectSearch
+from .validate.recording_simulation import SimulatedRecording, initial_state_of_recording, simulate_recording
 
 __all__ = [
     "MIN_ROWS",

@@ -1,6 +1,7 @@
-"""Identification as a story: prepare, refit and search, check on held-out runs, evaluate, judge, report.
+"""Identification as a story: prepare, refit, propose and fit and judge until nothing passes, validate, report.
 
-Each step is a room of this package; `judge` decides, the others compute what it asks for.
+`preparation` prepares; `search` refits and repeats `propose`, `fit`, `evidence` and `judge`; `validate` and `report`
+follow. `judge` decides, the others compute what it asks for.
 """
 
 from __future__ import annotations
@@ -9,32 +10,24 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError
 from ..machine import Machine
-from ..preparation.dataset import require_motion, require_rows, with_all_measurements
+from ..preparation.division import divide_runs
 from ..preparation.session import prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
 from .budget import Budget, default_budget
-from .evidence.held_out import hold_out
 from .evidence.tried_effects import Log
 from .fit.run_differences import describe_run_differences
 from .judge.criteria import SelectionCriteria
-from .report.assembly import build_result, unexcited_effects
-from .report.evaluation import HeldOutTest, judged
-from .report.plain_comparison import at_least_plain
-from .report.result import IdentificationResult, Unfinished
-from .search.checked_search import (
-    comparable_runs,
-    hint_of_differing_runs,
-    search_and_check,
-    without_unconfirmed,
-)
-from .search.input_timing import with_input_timing
+from .report.assembly import build_result
+from .report.result import IdentificationResult
+from .search.checked_search import find_effects
+from .validate.evaluation import HeldOutTest, judged
+from .validate.plain_comparison import at_least_plain
 
 
 @single_threaded_linear_algebra()  # the result depends on no number of threads
@@ -78,51 +71,38 @@ def identify(
         )
     load_plugins()  # the search tries their effects as well
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
-    recordings = sorted(
-        recordings, key=lambda recording: recording.name
-    )  # the result depends on no other order
-    require_rows(recordings)
-    held_names = hold_out(recordings, held_out)
-    require_motion([recording for recording in recordings if recording.name not in held_names])
+    recordings = sorted(recordings, key=lambda recording: recording.name)  # no other order changes the result
+
+    # Prepare: which runs are fitted, and what of them can be used.
+    held_names = divide_runs(recordings, held_out)
     budget = _budget(budget, recordings, machine, log)
-
-    # Prepare: what of the recordings can be fitted.
     session = prepare_session(recordings, machine, criteria, log)
-    all_runs = session.data
 
-    # Refit, propose, judge, repeat: in the fitted runs.
-    search = partial(search_and_check, machine, all_runs, criteria=criteria, log=log, budget=budget)
-    checked = search(held_names)
-    complete = not checked.outcome.selected and not held_out and not checked.outcome.unfinished
-    hint = hint_of_differing_runs(checked, search, log) if complete else ()
+    # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
+    found = find_effects(
+        machine,
+        session.data,
+        held_names,
+        may_exchange=not held_out,
+        criteria=criteria,
+        log=log,
+        budget=budget,
+    )
 
-    # Validate: the held-out runs remove effects, and judge the names of those that are left.
-    outcome = without_unconfirmed(checked.outcome, checked.agreeing, log)
-    outcome = with_input_timing(outcome, checked.agreeing, criteria, log)
-    validation = with_all_measurements(checked.held_out, session.usable)
-    test = HeldOutTest(machine, session.ranges, validation, recordings, criteria)
-    evaluated, reason = judged(test.evaluate(outcome), checked.differing, log)
-    any_name = bool(evaluated.outcome.selected)
-    plain, evaluated, delivered = at_least_plain(evaluated, checked.plain, log, budget)
-    outcome = evaluated.outcome
-    if any_name and not outcome.selected:
-        reason = delivered
+    # Validate: the held-out runs judge the verdict and the names, and nothing worse than a plain fit is delivered.
+    test = HeldOutTest(machine, session, found.held_out, criteria)
+    evaluated = judged(test.evaluate(found.outcome), found.differing, log)
+    delivered = at_least_plain(evaluated, found.plain, log, budget)
+    outcome = delivered.evaluated.outcome
+    remarks = (*found.remarks, *delivered.remarks)
+    if remarks or outcome.verdict == "unexplained":
+        remarks += describe_run_differences(outcome.after, found.comparable_runs(session.data), criteria)
 
     # Report.
-    remarks = (*checked.remarks, *hint, *((delivered,) if delivered and delivered != reason else ()))
-    if remarks or outcome.verdict == "unexplained":
-        remarks += describe_run_differences(outcome.after, comparable_runs(checked, all_runs), criteria)
-    unfinished = (
-        Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
-    )
-    result = build_result(evaluated, reason, unfinished, plain)
-    remarks += unexcited_effects(result, outcome.after.bandwidth)
+    result = build_result(delivered, found, remarks, budget)
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
-    result = dataclasses.replace(
-        result, contradicting=checked.differing, excluded=(*remarks, *checked.messages)
-    )
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
 

@@ -1,4 +1,4 @@
-"""Recordings prepared for identification: gaps filled, initial states, zeros and noise of the sensors estimated.
+"""The records of runs that are prepared for a fit: measurements minus zeros, initial states, noise of the sensors.
 
 The zero of a sensor is its measurement at position 0. A laser has a fixed zero; that of an encoder is wherever the
 encoder was switched on, and common to all runs in which it stayed on.
@@ -15,30 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
 from ..machine import Machine
-from ..recordings import (
-    Recording,
-    fill_gaps,
-)
-from .common_zeros import common_encoder_zeros
 from .encoder_zeros import EncoderZeros
-from .initial_state import measured_initial_state, model_initial_states
-from .rest_measurement import InitialState, estimate_initial_state, free_zeros, has_zero
-from .sensor_properties import (
-    clock_jitter,
-    difference_noise,
-    independent_values,
-    noise_by_row,
-    sensor_noise,
-    sensor_quantum,
-)
+from .initial_state import model_initial_states
+from .rest_measurement import InitialState
 
 Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
-_NORMAL_SPAN = 4.65  # standard deviations of noise between its 1st and 99th percentile
-_MOVES = 0.01  # fraction of a sensor's largest span in all runs; with less, the error of a run says nothing
-_NO_NOISE = 0.5  # fraction of a span that noise does not explain
 
 
 class RunObserver(NamedTuple):
@@ -226,142 +209,6 @@ class Dataset:
         return values[np.isfinite(values)]
 
 
-def require_rows(recordings: Sequence[Recording]) -> None:
-    """Check that runs are long enough for the filters.
-
-    Args:
-        recordings: All runs (times, voltages, measurements, SI).
-
-    Raises:
-        InputError: If a run has fewer than 20 rows.
-    """
-    for recording in recordings:
-        if len(recording.time_s) < MIN_ROWS:
-            raise InputError(
-                f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed"
-            )
-
-
-def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Find the runs in which the machine moves: a sensor moves by more than its noise and than 1 % of its largest span.
-
-    A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong samples
-    and the first steps of a motor that hardly turns do not count.
-
-    Args:
-        recordings: All runs (times, voltages, measurements, SI).
-
-    Returns:
-        Names of the runs in which at least one sensor moves.
-    """
-    spans, moves = np.zeros((2, len(recordings), recordings[0].outputs.shape[1]))
-    for i, recording in enumerate(recordings):
-        for j, values in enumerate(recording.outputs.T):
-            measured = values[np.isfinite(values)]
-            if len(measured):
-                spans[i, j] = np.ptp(np.percentile(measured, [1, 99]))
-                moves[i, j] = (
-                    max(spans[i, j] ** 2 - (_NORMAL_SPAN * difference_noise([measured])) ** 2, 0.0) ** 0.5
-                )
-    moving = (moves > _MOVES * spans.max(axis=0)) & (moves > _NO_NOISE * spans)
-    return tuple(r.name for r, moves in zip(recordings, moving.any(axis=1), strict=True) if moves)
-
-
-def require_motion(fitted: Sequence[Recording]) -> None:
-    """Check that at least one sensor measures motion in at least one of the fitted runs.
-
-    Args:
-        fitted: Runs that are not held out (times, voltages, measurements, SI).
-
-    Raises:
-        InputError: If every sensor measures only noise in every fitted run.
-    """
-    if not moving_runs(fitted):
-        raise InputError(
-            f"runs {', '.join(run.name for run in fitted)}: no sensor moves, so nothing can be identified"
-        )
-
-
-def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
-    """Prepare recordings for a fit: fill gaps, and estimate initial states and properties of the sensors.
-
-    Args:
-        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least one.
-        machine: Machine with the rig's coordinates, belts and sensors.
-
-    Returns:
-        Data set with one prepared recording per run: its initial state, and its measurements minus the sensors' zeros
-        (measurements at position 0), m or rad, shape (n, sensors). For all runs: noise and quantization step of each
-        sensor, m or rad, shape (sensors,), and the zeros of the encoders that have the same one in all runs.
-    """
-    filled = [without_unknown_voltage(fill_gaps(recording), machine) for recording in recordings]
-    channels = [[recording.outputs[:, j] for recording in filled] for j in range(len(machine.sensors))]
-    quanta = np.array(
-        [sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)]
-    )
-    # Each run is estimated alone, which shows the encoders with the same zero in all runs, then again with these zeros.
-    separate = [estimate_initial_state(recording, machine) for recording in filled]
-    zeros = common_encoder_zeros(separate, machine, quanta)
-    initial = [
-        measured_initial_state(r, machine, zeros, quanta, s) for r, s in zip(filled, separate, strict=True)
-    ]
-    rows = [state.resting_rows for state in initial]
-    noise = np.array(
-        [
-            sensor_noise(channel, rows, quantum, sensor.noise)
-            for channel, quantum, sensor in zip(channels, quanta, machine.sensors, strict=True)
-        ]
-    )
-    jitter = _common_jitter(filled, machine, noise)
-    runs = tuple(
-        PreparedRecording(
-            name=run.name,
-            time_s=run.time_s,
-            inputs=run.inputs,
-            outputs=run.outputs - state.zeros,
-            initial=state,
-            noise=noise_by_row(run.time_s, run.outputs, noise, jitter),
-            weights=independent_values(run.time_s, run.outputs, quanta),
-            dropped=np.isin(
-                run.time_s, recorded.time_s, invert=True
-            ),  # `fill_gaps` keeps recorded times exactly
-        )
-        for recorded, run, state in zip(recordings, filled, initial, strict=True)
-    )
-    return Dataset(runs, noise, quanta, free_zeros(machine), zeros, jitter, has_zero(machine))
-
-
-def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording, with NaN for the first accelerations and currents: the voltage before that row is not known.
-
-    Args:
-        recording: Run (times, s; voltages, V; measurements in the units of the channels).
-        machine: Machine with its sensors.
-
-    Returns:
-        Copy with measurements of shape (n, sensors); the same object if no sensor measures such a quantity.
-    """
-    felt = np.array([s.quantity in ("acceleration", "current") for s in machine.sensors], np.bool_)
-    if not felt.any():
-        return recording
-    outputs = recording.outputs.copy()
-    outputs[0, felt] = np.nan
-    return dataclasses.replace(recording, outputs=outputs)
-
-
-def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Array) -> float:
-    """Return the jitter of the clock, s: the smallest estimate of all encoders or, if none measured, of all sensors.
-
-    Encoders resolve the jitter best. The smallest estimate is used, because vibration at one sensor looks like jitter.
-    """
-    channels = {j: [r.outputs[:, j] for r in recordings] for j in range(len(machine.sensors))}
-    measured = [j for j, channel in channels.items() if any(np.isfinite(values).any() for values in channel)]
-    measured = [j for j in measured if machine.sensors[j].of_position]
-    encoders = [j for j in measured if machine.sensors[j].incremental]
-    times = [r.time_s for r in recordings]
-    return min((clock_jitter(times, channels[j], noise[j]) for j in encoders or measured), default=0.0)
-
-
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """Copy a data set without the runs that cannot be simulated, because no sensor determines the initial position.
 
@@ -379,28 +226,3 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     return data.with_runs(located), (
         f"Not used, because no sensor with a known zero measures the start: {lost}.",
     )
-
-
-def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
-    """Copy a data set and put back the measurements at the ends of a sensor's range, which a fit leaves out.
-
-    Args:
-        data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
-        recordings: The same recordings with these measurements; recordings of other runs are ignored.
-
-    Returns:
-        Copy with all measurements minus the estimated zeros of the sensors, m or rad, shape (n, sensors).
-
-    Raises:
-        KeyError: If the recording of a run is missing.
-    """
-    outputs = {r.name: fill_gaps(r).outputs for r in recordings}
-    runs = (
-        dataclasses.replace(
-            run,
-            outputs=outputs[run.name] - run.initial.zeros,
-            weights=independent_values(run.time_s, outputs[run.name], data.quantum),
-        )
-        for run in data.runs
-    )
-    return dataclasses.replace(data, runs=tuple(runs))

@@ -1,28 +1,44 @@
-"""All runs of a session, prepared for a fit."""
+"""All runs of a session, prepared for a fit: gaps filled, initial states, zeros and noise of the sensors estimated."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from ..arrays import Array
 from ..errors import merge_run_warnings
 from ..machine import Machine
-from ..recordings import Recording
+from ..recordings import Recording, fill_gaps
 from .criteria import SaturationCriteria
-from .dataset import Dataset, prepare
-from .sensor_properties import Range
-from .usable import usable_run, without_saturated
+from .dataset import Dataset, PreparedRecording
+from .initial_state import measured_initial_state
+from .rest_measurement import estimate_initial_state, free_zeros, has_zero
+from .sensor_properties import (
+    Range,
+    clock_jitter,
+    independent_values,
+    noise_by_row,
+    sensor_noise,
+    sensor_quantum,
+)
+from .session_zeros import common_encoder_zeros
+from .usable import usable_run, without_saturated, without_unknown_voltage
 
 
 class Session(NamedTuple):
     """Runs of a session as they can be fitted.
 
     Attributes:
-        usable: The runs without measurements that are not usable, but with those at the end of a sensor's range.
+        recordings: The runs as logged.
+        usable: The same without measurements that are not usable, but with those at the end of a sensor's range.
         data: The runs prepared for a fit, without these.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
     """
 
+    recordings: Sequence[Recording]
     usable: list[Recording]
     data: Dataset
     ranges: dict[str, Range]
@@ -52,4 +68,91 @@ def prepare_session(
         log(f"the clock {data.describe_jitter()}")
     for warning in merge_run_warnings((run.name, w) for run in data.runs for w in run.initial.warnings):
         log(f"warning: {warning}")
-    return Session(usable, data, ranges)
+    return Session(recordings, usable, data, ranges)
+
+
+def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
+    """Prepare recordings for a fit: fill gaps, and estimate initial states and properties of the sensors.
+
+    Args:
+        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least one.
+        machine: Machine with the rig's coordinates, belts and sensors.
+
+    Returns:
+        Data set with one prepared recording per run: its initial state, and its measurements minus the sensors' zeros
+        (measurements at position 0), m or rad, shape (n, sensors). For all runs: noise and quantization step of each
+        sensor, m or rad, shape (sensors,), and the zeros of the encoders that have the same one in all runs.
+    """
+    filled = [without_unknown_voltage(fill_gaps(recording), machine) for recording in recordings]
+    channels = [[recording.outputs[:, j] for recording in filled] for j in range(len(machine.sensors))]
+    quanta = np.array(
+        [sensor_quantum(c, s.resolution) for c, s in zip(channels, machine.sensors, strict=True)]
+    )
+    # Each run is estimated alone, which shows the encoders with the same zero in all runs, then again with these zeros.
+    separate = [estimate_initial_state(recording, machine) for recording in filled]
+    zeros = common_encoder_zeros(separate, machine, quanta)
+    initial = [
+        measured_initial_state(r, machine, zeros, quanta, s) for r, s in zip(filled, separate, strict=True)
+    ]
+    rows = [state.resting_rows for state in initial]
+    noise = np.array(
+        [
+            sensor_noise(channel, rows, quantum, sensor.noise)
+            for channel, quantum, sensor in zip(channels, quanta, machine.sensors, strict=True)
+        ]
+    )
+    jitter = _common_jitter(filled, machine, noise)
+    runs = tuple(
+        PreparedRecording(
+            name=run.name,
+            time_s=run.time_s,
+            inputs=run.inputs,
+            outputs=run.outputs - state.zeros,
+            initial=state,
+            noise=noise_by_row(run.time_s, run.outputs, noise, jitter),
+            weights=independent_values(run.time_s, run.outputs, quanta),
+            dropped=np.isin(
+                run.time_s, recorded.time_s, invert=True
+            ),  # `fill_gaps` keeps recorded times exactly
+        )
+        for recorded, run, state in zip(recordings, filled, initial, strict=True)
+    )
+    return Dataset(runs, noise, quanta, free_zeros(machine), zeros, jitter, has_zero(machine))
+
+
+def _common_jitter(recordings: Sequence[Recording], machine: Machine, noise: Array) -> float:
+    """Return the jitter of the clock, s: the smallest estimate of all encoders or, if none measured, of all sensors.
+
+    Encoders resolve the jitter best. The smallest estimate is used, because vibration at one sensor looks like jitter.
+    """
+    channels = {j: [r.outputs[:, j] for r in recordings] for j in range(len(machine.sensors))}
+    measured = [j for j, channel in channels.items() if any(np.isfinite(values).any() for values in channel)]
+    measured = [j for j in measured if machine.sensors[j].of_position]
+    encoders = [j for j in measured if machine.sensors[j].incremental]
+    times = [r.time_s for r in recordings]
+    return min((clock_jitter(times, channels[j], noise[j]) for j in encoders or measured), default=0.0)
+
+
+def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dataset:
+    """Copy a data set and put back the measurements at the ends of a sensor's range, which a fit leaves out.
+
+    Args:
+        data: Data set prepared from recordings whose saturated measurements were replaced by NaN.
+        recordings: The same recordings with these measurements; recordings of other runs are ignored.
+
+    Returns:
+        Copy with all measurements minus the estimated zeros of the sensors, m or rad, shape (n, sensors).
+
+    Raises:
+        KeyError: If the recording of a run is missing.
+    """
+    outputs = {r.name: fill_gaps(r).outputs for r in recordings}
+    runs = (
+        dataclasses.replace(
+            run,
+            outputs=outputs[run.name] - run.initial.zeros,
+            weights=independent_values(run.time_s, outputs[run.name], data.quantum),
+        )
+        for run in data.runs
+    )
+    return dataclasses.replace(data, runs=tuple(runs))

@@ -7,6 +7,7 @@ were measured with much noise are averaged.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -68,6 +69,24 @@ def usable_run(
                 )
                 log(f"{recording.name}: {what} not used: {found}")
     return UsableRun(measured, rest, usable)
+
+
+def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording:
+    """Copy a recording, with NaN for the first accelerations and currents: the voltage before that row is not known.
+
+    Args:
+        recording: Run (times, s; voltages, V; measurements in the units of the channels).
+        machine: Machine with its sensors.
+
+    Returns:
+        Copy with measurements of shape (n, sensors); the same object if no sensor measures such a quantity.
+    """
+    felt = np.array([s.quantity in ("acceleration", "current") for s in machine.sensors], np.bool_)
+    if not felt.any():
+        return recording
+    outputs = recording.outputs.copy()
+    outputs[0, felt] = np.nan
+    return dataclasses.replace(recording, outputs=outputs)
 
 
 def _log_wraps(recording: Recording, machine: Machine, log: Callable[[str], object]) -> None:

@@ -13,10 +13,10 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import hold_out
 from hframe_gym.identification.evidence import held_out
-from hframe_gym.identification.evidence.held_out import spectral_differences
 from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.fit.force_sizes import force_error
 from hframe_gym.identification.predict.prediction import POLISH_STEP
+from hframe_gym.preparation.division import spectral_differences
 from hframe_gym.recordings import Recording
 from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import AXIS, DRAG, FRAME, PUSH, selected

@@ -24,7 +24,7 @@ from hframe_gym.preparation.initial_state import (
     encoder_zero_errors,
     model_initial_states,
 )
-from hframe_gym.preparation.refined_zeros import refine_encoder_zeros
+from hframe_gym.preparation.session_zeros import refine_encoder_zeros
 from hframe_gym.recordings import Recording, load_machine
 from tests import reference_simulator as reference
 

@@ -19,7 +19,7 @@ from hframe_gym.identification.fit.lost_voltages import (
     with_lost_voltages,
 )
 from hframe_gym.identification.predict import prediction
-from hframe_gym.identification.report.recording_simulation import simulate_recording
+from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 

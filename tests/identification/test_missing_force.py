@@ -21,7 +21,7 @@ from hframe_gym.identification.propose.dependences import _curve, rank_dependenc
 from hframe_gym.identification.propose.periodogram import periodogram_peaks
 from hframe_gym.identification.report.plots import _with_unit
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
-from hframe_gym.preparation.dataset import prepare
+from hframe_gym.preparation.session import prepare
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit

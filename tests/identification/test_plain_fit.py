@@ -19,7 +19,7 @@ from hframe_gym.identification.fit.plain_fit import (
     outside_limits,
     plain_fit,
 )
-from hframe_gym.identification.search.description import describe_remainder
+from hframe_gym.identification.validate.plain_comparison import describe_remainder
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 

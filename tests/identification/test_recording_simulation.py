@@ -19,8 +19,8 @@ from hframe_gym.identification import (
     simulate_recording,
 )
 from hframe_gym.identification.fit.residual import ChannelError
-from hframe_gym.identification.report import recording_simulation
-from hframe_gym.identification.report.recording_simulation import (
+from hframe_gym.identification.validate import recording_simulation
+from hframe_gym.identification.validate.machine_errors import (
     ModelEvaluation,
     PredictionErrors,
     evaluate_held_out,

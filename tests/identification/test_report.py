@@ -28,9 +28,10 @@ from hframe_gym.identification.report.experiment_design import FILE, ExperimentD
 from hframe_gym.identification.report.instructions import next_steps
 from hframe_gym.identification.report.page import build_report, tone_of_remainder, verdict_sentence
 from hframe_gym.identification.report.plots import report_panels
-from hframe_gym.identification.report.recording_simulation import PredictionErrors
-from hframe_gym.identification.report.result import Hint, PlainResult, Unfinished, Verdict, plot_data
+from hframe_gym.identification.report.result import Hint, Unfinished, Verdict, plot_data
 from hframe_gym.identification.report.saved_result import load_result, next_command
+from hframe_gym.identification.validate.machine_errors import PredictionErrors
+from hframe_gym.identification.validate.plain_comparison import PlainResult
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.refined_zeros import refine_encoder_zeros
 from ...preparation.rest_measurement import InitialState
+from ...preparation.session_zeros import refine_encoder_zeros
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError, is_enough, only_noise_is_left, required_gain
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict, residuals

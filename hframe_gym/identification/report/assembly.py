@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
+from ...machine import Machine
 from ...preparation.dataset import Dataset
+from ..budget import Budget
 from ..evidence.held_out import error_reduction, held_out_gain, is_excited
-from ..evidence.tried_effects import ConsideredEffect
+from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
 from ..fit.force_sizes import drive_force, effect_force
 from ..fit.residual import Dependence, white_sensors
-from ..fit.start_estimation import refine_dataset
 from ..judge.verdict import final_verdict
 from ..propose.dependences import rank_dependences
-from .evaluation import Evaluated
+from ..search.checked_search import CheckedOutcome
+from ..validate.plain_comparison import Delivered
 from .experiment_design import design_discriminating_experiment
-from .result import Hint, IdentificationResult, PlainResult, RejectedEffect, Unfinished
+from .result import Hint, IdentificationResult, RejectedEffect, Unfinished
 
 _UNEXCITED = (
     "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
@@ -25,16 +28,17 @@ _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
 def build_result(
-    evaluated: Evaluated, reason: str, unfinished: Unfinished | None, plain: PlainResult | None
+    delivered: Delivered, found: CheckedOutcome, remarks: tuple[str, ...], budget: Budget
 ) -> IdentificationResult:
-    """Collect the result of an evaluated outcome, and propose an experiment.
+    """Collect the result of what an identification delivers, and propose an experiment.
 
     Args:
-        evaluated: The outcome with its machines and their errors.
-        reason: Why the held-out runs contradict the verdict of the search; "" if they do not.
-        unfinished: What the search did when its budget ended; None if it is complete.
-        plain: Plain fit with its errors, if there is one.
+        delivered: The outcome with its machines and their errors.
+        found: Outcome of the search, with the held-out runs that contradict the fitted ones.
+        remarks: What the user should know about the runs, one sentence each.
+        budget: Budget of the identification.
     """
+    evaluated = delivered.evaluated
     outcome, selected, refined = evaluated.outcome, evaluated.selected, evaluated.refined
     before, after, data = outcome.before, outcome.after, outcome.data
     corrected = evaluated.after.machine
@@ -42,8 +46,11 @@ def build_result(
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
         for s in selected
     )
-    validation = refine_dataset(evaluated.test.validation, corrected, data)
+    validation = evaluated.validation
     drives = drive_force(corrected, data)
+    unfinished = (
+        Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
+    )
     result = IdentificationResult(
         verdict=final_verdict(outcome.verdict, any_effect=bool(selected)),
         declared=evaluated.declared,
@@ -60,8 +67,17 @@ def build_result(
         seconds=0.0,
         experiment=next(filter(None, experiments), None),
         criteria=evaluated.test.criteria,
+        excluded=(
+            *remarks,
+            *_unexcited_effects(selected, corrected, validation, after.bandwidth),
+            *found.messages,
+        ),
+        contradicting=found.differing,
+        reason=evaluated.reason,
+        unfinished=unfinished,
+        plain=delivered.plain,
     )
-    return dataclasses.replace(result, reason=reason, hint=_hint(result), unfinished=unfinished, plain=plain)
+    return dataclasses.replace(result, hint=_hint(result))
 
 
 def _hint(result: IdentificationResult) -> Hint | None:
@@ -90,15 +106,9 @@ def _rejected(
     )
 
 
-def unexcited_effects(result: IdentificationResult, bandwidth: float) -> tuple[str, ...]:
-    """Return a sentence about the effects on which the held-out runs do not depend; only fitted runs confirm them.
-
-    Args:
-        result: Result of an identification.
-        bandwidth: Bandwidth of the observer of the final fit, rad/s; 0 for a simulation.
-    """
-    machine = result.after.machine
-    effects = [
-        s.effect.label for s in result.effects if not is_excited(s, machine, result.held_out, bandwidth)
-    ]
+def _unexcited_effects(
+    selected: Sequence[SelectedEffect], machine: Machine, held_out: Dataset, bandwidth: float
+) -> tuple[str, ...]:
+    """Return a sentence about the effects on which the held-out runs do not depend; only fitted runs confirm them."""
+    effects = [s.effect.label for s in selected if not is_excited(s, machine, held_out, bandwidth)]
     return (_UNEXCITED.format(", ".join(effects)),) if effects else ()

@@ -30,9 +30,10 @@ from ..fit.residual import (
 )
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import Verdict
+from ..validate.machine_errors import ModelEvaluation, PredictionErrors
+from ..validate.plain_comparison import PlainResult
 from .experiment_design import FILE, ExperimentDesign
 from .provenance import provenance
-from .recording_simulation import ModelEvaluation, PredictionErrors
 
 Array = NDArray[np.float64]
 SCHEMA = 1
@@ -133,35 +134,6 @@ class Unfinished(NamedTuple):
             f"The search is not complete: {self.reason} ({self.stage}). Effects and tables that would have followed "
             "were not tried, so the verdict is that of what was found until then. A larger --budget continues."
         )
-
-
-@dataclass(frozen=True)
-class PlainResult:
-    """The plain fit of inertia and friction, which uses no declared value of them, as a machine for comparison.
-
-    Attributes:
-        evaluation: The machine with its errors on the held-out runs.
-        terms: Labels of what it has beside inertia and friction: constant force, weight, input delay.
-        delivered: Whether it is the machine that identification delivers, because that of the search predicts worse.
-    """
-
-    evaluation: ModelEvaluation
-    terms: tuple[str, ...] = ()
-    delivered: bool = False
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the entry "plain" of report.json.
-
-        Returns:
-            "held_out", errors as those of the other machines; "missing_force_percent"; "terms"; "delivered".
-        """
-        lacking = self.evaluation.held_out.lacking
-        return {
-            "held_out": self.evaluation.held_out.as_json(),
-            "missing_force_percent": None if lacking is None else _finite_or_none(100.0 * lacking),
-            "terms": list(self.terms),
-            "delivered": self.delivered,
-        }
 
 
 @dataclass(frozen=True)

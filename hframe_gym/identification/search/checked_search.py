@@ -1,9 +1,12 @@
-"""Search in the fitted runs, and let the held-out runs check what was found; they can only remove effects."""
+"""Find effects in the fitted runs, and let the held-out runs check them; they can only remove effects.
+
+`find_effects` refits the machine and searches (`search_effects`: propose, fit, gather evidence, judge, repeat).
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -20,6 +23,7 @@ from ..judge.held_out import HeldOutEffect, refuted_effects
 from ..judge.run import exchanges_held_out
 from ..judge.verdict import verdict_after_removal
 from ..propose.trial_fits import without_effect
+from .input_timing import with_input_timing
 from .search_effects import SearchOutcome, search_effects
 
 _CONTRADICTION = (
@@ -46,6 +50,7 @@ class CheckedOutcome(NamedTuple):
         differing: Names of those that contradict the machine which explains the fitted runs.
         messages: What the user should know about the division of the runs, one sentence each.
         plain: Plain fit to the fitted runs, if there is one.
+        hint: What the user should know if the fitted and the held-out runs contradict each other; a sentence, or "".
     """
 
     outcome: SearchOutcome
@@ -53,6 +58,7 @@ class CheckedOutcome(NamedTuple):
     differing: tuple[str, ...]
     messages: tuple[str, ...]
     plain: PlainFit | None = None
+    hint: str = ""
 
     @property
     def agreeing(self) -> Dataset:
@@ -64,28 +70,66 @@ class CheckedOutcome(NamedTuple):
         """What the user should know about runs that contradict others, one sentence each."""
         left_out = self.outcome.contradiction
         remarks = (_CONTRADICTION.format(left_out),) if left_out else ()
-        return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing))
+        hints = (self.hint,) if self.hint else ()
+        return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing), *hints)
+
+    def comparable_runs(self, all_runs: Dataset) -> Dataset:
+        """Return the fitted, held-out and contradictory runs, with estimated voltages.
+
+        Args:
+            all_runs: All runs, prepared for a fit; measurements of shape (n, sensors) each.
+        """
+        used = {run.name: run for run in (*self.outcome.data.runs, *self.held_out.runs)}
+        names = [*used, self.outcome.contradiction]
+        runs = tuple(used.get(r.name, r) for r in all_runs.runs if r.name in names)
+        return dataclasses.replace(all_runs, runs=runs)
 
 
-def search_and_check(
+def find_effects(
     machine: Machine,
     all_runs: Dataset,
     held_names: Sequence[str],
     *,
+    may_exchange: bool,
     criteria: SelectionCriteria,
     log: Log,
     budget: Budget,
 ) -> CheckedOutcome:
-    """Search for effects in the runs that are not held out, and compare the result with those that are.
+    """Refit a machine and find the effects (deviations from the nominal model) that it lacks.
+
+    They are searched for in the runs that are not held out. The held-out runs remove those that they do not confirm.
+    Then a delay of the drives is looked for, which the observer of the search hides.
 
     Args:
         machine: Machine as declared.
         all_runs: All runs, prepared for a fit.
         held_names: Names of the runs that are held out.
+        may_exchange: Whether other runs may be held out to look for a hint, if the held-out runs contradict the fitted
+            ones.
         criteria: Decision thresholds.
         log: Called with a line of text.
         budget: Processor time after which the search ends.
     """
+    found = _search_and_check(machine, all_runs, held_names, criteria, log, budget)
+    complete = not found.outcome.selected and not found.outcome.unfinished
+    others = _runs_to_exchange(found, log) if complete and may_exchange else []
+    if others:
+        exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget)
+        found = found._replace(hint=_hint(found, exchanged))
+    outcome = without_unconfirmed(found.outcome, found.agreeing, log)
+    outcome = with_input_timing(outcome, found.agreeing, criteria, log)
+    return found._replace(outcome=outcome)
+
+
+def _search_and_check(
+    machine: Machine,
+    all_runs: Dataset,
+    held_names: Sequence[str],
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+) -> CheckedOutcome:
+    """Search in the runs that are not held out, and find the held-out runs that contradict the result."""
     fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
     held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
     data, unused = with_known_positions(all_runs.with_runs(fitted_names))
@@ -124,49 +168,32 @@ def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple
     return contradicting_held_out_runs(outcome.after, outcome.before.machine, outcome.selected, refined)
 
 
-def comparable_runs(checked: CheckedOutcome, all_runs: Dataset) -> Dataset:
-    """Return the fitted, held-out and contradictory runs, measurements of shape (n, sensors); with estimated voltages.
+def _runs_to_exchange(found: CheckedOutcome, log: Log) -> list[str]:
+    """Return the fitted runs to hold out instead, if every held-out run contradicts the fitted ones; otherwise none.
 
-    Args:
-        checked: Outcome of a search.
-        all_runs: All runs, prepared for a fit; measurements of shape (n, sensors) each.
+    Either something was wrong with the held-out runs, or only they excite an effect.
     """
-    used = {run.name: run for run in (*checked.outcome.data.runs, *checked.held_out.runs)}
-    names = [*used, checked.outcome.contradiction]
-    return dataclasses.replace(
-        all_runs, runs=tuple(used.get(r.name, r) for r in all_runs.runs if r.name in names)
-    )
-
-
-def hint_of_differing_runs(
-    checked: CheckedOutcome, search: Callable[[Sequence[str]], CheckedOutcome], log: Log
-) -> tuple[str, ...]:
-    """Return a hint if every held-out run contradicts the fitted ones, and effects would explain all runs together.
-
-    Either something was wrong with the held-out runs, or only they excite an effect. The effects are searched for with
-    these runs fitted. They are named only as a hint: no run is left that could confirm them.
-
-    Args:
-        checked: Outcome of the search, without effects.
-        search: Function that searches with other held-out runs, given their names.
-        log: Called with a line of text.
-
-    Returns:
-        A sentence for the user, or nothing.
-    """
-    fitted = [run.name for run in checked.outcome.data.runs]
-    if not exchanges_held_out(len(checked.differing), len(checked.held_out.runs), len(fitted)):
-        return ()
-    names, others = ", ".join(checked.differing), fitted[: len(checked.differing)]
+    fitted = [run.name for run in found.outcome.data.runs]
+    if not exchanges_held_out(len(found.differing), len(found.held_out.runs), len(fitted)):
+        return []
+    others = fitted[: len(found.differing)]
     log(
-        f"all held-out runs contradict the fitted ones ({names}); searching with {', '.join(others)} held out instead"
+        f"all held-out runs contradict the fitted ones ({', '.join(found.differing)}); searching with "
+        f"{', '.join(others)} held out instead"
     )
-    exchanged = search(others)
+    return others
+
+
+def _hint(found: CheckedOutcome, exchanged: CheckedOutcome) -> str:
+    """Return a hint at effects that explain all runs together, if the held-out runs are fitted; otherwise "".
+
+    They are named only as a hint: no run is left that could confirm them.
+    """
     outcome = exchanged.outcome
     if not outcome.selected or not outcome.explained or outcome.contradiction or exchanged.differing:
-        return ()
+        return ""
     effects = ", ".join(s.effect.label for s in outcome.selected)
-    return (_HINT.format(effects, names),)
+    return _HINT.format(effects, ", ".join(found.differing))
 
 
 def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -> SearchOutcome:

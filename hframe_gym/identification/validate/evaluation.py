@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ...preparation.sensor_properties import Range, range_effects
-from ...recordings import Recording
+from ...preparation.session import Session, with_all_measurements
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit, prediction_cost
@@ -30,7 +31,7 @@ from ..judge.verdict import (
 from ..predict.prediction import POLISH_STEP
 from ..propose.dependences import are_causes, rank_dependences
 from ..search.search_effects import SearchOutcome
-from .recording_simulation import ModelEvaluation, PredictionErrors, evaluate_held_out
+from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,20 @@ class HeldOutTest:
 
     Attributes:
         machine: Machine as declared.
-        ranges: Ranges of the sensors that saturate, m or rad, by channel.
-        validation: Held-out runs with all measurements.
-        recordings: All recordings as measured.
+        session: All runs, as logged and as prepared.
+        held_out: Held-out runs, prepared.
         criteria: Thresholds of the identification.
     """
 
     machine: Machine
-    ranges: dict[str, Range]
-    validation: Dataset
-    recordings: Sequence[Recording]
+    session: Session
+    held_out: Dataset
     criteria: SelectionCriteria
+
+    @cached_property
+    def validation(self) -> Dataset:
+        """Held-out runs with all measurements, also those at the ends of sensors' ranges, which a fit leaves out."""
+        return with_all_measurements(self.held_out, self.session.usable)
 
     def errors(self, machine: Machine, fitted: Dataset) -> ModelEvaluation:
         """Simulate a machine over the held-out runs.
@@ -61,7 +65,7 @@ class HeldOutTest:
         Returns:
             The machine with its errors, m or rad, shape (n, sensors) for each run; see `evaluate_held_out`.
         """
-        return evaluate_held_out(machine, fitted, self.validation, self.recordings, self.criteria)
+        return evaluate_held_out(machine, fitted, self.validation, self.session.recordings, self.criteria)
 
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
@@ -71,13 +75,14 @@ class HeldOutTest:
         """
         refined = refine_dataset(outcome.data, outcome.after.machine)
         corrected, selected = _corrected(
-            outcome.after, outcome.selected, self.ranges, refined, f"{self.machine.name}-identified"
+            outcome.after, outcome.selected, self.session.ranges, refined, f"{self.machine.name}-identified"
         )
         refitted = outcome.before.machine.replace(name=f"{self.machine.name}-refitted")
         declared, before, after = (
             self.errors(machine, outcome.data) for machine in (self.machine, refitted, corrected)
         )
-        return Evaluated(outcome, selected, declared, before, after, refined, self)
+        validation = refine_dataset(self.validation, after.machine, outcome.data)
+        return Evaluated(outcome, selected, declared, before, after, refined, validation, self)
 
 
 class Evaluated(NamedTuple):
@@ -90,7 +95,9 @@ class Evaluated(NamedTuple):
         before: Refitted machine.
         after: Machine with the effects.
         refined: Fitted runs with the initial states that follow from this machine.
+        validation: Held-out runs with the initial states that follow from this machine.
         test: The held-out runs, on which other outcomes can be compared with this one.
+        reason: Why the held-out runs contradict the verdict of the search, a clause; "" if they do not.
     """
 
     outcome: SearchOutcome
@@ -99,10 +106,12 @@ class Evaluated(NamedTuple):
     before: ModelEvaluation
     after: ModelEvaluation
     refined: Dataset
+    validation: Dataset
     test: HeldOutTest
+    reason: str = ""
 
 
-def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> tuple[Evaluated, str]:
+def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Evaluated:
     """Let the held-out runs judge the names of effects and the verdict.
 
     Args:
@@ -111,17 +120,17 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> tuple[Ev
         log: Called with a line of text for each effect that is not named.
 
     Returns:
-        The outcome with its machines, without effects that must not be named, and why its verdict is "unexplained"; ""
-        if the held-out runs do not contradict.
+        The outcome with its machines, without effects that must not be named, and the reason if the held-out runs
+        contradict.
     """
     reason, outcome = _contradiction(evaluated, differing), evaluated.outcome
     if not reason:
-        return evaluated, ""
+        return evaluated
     if not outcome.selected:
-        return evaluated._replace(outcome=outcome._replace(verdict="unexplained")), reason
+        return evaluated._replace(outcome=outcome._replace(verdict="unexplained"), reason=reason)
     for s in outcome.selected:
         log(f"  {s.effect.label} is not named: {reason}")
-    return evaluated.test.evaluate(without_names(outcome, reason)), reason
+    return evaluated.test.evaluate(without_names(outcome, reason))._replace(reason=reason)
 
 
 def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
@@ -173,9 +182,7 @@ def _remaining_prediction(evaluated: Evaluated, names: Sequence[str]) -> float:
     some tenths of a second, and fast enough that its errors do not add up over the run, where parameters fitted beside
     a wrong effect compensate for it.
     """
-    validation = refine_dataset(
-        evaluated.test.validation, evaluated.after.machine, evaluated.outcome.data
-    ).with_runs(names)
+    validation = evaluated.validation.with_runs(names)
     quiet = [
         dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape))
         for r in validation.runs

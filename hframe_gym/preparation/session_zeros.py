@@ -1,7 +1,11 @@
-"""Find the encoders that kept their zero in all runs of a session."""
+"""Zeros that the encoders kept in a session: found in all runs, and corrected by a fitted machine.
+
+The effects of a fitted machine stretch the belts at rest, and the zeros follow from measurements at rest.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,7 +13,9 @@ import numpy as np
 from ..arrays import Array
 from ..machine import Machine
 from .belt_stretch import max_held_angle
+from .dataset import Dataset
 from .encoder_zeros import MAX_SCATTER, EncoderZeros
+from .initial_state import encoder_zero_errors
 from .rest_measurement import InitialState
 
 # Runs needed to distinguish an encoder that keeps its zero from one that is switched on anew for every run.
@@ -58,3 +64,50 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
             scatter = max(spread[j], of_kept[j])
             zeros.spread[j] = scatter if scatter > max(quanta[j], _MIN_STRETCH) else 0.0
     return zeros
+
+
+def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:
+    """Copy a data set, with zeros (measurements at position 0) of the encoders corrected by a fitted machine.
+
+    `prepare` estimates zeros as if the belts were unstretched at rest. The effects of the fitted machine give the
+    forces that stretch the belts at rest; this stretch is the error of the zeros.
+
+    Args:
+        data: Data set to correct (times, voltages, measurements, SI).
+        machine: Fitted machine with its effects (deviations from the nominal model).
+        reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
+            Default: `data`.
+
+    Returns:
+        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run. `data` itself if
+        the machine has no effects, or no encoder with a known zero resolves the stretch of the belts.
+    """
+    runs = (data if reference is None else reference).runs
+    if not machine.effects or not any(np.any(run.initial.resolves_stretch) for run in data.runs):
+        return data
+    errors = encoder_zero_errors(machine, [run.initial for run in runs])
+    initial = [_with_corrected_zeros(run.initial, machine, errors) for run in data.runs]
+    corrected = (
+        dataclasses.replace(run, initial=state, outputs=run.outputs - errors)
+        for run, state in zip(data.runs, initial, strict=True)
+    )
+    zeros = data.zeros and data.zeros._replace(values=data.zeros.values + errors)
+    return dataclasses.replace(data, runs=tuple(corrected), zeros=zeros)
+
+
+def _with_corrected_zeros(initial: InitialState, machine: Machine, errors: Array) -> InitialState:
+    """Return an initial state with errors (sensors,) added to the zeros, and with the resulting positions."""
+    state, zeroed = initial.state.copy(), initial.zeroed_measurement
+    if len(zeroed):
+        zeroed = zeroed - errors
+        if not initial.lasers_measured:
+            position = initial.position_matrix @ np.nan_to_num(zeroed)
+            state[: len(position)] = position
+    for j in np.flatnonzero(initial.resolves_stretch):
+        sensor = machine.sensors[j]
+        i = machine.coordinate_names.index(sensor.coordinate)
+        state[i] = initial.state[i] - errors[j] / sensor.row[sensor.coordinate]
+    zeros = initial.zeros + errors
+    return dataclasses.replace(
+        initial, state=state, zeroed_measurement=zeroed, zeros=zeros, zeros_refined=True
+    )

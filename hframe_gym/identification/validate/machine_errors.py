@@ -1,45 +1,27 @@
-"""Simulate a machine over a recording, from the initial state that every command uses.
-
-Identification evaluates its machines on held-out runs with `simulate_recording`, and ``hframe simulate`` calls the same
-function with the machine that identification wrote, so both have the same errors.
-"""
+"""Errors of a machine on the held-out runs, which it simulates as every command does."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...dynamics import NotFiniteError, simulate, simulate_batch
-from ...machine import Machine, Trajectory
+from ...arrays import Array
+from ...dynamics import NotFiniteError
+from ...machine import Machine
 from ...machine.motion import rigid_motions
-from ...preparation.dataset import Dataset, PreparedRecording, prepare, without_unknown_voltage
-from ...preparation.encoder_zeros import EncoderZeros
-from ...preparation.initial_state import measured_initial_state, model_initial_states
-from ...preparation.refined_zeros import refine_encoder_zeros
-from ...preparation.rest_measurement import (
-    InitialState,
-    free_zeros,
-    has_zero,
-    max_reported_zero_means,
-    max_zero_means,
-    sensor_zero_error,
-)
-from ...preparation.usable import rest_and_noise, usable_run, without_saturated
-from ...recordings import Recording, fill_gaps
+from ...preparation.dataset import Dataset, PreparedRecording
+from ...preparation.session_zeros import refine_encoder_zeros
+from ...recordings import Recording
 from ..fit.force_sizes import force_error, lacking_force
-from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.residual import ChannelError, errors_by_channel
-from ..fit.start_estimation import most_probable_start, refine_dataset
+from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
-from ..predict.prediction import POLISH_STEP, map_runs
-
-Array = NDArray[np.float64]
+from ..predict.prediction import map_runs
+from .recording_simulation import simulate_recording
 
 # A sensor deviates alone if its error is clear, and the others have less than a fifth of what the motion would cause.
 _CLEAR_ERROR, _AGREEING = 3.0, 0.2  # multiple of the noise; fraction
@@ -153,154 +135,6 @@ def error_ratio(evaluation: ModelEvaluation, reference: ModelEvaluation) -> floa
         if error.rmse and other.rmse:
             ratios.append(math.log(error.rmse / other.rmse))
     return math.exp(sum(ratios) / len(ratios)) if ratios else 0.0
-
-
-class SimulatedRecording(NamedTuple):
-    """A machine simulated over a recording, at the n times of that recording.
-
-    Attributes:
-        trajectory: Positions, velocities and simulated measurements. The latter include the zeros of the sensors (their
-            measurements at position 0), so that they can be compared with the recording.
-        error: Measured minus simulated values, m or rad, shape (n, sensors); NaN where nothing or an
-            outlier was measured, in repetitions of slow sensors, and before the machine came to rest.
-        initial: Initial state and zeros of the sensors; its `warnings` list what could not be determined.
-    """
-
-    trajectory: Trajectory
-    error: Array
-    initial: InitialState
-
-    @property
-    def outputs(self) -> Array:
-        """Simulated measurements, m or rad, shape (n, sensors)."""
-        return self.trajectory.outputs
-
-
-def simulate_recording(
-    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None
-) -> SimulatedRecording:
-    """Simulate a machine over a recording and compare it with the measurements.
-
-    The simulation starts from the most probable state, which is estimated from the measurements at rest and the motion,
-    and uses no feedback of the measurements. Rows that the logger dropped are filled in before the simulation; the
-    measurements determine their voltages.
-
-    Three kinds of measurements count as not measured: outliers (up to five consecutive samples of a sensor that leave
-    its motion and return to it), repetitions of a sensor that is slower than the log, and measurements before the
-    machine comes to rest, if it still moves when the run begins.
-
-    Args:
-        machine: Machine, declared or identified.
-        recording: The run (times, voltages, measurements); outputs may be missing.
-        criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
-
-    Returns:
-        Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
-        where not measured, and initial state.
-
-    Raises:
-        NotFiniteError: If the motion diverges.
-    """
-    criteria = criteria or SelectionCriteria()
-    cleaned = _cleaned(recording, machine, criteria)
-    initial = _initial_state(machine, cleaned, criteria)
-    motion = simulate(
-        machine,
-        cleaned.time_s,
-        cleaned.inputs,
-        initial.start(machine),
-        offset=initial.zeros,
-        longest_step=POLISH_STEP,
-    )
-    recorded = np.isin(cleaned.time_s, recording.time_s)  # the rows that `fill_gaps` did not insert
-    trajectory = dataclasses.replace(
-        motion,
-        time_s=motion.time_s[recorded],
-        positions=motion.positions[recorded],
-        velocities=motion.velocities[recorded],
-        outputs=motion.outputs[recorded],
-    )
-    return SimulatedRecording(trajectory, cleaned.outputs[recorded] - trajectory.outputs, initial)
-
-
-def initial_state_of_recording(
-    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None
-) -> InitialState:
-    """Determine the initial state from which a machine is simulated over a recording.
-
-    The measurements at rest give a first estimate: saturated ones are ignored, scale and skew of a sensor are
-    corrected, and pulleys are in static equilibrium. An encoder measures the stretch of the belts if the machine
-    declares its zero (measurement at position 0). The zero is not used if it contradicts the lasers (sensors with a
-    fixed zero): the encoder was then switched on anew and counts from another zero. What remains uncertain (belt
-    stretch, states of hysteresis and bristles) is estimated from the motion, see
-    `start_estimation.most_probable_start`.
-
-    Args:
-        machine: Machine, declared or identified.
-        recording: The run (times, voltages, measurements); outputs may be missing.
-        criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
-
-    Returns:
-        Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose errors
-        identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `zeros` the
-        zeros of the sensors, m or rad, shape (sensors,): those at rest, corrected by the mean error of the run as far
-        as rounding and the stretch of the belts at the start explain it. If the simulation diverges, the zeros follow
-        from the measurements at rest. `warnings` lists what could not be determined.
-    """
-    criteria = criteria or SelectionCriteria()
-    return _initial_state(machine, _cleaned(recording, machine, criteria), criteria)
-
-
-def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria) -> Recording:
-    """Return a recording without outliers, gaps, and measurements before the machine came to rest.
-
-    The measurements also determine the voltages in the gaps, except saturated measurements.
-    """
-    usable = without_unknown_voltage(usable_run(recording, machine).usable, machine)
-    filled = fill_gaps(usable)
-    if filled is usable or not np.isfinite(usable.outputs).any():
-        return filled
-    _, _, noise = rest_and_noise(filled, machine)
-    data = prepare(without_saturated([usable], machine, noise, criteria)[0], machine)
-    (run,) = estimate_lost_voltages(data, machine).runs
-    return dataclasses.replace(filled, inputs=run.inputs)
-
-
-def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCriteria) -> InitialState:
-    """Return the initial state of a recording without gaps and outliers."""
-    rows, quanta, noise = rest_and_noise(recording, machine)
-    ((usable,), _) = without_saturated([recording], machine, noise, criteria)
-    initial = measured_initial_state(usable, machine, EncoderZeros.of_machine(machine), quanta)
-    refined = bool(machine.effects) and bool(initial.resolves_stretch.any())
-    initial = dataclasses.replace(initial, zeros_refined=refined)
-    state = model_initial_states(machine, [initial])[0][: 2 * len(machine.coordinates)]
-    max_means = max_zero_means(free_zeros(machine), quanta)
-    measured = np.isfinite(usable.outputs)
-    zeroed = has_zero(machine)
-
-    def errors(states: Array, outputs: Array) -> Array:
-        """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""
-        time_s, inputs = recording.time_s[: len(outputs)], recording.inputs[: len(outputs)]
-        motion = simulate_batch(machine, time_s, inputs, start=states, states=False, longest_step=POLISH_STEP)
-        return np.where(np.isfinite(outputs), outputs - motion.readings, 0.0)
-
-    def weighted_errors(states: Array, count: int) -> Array:
-        """Return errors without those of the zeros, in units of the noise, shape (B, count * sensors)."""
-        error, valid = errors(states, usable.outputs[:count]), measured[:count]
-        error = np.where(
-            valid, error - sensor_zero_error(error, valid * zeroed, rows, max_means, quanta), 0.0
-        )
-        return np.asarray((error / np.where(noise > 0.0, noise, np.inf)).reshape(len(states), -1))
-
-    start = most_probable_start(machine, initial, state, weighted_errors, recording.time_s)
-    initial = initial.with_start(machine, start)
-    error = errors(start, recording.outputs)
-    if not np.isfinite(error).all():
-        return initial
-    limits = max_reported_zero_means(machine, initial, quanta)
-    valid = np.isfinite(recording.outputs) * has_zero(machine)
-    zeros = sensor_zero_error(error, valid, rows, limits, quanta)[0, 0]
-    return dataclasses.replace(initial, zeros=zeros)
 
 
 def evaluate_held_out(

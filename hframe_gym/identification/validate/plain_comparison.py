@@ -1,0 +1,201 @@
+"""Compare the machine of the search with a plain fit of inertia and friction, and deliver no worse one.
+
+Where the search names nothing, the remaining error of complete runs is described beside the better of both.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from ...preparation.dataset import Dataset
+from ..budget import Budget, BudgetEndedError
+from ..evidence.tried_effects import Log
+from ..fit.estimation import Fit, prediction_cost
+from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
+from ..judge.criteria import SelectionCriteria
+from ..judge.verdict import description_helps, is_worse_than_plain, needs_description
+from ..predict.prediction import SIMULATION
+from ..search.forward_selection import EffectSearch
+from .evaluation import Evaluated, without_names
+from .machine_errors import ModelEvaluation, error_ratio
+
+_MAX_EFFECTS = 2  # Each further one takes longer and removes less.
+_BUDGET_PART = 0.2  # of the budget of the identification
+_LONGEST = 30.0  # s of processor time
+_REFINED = (
+    "The parameters were fitted again in simulation, because the plain fit of inertia and friction predicted the "
+    "held-out runs better."
+)
+_WORSE_THAN_PLAIN = "predicts the held-out runs worse than a plain fit of inertia and friction"
+_PLAIN_DELIVERED = (
+    "The machine that is delivered is the plain fit of inertia and friction, because that of the search has {:.3g} "
+    "times its error on the held-out runs; terms beside them: {}."
+)
+_DESCRIPTION = (
+    "The machine that is delivered describes the remaining error by {}. They are no causes: other effects with similar "
+    "forces might describe these runs as well. With them, the error on the held-out runs is {:.3g} times that without."
+)
+
+
+@dataclass(frozen=True)
+class PlainResult:
+    """The plain fit of inertia and friction, which uses no declared value of them, as a machine for comparison.
+
+    Attributes:
+        evaluation: The machine with its errors on the held-out runs.
+        terms: Labels of what it has beside inertia and friction: constant force, weight, input delay.
+        delivered: Whether it is the machine that identification delivers, because that of the search predicts worse.
+    """
+
+    evaluation: ModelEvaluation
+    terms: tuple[str, ...] = ()
+    delivered: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entry "plain" of report.json.
+
+        Returns:
+            "held_out", errors as those of the other machines; "missing_force_percent"; "terms"; "delivered".
+        """
+        lacking = self.evaluation.held_out.lacking
+        return {
+            "held_out": self.evaluation.held_out.as_json(),
+            "missing_force_percent": None
+            if lacking is None or not math.isfinite(lacking)
+            else 100.0 * lacking,
+            "terms": list(self.terms),
+            "delivered": self.delivered,
+        }
+
+
+class Delivered(NamedTuple):
+    """What an identification delivers after the comparison with the plain fit.
+
+    Attributes:
+        evaluated: The outcome with its machines.
+        plain: Plain fit with its errors, if there is one.
+        remarks: What replaced the machine of the search, a sentence; empty if nothing did.
+    """
+
+    evaluated: Evaluated
+    plain: PlainResult | None
+    remarks: tuple[str, ...]
+
+
+def at_least_plain(evaluated: Evaluated, plain: PlainFit | None, log: Log, budget: Budget) -> Delivered:
+    """Compare the outcome with the plain fit on the held-out runs, and deliver no machine that predicts them worse.
+
+    If the plain fit takes the place of a machine with effects, that is the reason why none is named.
+
+    Args:
+        evaluated: Outcome of a search with its machines.
+        plain: Plain fit to the fitted runs, if there is one.
+        log: Called with a line of text.
+        budget: Budget of the identification, of which a description may use a part.
+    """
+    if plain is None:
+        return Delivered(evaluated, None, ())
+    result, delivered, sentence = _compared(evaluated, plain, log, budget)
+    if evaluated.outcome.selected and not delivered.outcome.selected:
+        return Delivered(delivered._replace(reason=sentence), result, ())
+    remarks = (sentence,) if sentence else ()
+    return Delivered(delivered._replace(reason=evaluated.reason), result, remarks)
+
+
+def _compared(
+    evaluated: Evaluated, plain: PlainFit, log: Log, budget: Budget
+) -> tuple[PlainResult, Evaluated, str]:
+    """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
+    outcome, test = evaluated.outcome, evaluated.test
+    reference = test.errors(plain.machine.replace(name=f"{test.machine.name}-plain"), outcome.data)
+
+    def is_worse(model: ModelEvaluation) -> bool:
+        return is_worse_than_plain(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
+
+    result = PlainResult(reference, plain.terms)
+    log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
+    if not test.machine.belts:
+        base = reference if is_worse(evaluated.before) else evaluated.before
+        described = _described(evaluated, plain, base, log, budget)
+        if described is not None:
+            return result, *described
+    if not is_worse(evaluated.after):
+        return result, evaluated, ""
+    if outcome.selected:  # their parameters were fitted to short predictions
+        after = refined_equally(outcome.after, outcome.data)
+        selected = tuple(s.with_values(after.machine) for s in outcome.selected)
+        again = test.evaluate(outcome._replace(after=after, selected=selected))
+        if not is_worse(again.after):
+            return result, again, _REFINED
+    sentence = _PLAIN_DELIVERED.format(
+        error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none"
+    )
+    log(sentence)
+    outcome = without_names(outcome, _WORSE_THAN_PLAIN) if outcome.selected else outcome
+    delivered = test.evaluate(outcome._replace(after=plain.simulated))
+    return dataclasses.replace(result, delivered=True), delivered, sentence
+
+
+def _described(
+    evaluated: Evaluated, plain: PlainFit, base: ModelEvaluation, log: Log, budget: Budget
+) -> tuple[Evaluated, str] | None:
+    """Return an outcome without names whose machine describes what is left, and a sentence about it.
+
+    None if effects are named, only noise is left, or the held-out runs are predicted no better than by `base`, the
+    machine without a description.
+    """
+    outcome, test = evaluated.outcome, evaluated.test
+    left = evaluated.after.held_out.noise_ratio
+    if not needs_description(outcome.verdict, len(outcome.selected), left, test.criteria):
+        return None
+    refit = refined_equally(outcome.before, outcome.data)
+    equal = equally_weighted(outcome.data)
+    start = min(
+        (plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
+    )
+    found = describe_remainder(start, outcome.data, test.criteria, log, budget)
+    if found is None:
+        return None
+    fitted, labels = found
+    again = test.evaluate(outcome._replace(after=fitted))
+    ratio = error_ratio(again.after, base)
+    log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
+    return (again, _DESCRIPTION.format(", ".join(labels), ratio)) if description_helps(ratio) else None
+
+
+def describe_remainder(
+    start: Fit, data: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
+) -> tuple[Fit, tuple[str, ...]] | None:
+    """Add the effects that reduce the error of a simulation over complete runs most.
+
+    Args:
+        start: Fit in simulation, for example a plain fit.
+        data: Runs to fit.
+        criteria: Decision thresholds, of which the tests of single effects are used.
+        log: Called with a line of text at each stage.
+        budget: Budget of the identification; what is left of it may be used, but at most a fifth of it and 30 s.
+
+    Returns:
+        Fit with the effects in simulation (theta, shape (k,)), and their labels; None if no effect passes the tests.
+    """
+    seconds = min(_BUDGET_PART * budget.seconds, _LONGEST, budget.seconds - budget.spent)
+    if budget.interrupted or seconds <= 0.0:
+        return None
+    log("describing the remaining error of complete runs")
+    equal, part = equally_weighted(data), Budget(seconds)
+    cost = prediction_cost(start.machine, equal, SIMULATION)
+    at_start = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
+    search = EffectSearch(equal, start.machine, dataclasses.replace(criteria, max_effects=_MAX_EFFECTS), log)
+    try:
+        with part.limiting():
+            fitted, selected = search.run(at_start)
+    except BudgetEndedError:
+        if not search.reached:
+            return None
+        fitted, selected = search.reached
+    if not selected:
+        return None
+    return refined_equally(fitted, search.data), tuple(s.effect.label for s in selected)
