@@ -74,10 +74,10 @@ class CheckedOutcome(NamedTuple):
         return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing), *hints)
 
     def comparable_runs(self, all_runs: Dataset) -> Dataset:
-        """Return the fitted, held-out and contradictory runs, with estimated voltages.
+        """Return the fitted, held-out and contradictory runs, measurements of shape (n, sensors).
 
         Args:
-            all_runs: All runs, prepared for a fit; measurements of shape (n, sensors) each.
+            all_runs: All runs, prepared for a fit. Those that were used replace them, with estimated voltages.
         """
         used = {run.name: run for run in (*self.outcome.data.runs, *self.held_out.runs)}
         names = [*used, self.outcome.contradiction]
