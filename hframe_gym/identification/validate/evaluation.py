@@ -52,7 +52,7 @@ class HeldOutTest:
 
     @cached_property
     def validation(self) -> Dataset:
-        """Held-out runs with all measurements, (n, sensors), also those at sensors' ends, which a fit leaves out."""
+        """Held-out runs with all measurements of shape (n, sensors), also those at the ends of sensors' ranges."""
         return with_all_measurements(self.held_out, self.session.usable)
 
     def errors(self, machine: Machine, fitted: Dataset) -> ModelEvaluation:
