@@ -115,10 +115,13 @@ class Registry(Generic[T]):
 
     Args:
         kind: What the collection holds, for error messages, for example "controller".
+        package: Full name of a package whose modules register further parts. It is imported when a name is looked up
+            that is not registered yet, or all names are: a registry need not import what builds on it.
     """
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, package: str = "") -> None:
         self.kind = kind
+        self._package = package
         self._parts: dict[str, T] = {}
 
     def register(self, name: str) -> Callable[[P], P]:
@@ -179,17 +182,25 @@ class Registry(Generic[T]):
     @property
     def names(self) -> tuple[str, ...]:
         """Registered names in the order of registration. Names of plugins that are not imported yet are missing."""
+        self._import_package()
         return tuple(self._parts)
 
     def __contains__(self, name: object) -> bool:
         """Return whether a name is registered; plugins are imported before the answer is False."""
+        if name not in self._parts:
+            self._import_package()
         if name not in self._parts:
             load_plugins()
         return name in self._parts
 
     def __iter__(self) -> Iterator[str]:
         """Return an iterator over the registered names in the order of registration; plugins are not imported."""
-        return iter(self._parts)
+        return iter(self.names)
+
+    def _import_package(self) -> None:
+        """Import the package whose modules register further parts."""
+        if self._package:
+            importlib.import_module(self._package)
 
 
 def _origin(part: object) -> object:

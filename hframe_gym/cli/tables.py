@@ -330,7 +330,10 @@ def _drive_table(machine: Machine) -> Table:
             for key in keys
         ]
         table.add_row(
-            *map(escape, (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} {d.command_unit}"))
+            *map(
+                escape,
+                (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} {machine.command_unit(d)}"),
+            )
         )
     return table
 

@@ -63,7 +63,7 @@ def channel_unit(channel: str, machine: Machine) -> str:
     if channel in machine.input_channels:
         drive = machine.drives[machine.input_channels.index(channel)]
         if drive.kind != "voltage":
-            return drive.command_unit
+            return machine.command_unit(drive)
         return ending if ending in ("A", "Nm") else "V"
     sensor = machine.sensor(channel)
     return ending if sensor.of_position and ending in ("m", "rad") else machine.sensor_unit(sensor)

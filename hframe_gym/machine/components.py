@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Mapping
@@ -14,7 +15,9 @@ from numpy.typing import ArrayLike
 from typing_extensions import override
 
 from ..arrays import Array
+from ..errors import InputError
 from ..registry import Registry
+from .effect import AppliedEffect, Effect
 
 Row = Mapping[str, float]
 CoordinateKind = Literal["linear", "rotary"]
@@ -64,8 +67,7 @@ FIXED_UNITS = {
     "voltage_range": "V",
     "voltage": "V",
     "current": "A",
-    "rated_current": "A",
-    "rated_torque": "Nm",
+    "torque": "Nm",
 }
 
 
@@ -97,6 +99,11 @@ class Coordinate:
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters that can be identified or randomized."""
         return self.PARAMETERS
+
+    @property
+    def parameter_values(self) -> dict[str, float]:
+        """Values of the parameters that can be identified or randomized, SI, by name."""
+        return {name: getattr(self, name) for name in self.PARAMETERS}
 
     @property
     def travel_per_unit(self) -> float:
@@ -149,35 +156,62 @@ class Belt:
         """Names of the parameters that can be identified or randomized."""
         return self.PARAMETERS
 
+    @property
+    def parameter_values(self) -> dict[str, float]:
+        """Values of the parameters that can be identified or randomized, SI, by name."""
+        return {name: getattr(self, name) for name in self.PARAMETERS}
+
 
 class DriveKind:
     """Base class of drive kinds: what the command of a drive is, and what the drive makes of it.
 
     A kind is a subclass that registers itself with `@DRIVE_KINDS.register("name")`. Kinds are never instantiated. The
     current that a command causes is (command - Ke * gear_ratio * w) / resistance, where a drive that controls its
-    current has Ke 0 and resistance 1: its amplifier supplies whatever voltage is necessary.
+    current has Ke 0 and resistance 1: its amplifier supplies whatever voltage is necessary. A kind with a `law` has
+    another relation between command, motion and torque, for example the controller of a servo.
 
     Attributes:
-        command: Quantity of the command in simulations: "voltage", "current" or "torque" (of the motor shaft).
+        command: Quantity of the command in simulations: "voltage", "current", "torque" (of the motor shaft), or the
+            "position" or "speed" of the coordinate.
         fraction: Whether recordings have the command as a fraction of the supply voltage, from -1 to 1.
-        rated: Field of machine.json that states the command of an action of 1.
-        parameters: Parameters of a drive of this kind that can be identified or randomized.
+        parameters: Parameters of a drive of this kind, without those of the law, that can be identified or randomized.
         fixed: Values of the parameters that a drive of this kind does not have.
+        law: Torque of the motor shaft, Nm, as the formula `current` of an effect on a drive, which may have a state
+            (`Effect`). None: the motor's equation above.
+        defaults: Values of the law's parameters that a drive need not state; at its default, a parameter has no
+            influence, and it is not identified.
+        largest: Parameter of the law that is the largest torque, Nm.
+        unit_of_force: Parameter of the law in proportion to which all torques are. Motion alone does not determine it:
+            with all masses and friction forces in the same proportion, the motion is the same.
     """
 
     command: ClassVar[str] = "voltage"
     fraction: ClassVar[bool] = False
-    rated: ClassVar[str] = "rated_voltage"
     parameters: ClassVar[tuple[str, ...]] = ("Kt", "Ke", "resistance", "gear_ratio")
     fixed: ClassVar[Mapping[str, float]] = {}
+    law: ClassVar[Effect | None] = None
+    defaults: ClassVar[Mapping[str, float]] = {}
+    largest: ClassVar[str] = ""
+    unit_of_force: ClassVar[str] = ""
 
     @classmethod
-    def unit(cls) -> str:
-        """Return the unit of the command."""
-        return FIXED_UNITS[cls.rated]
+    def rated(cls) -> str:
+        """Return the field of machine.json that states the command of an action of 1, for example rated_voltage."""
+        return f"rated_{cls.command}"
+
+    @classmethod
+    def unit(cls, coordinate: CoordinateKind) -> str:
+        """Return the unit of the command of a drive that moves a coordinate of a kind."""
+        return FIXED_UNITS.get(cls.command) or UNITS[coordinate][cls.command]
+
+    @classmethod
+    def units_of_law(cls, coordinate: CoordinateKind) -> dict[str, str]:
+        """Return the unit of each parameter of the law, for a drive that moves a coordinate of a kind."""
+        known = FIXED_UNITS | UNITS[coordinate]
+        return {p.name: known.get(p.unit, p.unit) for p in cls.law.parameters} if cls.law else {}
 
 
-DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind")
+DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind", package="hframe_gym.drives")
 
 
 @DRIVE_KINDS.register("voltage")
@@ -201,7 +235,6 @@ class CurrentDrive(DriveKind):
     """An amplifier that controls the current of the motor; its bandwidth and limit are effects of the drive."""
 
     command = "current"
-    rated = "rated_current"
     parameters = ("Kt", "gear_ratio")
     fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
 
@@ -214,9 +247,18 @@ class TorqueDrive(DriveKind):
     """
 
     command = "torque"
-    rated = "rated_torque"
     parameters = ("Kt", "gear_ratio")
     fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
+
+
+@dataclass(frozen=True)
+class DriveLaw(AppliedEffect):
+    """The law of a drive, which acts like an effect on it; its parameters are parameters of the drive."""
+
+    @property
+    @override
+    def label(self) -> str:
+        return self.site
 
 
 @dataclass(frozen=True)
@@ -238,10 +280,14 @@ class Drive:
         rated_voltage: Rated voltage, V.
         converter_bits: Resolution of the digital-to-analog converter; 0 for a continuous voltage.
         voltage_range: Largest voltage of the converter in either direction, V. None for the rated voltage.
-        kind: Name in `DRIVE_KINDS`. For the kinds "current" and "torque", `rated_voltage` and `voltage_range` are
-            currents, A, or torques, Nm.
+        kind: Name in `DRIVE_KINDS`. `rated_voltage` and `voltage_range` are in the unit of its command: currents, A, or
+            torques, Nm, for the kinds "current" and "torque"; m or rad for "position"; m/s or rad/s for "speed".
         supply: Column of the recordings with the measured supply voltage, V, of a drive of the kind "duty-cycle"; "" if
             it is not measured. Drives may share it.
+        law_parameters: Values of the parameters of the kind's law by name, SI; those with a default may be left out.
+
+    Raises:
+        InputError: If the kind is not registered, or a parameter of its law is missing or unknown.
     """
 
     name: str
@@ -256,25 +302,58 @@ class Drive:
     voltage_range: float | None = None
     kind: str = "voltage"
     supply: str = ""
+    law_parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Complete the parameters of the law by their defaults."""
+        kind = DRIVE_KINDS.get(self.kind)
+        names = [p.name for p in kind.law.parameters] if kind.law else []
+        values = {**kind.defaults, **self.law_parameters}
+        if set(values) != set(names):
+            takes = f"takes {', '.join(names)}" if names else "has no law"
+            given = ", ".join(self.law_parameters) or "nothing"
+            raise InputError(f"drive {self.name!r}: the kind {self.kind!r} {takes}, not {given}")
+        object.__setattr__(self, "law_parameters", {name: values[name] for name in names})
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters that can be identified or randomized; the kind determines them."""
-        return DRIVE_KINDS.get(self.kind).parameters
+        return (*DRIVE_KINDS.get(self.kind).parameters, *self.law_parameters)
+
+    @property
+    def parameter_values(self) -> dict[str, float]:
+        """Values of the parameters that can be identified or randomized, SI, by name."""
+        return {
+            name: self.law_parameters[name] if name in self.law_parameters else getattr(self, name)
+            for name in self.parameter_names
+        }
+
+    def with_values(self, values: Mapping[str, Any]) -> Drive:
+        """Return a copy with other values, SI, of attributes and of parameters of the law, by name."""
+        law = {name: values.get(name, value) for name, value in self.law_parameters.items()}
+        others = {name: value for name, value in values.items() if name not in law}
+        return dataclasses.replace(self, law_parameters=law, **others)
+
+    @property
+    def law(self) -> DriveLaw | None:
+        """Law of the kind with the values of this drive; None if the motor's equation holds."""
+        definition = DRIVE_KINDS.get(self.kind).law
+        return None if definition is None else DriveLaw(definition, self.name, self.law_parameters)
 
     @property
     def command(self) -> str:
-        """Quantity of the command in simulations: "voltage", "current" or "torque"; the kind determines it."""
+        """Quantity of the command in simulations, by the kind: "voltage", "current", "torque", "position", "speed"."""
         return DRIVE_KINDS.get(self.kind).command
 
     @property
-    def command_unit(self) -> str:
-        """Unit of the command: V, A or Nm."""
-        return DRIVE_KINDS.get(self.kind).unit()
-
-    @property
     def gain(self) -> float:
-        """Force (N/V) or torque (Nm/V) on the coordinate per volt, at standstill: gear_ratio * Kt / resistance."""
+        """Force (N/V) or torque (Nm/V) on the coordinate per volt, at standstill: gear_ratio * Kt / resistance.
+
+        Only a scale for a drive with a law: its largest force per rated command.
+        """
+        if self.law_parameters:
+            largest = self.law_parameters[DRIVE_KINDS.get(self.kind).largest]
+            return self.gear_ratio * largest / self.rated_voltage
         return self.gear_ratio * self.Kt / self.resistance
 
     @property

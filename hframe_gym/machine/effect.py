@@ -115,7 +115,7 @@ class Effect:
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
     voltage             voltage that reaches the drive, V                            V
     delay               delay of the drive's voltage, s
-    current             current of the drive, A                                      i, z
+    current             current of the drive, A                                      i, z, V, q, v, N
     tension             tension of a belt, N                                         s, rate, k
     energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
                         (default: s^2/2)
@@ -124,8 +124,8 @@ class Effect:
     rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
     measurement         measured value of a sensor, in its unit                      r, across
     measurement_delay   delay of a sensor, s
-    next_state          state of the effect after the time dt                        z, dq, dt, v, level, i
-    initial_spread      standard deviation of the state when a recording begins,     level
+    next_state          state of the effect after the time dt                        z, dq, dt, v, level, i, V, q, N
+    initial_spread      standard deviation of the state when a recording begins,     level, N
                         after motion that was not recorded (default: it is zero)
 
     - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
@@ -135,8 +135,9 @@ class Effect:
       or Nm; m: mass of the added coordinate, kg or kg m^2.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
       was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad.
-    - Drive: V: voltage, V; i: current by Ohm's law, A. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m.
-      Sensor: r: ideal reading, m or rad; across: position of the other linear coordinate, m.
+    - Drive: V: voltage, V; i: current by Ohm's law, A; q, v: position and speed of its coordinate; N: its gear ratio.
+      Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m. Sensor: r: ideal reading, m or rad; across:
+      position of the other linear coordinate, m.
 
     Attributes:
         name: Unique name.

@@ -16,7 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array
-from .components import FIXED_UNITS, SENSOR_KINDS, UNITS, Belt, Coordinate, Drive, Row, Sensor, Uncertainty
+from .components import (
+    DRIVE_KINDS,
+    FIXED_UNITS,
+    SENSOR_KINDS,
+    UNITS,
+    Belt,
+    Coordinate,
+    Drive,
+    DriveLaw,
+    Row,
+    Sensor,
+    Uncertainty,
+)
 from .effect import AppliedEffect, SiteKind
 from .trajectory import SIMULATORS, Trajectory
 
@@ -69,12 +81,19 @@ class Machine:
         return tuple(s.channel for s in self.sensors)
 
     @cached_property
+    def drive_laws(self) -> tuple[DriveLaw, ...]:
+        """Laws of the drives whose torque is not that of the motor's equation, such as servos."""
+        return tuple(law for law in (drive.law for drive in self.drives) if law)
+
+    @cached_property
     def shape(self) -> tuple[object, ...]:
         """Structure without parameter values: components, coefficients, effects; equal shapes use one compiled code."""
         return (
             tuple((c.name, c.kind) for c in self.coordinates),
             tuple((b.name, tuple(b.extension.items()), tuple(b.length.items())) for b in self.belts),
-            tuple((d.name, d.coordinate, d.parameter_names) for d in self.drives),
+            tuple(
+                (d.name, d.coordinate, d.parameter_names, DRIVE_KINDS.get(d.kind).law) for d in self.drives
+            ),
             tuple((s.channel, SENSOR_KINDS.get(s.kind).signal, tuple(s.row.items())) for s in self.sensors),
             tuple((e.definition, e.site) for e in self.effects),
             tuple(self.ties.items()),
@@ -191,10 +210,8 @@ class Machine:
         values: dict[str, float] = {}
         components: tuple[Coordinate | Belt | Drive, ...] = (*self.coordinates, *self.belts, *self.drives)
         for component in components:
-            full_names = {key: f"{component.name}.{key}" for key in component.parameter_names}
-            values |= {
-                name: getattr(component, key) for key, name in full_names.items() if name not in self.ties
-            }
+            of_component = {f"{component.name}.{key}": v for key, v in component.parameter_values.items()}
+            values |= {name: value for name, value in of_component.items() if name not in self.ties}
         for effect in self.effects:
             values |= {f"{effect.label}.{key}": value for key, value in effect.parameters.items()}
         return values
@@ -226,13 +243,22 @@ class Machine:
         belts = [] if key == "gear_ratio" else [b.name for b in self.belts]
         if owner not in (*belts, *(d.name for d in self.drives)):
             raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
+        if owner not in (d.name for d in self.drives):
+            return FIXED_UNITS[key]
+        drive = self.drive(owner)
         if key in ("voltage_range", "rated_voltage"):
-            return self.drive(owner).command_unit
-        if key == "Kt" and self.drive(owner).command == "torque":
+            return self.command_unit(drive)
+        if key in drive.law_parameters:
+            return DRIVE_KINDS.get(drive.kind).units_of_law(self.coordinate(drive.coordinate).kind)[key]
+        if key == "Kt" and drive.command == "torque":
             return "1"  # true per commanded torque
         if key == "gear_ratio":
-            return self.coordinate(self.drive(owner).coordinate).unit("rad/position")
+            return self.coordinate(drive.coordinate).unit("rad/position")
         return FIXED_UNITS[key]
+
+    def command_unit(self, drive: Drive) -> str:
+        """Return the unit of the command of a drive of this machine, for example V, or rad for a servo at a pulley."""
+        return DRIVE_KINDS.get(drive.kind).unit(self.coordinate(drive.coordinate).kind)
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
         """Return the unit of a parameter of an effect on its component: "N" at a carriage, "Nm" at a motor.
@@ -332,4 +358,8 @@ def _with_values(component: Any, name: str, keys: tuple[str, ...], values: Mappi
     new: dict[str, Any] = {key: values[f"{name}.{key}"] for key in keys if f"{name}.{key}" in values}
     if "converter_bits" in new:
         new["converter_bits"] = round(new["converter_bits"])
-    return dataclasses.replace(component, **new) if new else component
+    if not new:
+        return component
+    return (
+        component.with_values(new) if isinstance(component, Drive) else dataclasses.replace(component, **new)
+    )

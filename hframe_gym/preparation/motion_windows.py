@@ -180,8 +180,11 @@ def force_equations(
         spring: Whether a force in proportion to the position is a term.
 
     Yields:
-        Equations, N or Nm, shape (rows,); of some motions too few for a regression (`ForceEquations.determined`).
+        Equations, N or Nm, shape (rows,); of some motions too few for a regression (`ForceEquations.determined`). None
+        for a machine with drives whose force is not in proportion to their command.
     """
+    if machine.drive_laws:
+        return
     R = leading_motions(machine)
     motion = determined_motion(windows, machine, R, output_correction)
     if motion is None:

@@ -109,10 +109,15 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
             entry["kind"] = drive.kind
         if drive.supply:
             entry["supply"] = drive.supply
-        keys = [*drive.parameter_names, *(["voltage_range"] if drive.voltage_range is not None else [])]
+        kind = DRIVE_KINDS.get(drive.kind)
+        keys = [*kind.parameters, *(["voltage_range"] if drive.voltage_range is not None else [])]
         entry |= {key: quantity(drive.name, key, getattr(drive, key)) for key in keys}
-        rated = DRIVE_KINDS.get(drive.kind).rated
-        entry[rated] = quantity(drive.name, "rated_voltage", drive.rated_voltage)
+        entry[kind.rated()] = quantity(drive.name, "rated_voltage", drive.rated_voltage)
+        stated = {
+            key: value for key, value in drive.law_parameters.items() if kind.defaults.get(key) != value
+        }
+        if stated:
+            entry["parameters"] = {key: quantity(drive.name, key, value) for key, value in stated.items()}
         drives.append(entry | {"converter_bits": drive.converter_bits})
     sensors = [
         {"channel": s.channel, "kind": s.kind, "row": dict(s.row)}

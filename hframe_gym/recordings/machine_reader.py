@@ -22,6 +22,7 @@ from ..machine import (
     Coordinate,
     CoordinateKind,
     Drive,
+    DriveKind,
     Machine,
     Sensor,
     Uncertainty,
@@ -220,12 +221,15 @@ class MachineReader:
                 f"{field}.kind", f"drive kind {entry.kind!r} is not registered; choose one of {choices}"
             )
         kind = DRIVE_KINDS.get(entry.kind)
-        fields = {key for each in map(DRIVE_KINDS.get, DRIVE_KINDS) for key in (*each.parameters, each.rated)}
-        for key in sorted(fields - {*kind.parameters, kind.rated}):
+        rated, moved = kind.rated(), self._kinds[entry.coordinate]
+        kinds = [DRIVE_KINDS.get(name) for name in DRIVE_KINDS]
+        fields = {key for each in kinds for key in (*each.parameters, each.rated())}
+        fields |= {"current_limit"} if kind.law else set()
+        for key in sorted(fields - {*kind.parameters, rated}):
             if getattr(entry, key) is not None:
                 raise self._error(f"{field}.{key}", f"a drive of the kind {entry.kind!r} has none; delete it")
-        units = {key: FIXED_UNITS[key] for key in (*kind.parameters, kind.rated) if key != "gear_ratio"}
-        units["gear_ratio"] = UNITS[self._kinds[entry.coordinate]]["rad/position"]
+        units = {key: FIXED_UNITS[key] for key in kind.parameters if key != "gear_ratio"}
+        units |= {rated: kind.unit(moved), "gear_ratio": UNITS[moved]["rad/position"]}
         if kind.command == "torque":
             units["Kt"] = "1"
             if entry.Kt is None:
@@ -240,9 +244,10 @@ class MachineReader:
                 f"{field}.{missing}", f'missing; write {{"value": ..., "unit": "{units[missing]}"}}'
             )
         if entry.voltage_range is not None:
-            units["voltage_range"] = kind.unit()
+            units["voltage_range"] = kind.unit(moved)
         values: dict[str, Any] = {"Kt": 1.0, **kind.fixed} | self._values(field, entry, units)
-        values["rated_voltage"] = values.pop(kind.rated)
+        values["rated_voltage"] = values.pop(rated)
+        values["law_parameters"] = self._law_parameters(field, entry, kind)
         if entry.supply is not None:
             self._check_text(f"{field}.supply", entry.supply, column=True)
             if not kind.fraction:
@@ -260,6 +265,33 @@ class MachineReader:
             converter_bits=entry.converter_bits,
             **values,
         )
+
+    def _law_parameters(self, field: str, entry: DriveEntry, kind: type[DriveKind]) -> dict[str, float]:
+        """Return the parameters of the law of a drive's kind; those that are not stated have their defaults."""
+        units = kind.units_of_law(self._kinds[entry.coordinate])
+        for key, quantity in entry.parameters.items():
+            if key not in units:
+                choices = f"it has {', '.join(units)}" if units else "it has none"
+                raise self._error(
+                    f"{field}.parameters.{key}", f"the kind {entry.kind!r} has no such parameter; {choices}"
+                )
+            if quantity.unit != units[key]:
+                raise self._error(
+                    f"{field}.parameters.{key}", f"unit is {quantity.unit!r}, must be {units[key]!r}"
+                )
+        missing = next((key for key in units if key not in {**kind.defaults, **entry.parameters}), None)
+        if missing is not None:
+            raise self._error(
+                f"{field}.parameters.{missing}",
+                f'missing; write {{"value": ..., "unit": "{units[missing]}"}}',
+            )
+        if kind.law is None:
+            return {}
+        values = {**kind.defaults, **{key: q.value for key, q in entry.parameters.items()}}
+        try:
+            return dict(kind.law.at(entry.name, **values).parameters)
+        except InputError as error:
+            raise self._error(f"{field}.parameters", str(error)) from None
 
     def _sensor(self, entry: SensorEntry) -> Sensor:
         """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""

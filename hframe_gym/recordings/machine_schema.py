@@ -41,7 +41,8 @@ def field_units(field: str) -> tuple[str, ...]:
         KeyError: If no field of this name holds a quantity.
     """
     if field == "voltage_range":
-        return tuple(dict.fromkeys(kind.unit() for kind in map(DRIVE_KINDS.get, DRIVE_KINDS)))
+        kinds = map(DRIVE_KINDS.get, DRIVE_KINDS)
+        return tuple(dict.fromkeys(kind.unit(coordinate) for kind in kinds for coordinate in UNITS))
     if field == "Kt":
         return FIXED_UNITS[field], "1"
     if field == "gear_ratio":
@@ -51,6 +52,9 @@ def field_units(field: str) -> tuple[str, ...]:
             FIXED_UNITS.get(quantity) or UNITS[kind][quantity] for quantity in QUANTITIES for kind in UNITS
         ]
         return tuple(dict.fromkeys(units))
+    if field.startswith("rated_"):
+        quantity = field.removeprefix("rated_")
+        return tuple(dict.fromkeys(FIXED_UNITS.get(quantity) or UNITS[kind][quantity] for kind in UNITS))
     if field in FIXED_UNITS or field in _DECLARED_EFFECT_UNITS:
         return ((FIXED_UNITS | _DECLARED_EFFECT_UNITS)[field],)
     return tuple(UNITS[kind][_QUANTITIES.get(field, field)] for kind in UNITS)
@@ -151,25 +155,30 @@ class DriveEntry(Table):
     Attributes:
         name: Name of the drive.
         kind: What its command is: "voltage" (default), "duty-cycle" (fraction of the supply voltage, from -1 to 1),
-            "current" or "torque" of an amplifier that controls it, or a registered kind.
-        channel: Column of its command in recordings, for example v1_V, i1_A or torque1_Nm. A positive command
-            accelerates the coordinate in positive direction.
+            "current" or "torque" of an amplifier that controls it, "position" or "speed" of the coordinate for a servo
+            that follows this set point, or a registered kind.
+        channel: Column of its command in recordings, for example v1_V, i1_A, torque1_Nm or command_rad. A positive
+            command accelerates the coordinate in positive direction.
         supply: Column of the measured supply voltage in recordings, V, for example vbus_V. Drives may share it. Only
             for the kind "duty-cycle"; without it, a duty cycle is one of the rated voltage.
         coordinate: Name of the coordinate that it drives.
         Kt: Torque constant of the motor, Nm/A. For the kind "torque" the true torque per commanded torque, with the
-            unit "1"; 1 if it is left out.
-        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it. Not
-            for the kinds "current" and "torque".
-        resistance: Resistance between the terminals, ohm. Not for the kinds "current" and "torque".
+            unit "1"; 1 if it is left out. Not for kinds with a law.
+        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it. Only
+            for the kinds "voltage" and "duty-cycle".
+        resistance: Resistance between the terminals, ohm. Only for the kinds "voltage" and "duty-cycle".
         gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a carriage.
             There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the gear.
-        rated_voltage: Voltage that an action of 1 in the environment applies, V. Not for the kinds "current" and
-            "torque".
+        rated_voltage: Voltage that an action of 1 in the environment applies, V, for the kinds "voltage" and
+            "duty-cycle".
         rated_current: Current that an action of 1 commands, A, for the kind "current".
         rated_torque: Torque of the motor shaft that an action of 1 commands, Nm, for the kind "torque".
+        rated_position: Position of the coordinate that an action of 1 commands, m or rad, for the kind "position".
+        rated_speed: Speed of the coordinate that an action of 1 commands, m/s or rad/s, for the kind "speed".
+        parameters: Values with units by name, for kinds whose torque follows a law: gains and limits of the loop of the
+            kinds "position" and "speed". Those with a default may be left out.
         converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
-        voltage_range: Largest command of the converter in either direction, V, A or Nm. Default: the rated one.
+        voltage_range: Largest command of the converter in either direction, in its unit. Default: the rated one.
         current_limit: Largest current, A (declares the effect current_limit). Default: unlimited.
         bandwidth: Bandwidth of a drive that controls its current or torque, Hz: the time constant of the effect
             electrical_lag is 1 / (2 pi bandwidth). Default: unlimited.
@@ -188,6 +197,9 @@ class DriveEntry(Table):
     rated_voltage: Annotated[QuantityEntry | None, _quantity("rated_voltage")] = None
     rated_current: Annotated[QuantityEntry | None, _quantity("rated_current")] = None
     rated_torque: Annotated[QuantityEntry | None, _quantity("rated_torque")] = None
+    rated_position: Annotated[QuantityEntry | None, _quantity("rated_position")] = None
+    rated_speed: Annotated[QuantityEntry | None, _quantity("rated_speed")] = None
+    parameters: dict[str, QuantityEntry] = {}
     converter_bits: Annotated[int, Field(ge=0, le=32)] = 0
     voltage_range: Annotated[QuantityEntry | None, _quantity("voltage_range")] = None
     current_limit: Annotated[QuantityEntry | None, _quantity("current_limit")] = None

@@ -18,6 +18,37 @@ STEP_S = 1e-5
 
 
 @dataclass(frozen=True)
+class Servo:
+    """A position controller (0: none) around a PI controller of the speed, which stops its integral in saturation.
+
+    Attributes:
+        position_gain: Commanded speed per error of the position, 1/s; 0 if the command is a speed, rad/s.
+        largest_speed: Limit of that speed, rad/s.
+        speed_gain: Torque of the motor per error of its speed, Nms.
+        reset_time: Integral time of the PI controller, s.
+        largest_torque: Of the motor, Nm.
+        gear: Turns of the motor per turn of the axis.
+    """
+
+    position_gain: float = 0.0
+    largest_speed: float = float("inf")
+    speed_gain: float = 0.01
+    reset_time: float = float("inf")
+    largest_torque: float = float("inf")
+    gear: float = 1.0
+
+    def torque(self, command: float, q: float, v: float, integral: float) -> tuple[float, float]:
+        """Return the torque of the motor, Nm, and the rate of the integral, rad/s."""
+        target = command
+        if self.position_gain:
+            target = max(-self.largest_speed, min(self.largest_speed, self.position_gain * (command - q)))
+        error = target - v
+        wanted = self.gear * self.speed_gain * (error + integral / self.reset_time)
+        given = max(-self.largest_torque, min(self.largest_torque, wanted))
+        return given, error if given == wanted or wanted * error <= 0.0 else 0.0
+
+
+@dataclass(frozen=True)
 class Axis:
     """Parameters of the axis and of its drive, SI; positions in rad.
 
@@ -29,6 +60,7 @@ class Axis:
         resistance: Of the motor, ohm.
         bandwidth_hz: Of an amplifier that controls the current; 0 for one that applies the commanded voltage.
         limit_A: Largest current of such an amplifier.
+        servo: Controller that follows the command, in place of the motor and its amplifier.
     """
 
     inertia: float = 2e-4
@@ -38,6 +70,7 @@ class Axis:
     resistance: float = 1.5
     bandwidth_hz: float = 0.0
     limit_A: float = float("inf")
+    servo: Servo | None = None
 
 
 class Record(NamedTuple):
@@ -45,11 +78,11 @@ class Record(NamedTuple):
 
     Attributes:
         time_s: Times, s.
-        command: Command that is held until the next row, V or A.
+        command: Command that is held until the next row, V, A, or rad or rad/s for a servo.
         position: Angle, rad.
         speed: rad/s.
         acceleration: rad/s^2.
-        current: A.
+        current: A; with a servo, the torque of the motor, Nm.
     """
 
     time_s: Array
@@ -70,19 +103,22 @@ def record(axis: Axis, command: Callable[[int], float], rows: int, period_s: flo
         period_s: Time between two rows, s; a multiple of 10 us.
     """
     steps, h = round(period_s / STEP_S), STEP_S
-    q = v = sent = acceleration = lagged = 0.0
+    q = v = sent = acceleration = lagged = integral = 0.0
+    torque_per_amp = axis.servo.gear if axis.servo else axis.torque_constant
     decay = np.exp(-2.0 * np.pi * axis.bandwidth_hz * h)
     table = np.empty((rows, 5))
 
     def amps() -> float:
-        """Return the current of the motor, A."""
+        """Return the current of the motor, A, or the torque of a servo's motor, Nm."""
+        if axis.servo:
+            return axis.servo.torque(sent, q, v, integral)[0]
         if axis.bandwidth_hz:
             return min(max(lagged, -axis.limit_A), axis.limit_A)
         return (sent - axis.torque_constant * v) / axis.resistance
 
     for row in range(rows):
         current = amps()
-        force = axis.torque_constant * current - axis.viscous * v
+        force = torque_per_amp * current - axis.viscous * v
         if row:
             held = min(max(force, -axis.coulomb), axis.coulomb) if v == 0.0 else np.copysign(axis.coulomb, v)
             acceleration = (force - held) / axis.inertia
@@ -90,7 +126,9 @@ def record(axis: Axis, command: Callable[[int], float], rows: int, period_s: flo
         table[row] = sent, q, v, acceleration, current
         for _ in range(steps):
             lagged = sent + (lagged - sent) * decay
-            torque = axis.torque_constant * amps() - axis.viscous * v
+            torque = torque_per_amp * amps() - axis.viscous * v
+            if axis.servo:
+                integral += h * axis.servo.torque(sent, q, v, integral)[1]
             free = v + h * torque / axis.inertia
             impulse = h * axis.coulomb / axis.inertia
             after = free - impulse if free > impulse else free + impulse if free < -impulse else 0.0

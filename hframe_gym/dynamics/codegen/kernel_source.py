@@ -73,7 +73,7 @@ class KernelSource:
         self.layout = Layout(parameters, {name: row for row, name in enumerate(derived)})
         self.felt = len(machine.coordinates) + len(machine.drives) if feels_forces(machine) else 0
         self.states = 2 * len(self._coordinates) + 1 + len(self._plain.states) + self.felt
-        definitions = [e.definition for e in machine.effects]
+        definitions = [e.definition for e in (*machine.drive_laws, *machine.effects)]
         self.delayed = any(d.delay for d in definitions)
         self.lagged = any(d.measurement_delay for d in definitions)
         hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]

@@ -1,4 +1,4 @@
-"""Effects of a machine, listed once for each component on which they act.
+"""Effects of a machine and laws of its drives, listed once for each component on which they act.
 
 An effect with the site "drives" acts on every drive, one at "belts" on every belt, and one at "machine" on every
 coordinate, always with the same parameters. Each of these instances has a separate state, for example the current of
@@ -34,12 +34,12 @@ class EffectInstance:
 def effect_instances(machine: Machine) -> list[EffectInstance]:
     """List every effect of a machine once for each component on which it acts, such as once per belt.
 
-    The order is that of the machine's effects, and for each that of the machine's components.
+    The laws of drives come first, then the machine's effects in their order, each in that of the machine's components.
     """
     # An unknown name, such as that of a belt or sensor, gives the index -1: no coordinate.
     index = {name: i for i, name in enumerate(machine.coordinate_names)}
     instances = []
-    for effect in machine.effects:
+    for effect in (*machine.drive_laws, *machine.effects):
         for component in effect.components(machine):
             coordinate = index.get(_moved_coordinate(effect, component, machine), -1)
             # A tabulated effect over the path of a coordinate integrates that coordinate's path.

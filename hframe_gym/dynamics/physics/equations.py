@@ -20,7 +20,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,7 +50,7 @@ class ForceBalance(NamedTuple):
             constant over a step.
         coulomb: Coulomb friction force F (magnitude) of each coordinate; zero where an effect replaces it.
         arguments: Arguments of the formula `next_state` of effects, by index in `instances`, then by name: "level", the
-            Coulomb friction force, N or Nm, or "i", the current of the drive, A.
+            Coulomb friction force, N or Nm, or what an effect on a drive takes (`effect_state`).
     """
 
     forces: list[Value]
@@ -74,10 +74,13 @@ class Equations(BeltEquations, SignalEquations):
         """Add the force of each drive at standstill to the force on the one coordinate that it moves, N.
 
         With gear ratio N, torque constant Kt, voltage V, resistance R and radius r of the driven pulley, the force is
-        N Kt V / (R r). The viscous coefficient contains the back-EMF (eq. 17 of Sollmann et al. 2010).
+        N Kt V / (R r). The viscous coefficient contains the back-EMF (eq. 17 of Sollmann et al. 2010). The force of a
+        drive with a law is not added; it depends on the motion.
         """
         result = list(forces)
         for j, voltage in enumerate(motor_voltages):
+            if self.drives[j].law_parameters:
+                continue
             i = self.drive_coordinates[j]  # the drive moves this coordinate
             result[i] = fma(self.force_per_volt(j), voltage, result[i])
         return result
@@ -86,8 +89,10 @@ class Equations(BeltEquations, SignalEquations):
         """Return the current (V - Ke N w) / R of drive j, A, without inductance (eq. 17 of Sollmann et al. 2010).
 
         V is the motor voltage, Ke the back-EMF constant, N the gear ratio (which eq. 17 omits), w the speed of the
-        drive's coordinate (rad/s or m/s), and R the resistance.
+        drive's coordinate (rad/s or m/s), and R the resistance. It is 0 for a drive with a law, which takes its place.
         """
+        if self.drives[j].law_parameters:
+            return 0.0
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]
         return (motor_voltage - drive.emf_constant * speed) * (1.0 / drive.resistance)
@@ -95,23 +100,46 @@ class Equations(BeltEquations, SignalEquations):
     def _current_change(
         self, j: int, point: MotionPoint, motor_voltage: Value, arguments: dict[int, dict[str, Value]]
     ) -> Value:
-        """Return the force that effects on the current of drive j add, N or Nm."""
+        """Return the force that its law and effects on the current of drive j add, N or Nm."""
         ohmic = named("ohmic_current", j, self.ohmic_current(j, point, motor_voltage))
-        current = self._changed_current(j, point, ohmic, arguments)
+        current = self._changed_current(j, point, motor_voltage, ohmic, arguments)
         return self.drives[j].gear_ratio * self.drives[j].Kt * (current - ohmic)
 
     def _changed_current(
-        self, j: int, point: MotionPoint, current: Value, arguments: dict[int, dict[str, Value]]
+        self,
+        j: int,
+        point: MotionPoint,
+        motor_voltage: Value,
+        current: Value,
+        arguments: dict[int, dict[str, Value]],
     ) -> Value:
-        """Apply the effects on the current of drive j (limit, lag, ...) to the current by Ohm's law, A."""
+        """Apply the law of drive j and the effects on its current (limit, lag, ...) to the current by Ohm's law, A."""
         for k, e in self.effects_at("current", self.machine.drives[j].name):
-            arguments[k] = {"i": current}
-            state = self.effect_state(k, point, i=current)
-            current = named("current", k, self.evaluate(e, "current", {"i": current, "z": state}))
+            hooks = (e.definition.next_state, e.definition.current)
+            of_state, of_current = (argument_names(hook) if hook else () for hook in hooks)
+            given = {"i": current, "V": motor_voltage}
+            # `effect_state` and `next_state` know the speed.
+            arguments[k] = self._drive_quantities(j, point, given, {*of_state} - {"v"})
+            quantities = self._drive_quantities(j, point, given, of_current)
+            quantities["z"] = self.effect_state(k, point, **arguments[k])
+            current = named("current", k, self.evaluate(e, "current", quantities))
         return current
 
+    def _drive_quantities(
+        self, j: int, point: MotionPoint, given: Mapping[str, Value], names: Collection[str]
+    ) -> dict[str, Value]:
+        """Return what has one of the names: given quantities, position and speed at drive j, its gear ratio."""
+        i = self.drive_coordinates[j]
+        quantities: dict[str, Callable[[], Value]] = {
+            "q": lambda: self.position(point, i),
+            "v": lambda: self.speed(point, i),
+            "N": lambda: self.drives[j].gear_ratio,
+        }
+        taken = {name: value for name, value in given.items() if name in names}
+        return taken | {name: value() for name, value in quantities.items() if name in names}
+
     def current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
-        """Return the current of a drive with the effects on it, for example a limit or the lag of an inductance.
+        """Return the current of a drive with its law and the effects on it, such as a limit or an inductance's lag.
 
         Args:
             j: Index of the drive in the machine, from 0.
@@ -120,9 +148,10 @@ class Equations(BeltEquations, SignalEquations):
             motor_voltage: Voltage at the motor, V: float, array of any shape or symbolic expression.
 
         Returns:
-            Current, A: float, array of that shape or symbolic expression.
+            Current, A (for a drive of torques or with a law, torque of the motor shaft, Nm): float, array of that shape
+            or symbolic expression.
         """
-        return self._changed_current(j, point, self.ohmic_current(j, point, motor_voltage), {})
+        return self._changed_current(j, point, motor_voltage, self.ohmic_current(j, point, motor_voltage), {})
 
     # -- forces ----------------------------------------------------------------------------------------------------
 

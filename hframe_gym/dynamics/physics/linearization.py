@@ -71,8 +71,9 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
 def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
     """Linearize the equations of motion about rest, without Coulomb friction and effects.
 
-    The back-EMF of a drive acts as viscous friction of its coordinate. The equations are differentiated by a complex
-    step, exact to rounding (Squire and Trapp 1998). `StateSpace` states the shape of each matrix.
+    A drive with a law is linear about its set point; the memory of its controller keeps its value. The back-EMF of a
+    drive acts as viscous friction of its coordinate. The equations are differentiated by a complex step, exact to
+    rounding (Squire and Trapp 1998). `StateSpace` states the shape of each matrix.
 
     Args:
         position: Operating point with unstretched belts: position of every coordinate, m or rad, shape (coordinates,).
@@ -129,8 +130,12 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     """Return an integration step, s, that resolves the fastest vibration of the belts, at most `longest_step`, s.
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
-    integrator diverge. The result is 0.75 / highest natural frequency (rad/s) at position 0, if that is shorter.
+    integrator diverge. The result is 0.75 / highest natural frequency (rad/s) at position 0, if that is shorter. The
+    loop of a drive that follows a set point counts with the largest eigenvalue of the linear model.
     """
+    if machine.drive_laws:
+        fastest = float(np.abs(np.linalg.eigvals(linearize(machine).A)).max())
+        return longest_step if longest_step * fastest <= _MAX_PHASE else _MAX_PHASE / fastest
     if not machine.belts:
         return longest_step
     # Called before every simulation, hence without the complex step. Squared natural frequencies are the eigenvalues

@@ -95,6 +95,8 @@ class ParameterizedMachine:
     def _with_values(self, component: Coordinate | Drive) -> Any:
         """Return a component whose parameters may be arrays or expressions; its formulas work on them, too."""
         values = {key: self.parameter(f"{component.name}.{key}") for key in component.parameter_names}
+        if isinstance(component, Drive):
+            return component.with_values(values)
         return dataclasses.replace(component, **values)
 
     def radius(self, i: int) -> Value:
@@ -204,8 +206,9 @@ class ParameterizedMachine:
         Args:
             k: Index of the effect in `instances`.
             **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for an effect
-                that replaces dry friction; `i`, the current before the effect changes it, A, for an effect that changes
-                the current of a drive. No input for any other effect.
+                that replaces dry friction; for an effect on a drive's current or its law, those that it takes of `i`,
+                the current before the effect changes it, A, the motor voltage `V`, the position `q` and the gear ratio
+                `N`. No input for any other effect.
         """
         if k not in self.states:
             return 0.0

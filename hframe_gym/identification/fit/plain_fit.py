@@ -91,7 +91,8 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
         The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
     """
     equal = _excerpt(equally_weighted(data))
-    starts = starting_values(machine, data)
+    # The torque of a drive with a law depends on its unknown gains: no inverse dynamics, but output error at once.
+    starts = starting_values(machine, data) if not machine.drive_laws else [(machine, ())]
     costs = [
         min(prediction_cost(m, equal, SIMULATION) for m in (start, start.with_effects(*offsets)))
         for start, offsets in starts

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from ...machine import Machine
+from ...machine import DRIVE_KINDS, Drive, Machine
 
 Array = NDArray[np.float64]
 
@@ -281,12 +281,14 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     - The stiffness EA of every belt section. For a section whose length changes with the position of the machine, also
       its constant part `rest_length`, the length at position 0.
     - The torque constant Kt of every drive but the first, and nonzero back-EMF constants Ke.
+    - The gains and limits of every drive that follows a set point, without those at their defaults.
     - The resistance of every drive whose current is measured, which separates its electrical from its mechanical side.
     - The parameters of declared effects.
 
-    Left out are parameters that the machine ties to others, and the torque constant of the first drive. If all torque
-    constants, masses, friction forces and stiffnesses are multiplied by the same factor, the same voltages cause the
-    same motion. Recordings therefore do not determine this factor; the first torque constant sets it.
+    Left out are parameters that the machine ties to others, and the torque constant of the first drive (the
+    `unit_of_force` of a drive with a law, unless its torque or current is measured). If all torque constants, masses,
+    friction forces and stiffnesses are multiplied by the same factor, the same voltages cause the same motion.
+    Recordings therefore do not determine this factor; the first torque constant sets it.
 
     Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
     only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
@@ -304,9 +306,15 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
         free.append(FreeParameter(f"{belt.name}.EA", belt.EA, prior=_BELT_PRIOR))
         if belt.length:
             free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
-    free += [FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR) for drive in machine.drives[1:]]
     sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
-    resistances = [drive for drive in machine.drives if drive.name in sensed]
+    free += [
+        FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR)
+        for drive in machine.drives[1:]
+        if not drive.law
+    ]
+    for drive in machine.drives:
+        free += _law_parameters(drive, anchored=drive is machine.drives[0] and drive.name not in sensed)
+    resistances = [drive for drive in machine.drives if drive.name in sensed and not drive.law]
     free += [
         FreeParameter(f"{drive.name}.resistance", drive.resistance, prior=_MOTOR_PRIOR)
         for drive in resistances
@@ -315,6 +323,19 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     if effects:
         free += _declared_effect_parameters(machine)
     return tuple(parameter for parameter in free if parameter.name not in machine.ties)
+
+
+def _law_parameters(drive: Drive, *, anchored: bool) -> list[FreeParameter]:
+    """Return the free parameters of a drive's law; `anchored`: the drive sets the unit of force of the machine."""
+    kind = DRIVE_KINDS.get(drive.kind)
+    free = []
+    for p in kind.law.parameters if kind.law else ():
+        value = drive.law_parameters[p.name]
+        known = p.role == "fixed" or value == 0.0 or kind.defaults.get(p.name) == value
+        if not known and not (anchored and p.name == kind.unit_of_force):
+            name = f"{drive.name}.{p.name}"
+            free.append(FreeParameter(name, value, _EFFECT_PRIOR, lower=p.lower, upper=p.upper))
+    return free
 
 
 def _coordinate_parameters(machine: Machine) -> list[FreeParameter]:

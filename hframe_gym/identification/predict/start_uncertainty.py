@@ -149,12 +149,13 @@ def effect_state_spreads(machine: Machine) -> Array:
     equations = Equations(machine)
     spreads = []
     for k in equations.states:
-        effect, i = equations.instances[k].effect, equations.instances[k].coordinate
-        level = machine.coordinates[i].coulomb if i >= 0 else 0.0
+        instance = equations.instances[k]
+        effect, i = instance.effect, instance.coordinate
+        quantities = {"level": machine.coordinates[i].coulomb if i >= 0 else 0.0}
+        if effect in machine.drive_laws:
+            quantities["N"] = machine.drive(instance.component).gear_ratio
         known = effect.definition.initial_spread is None
-        spreads.append(
-            0.0 if known else float(equations.evaluate(effect, "initial_spread", {"level": level}))
-        )
+        spreads.append(0.0 if known else float(equations.evaluate(effect, "initial_spread", quantities)))
     return np.array(spreads)
 
 

@@ -120,7 +120,11 @@ def _axis(
         drives = [drive for drive in machine.drives if effect.site in (drive.name, "drives")]
         values = [curves[f"coverage/{d.channel}"] for d in drives if f"coverage/{d.channel}" in curves]
         top = max((float(np.abs(v).max()) for v in values), default=0.0)
-        return _symmetric(top, f"command of {effect.site}, {drives[0].command_unit}") if drives else None
+        return (
+            _symmetric(top, f"command of {effect.site}, {machine.command_unit(drives[0])}")
+            if drives
+            else None
+        )
     if coordinate is None:
         return None
     if symbol == "t":

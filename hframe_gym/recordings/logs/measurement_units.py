@@ -138,7 +138,7 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
         if DRIVE_KINDS.get(drive.kind).fraction:
             return "duty cycle"
         # A drive of voltages whose Ke is 0 may control the current, the torque or the force that its channel names.
-        unit = split_unit(channel)[1] if drive.command == "voltage" else drive.command_unit
+        unit = split_unit(channel)[1] if drive.command == "voltage" else machine.command_unit(drive)
         return _COMMANDS.get(unit, "voltage")
     if channel in machine.supply_channels:
         return "voltage"

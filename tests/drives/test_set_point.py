@@ -1,0 +1,134 @@
+"""Drives that follow a set point: against the independent simulator, from the file to control."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hframe_gym import load_machine, simulate
+from hframe_gym.data_validation import check_recordings
+from hframe_gym.errors import InputError
+from hframe_gym.identification import identify
+from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
+from hframe_gym.recordings import Recording, machine_to_dict, save_machine
+from tests.reference_simulator.axis import Axis, Servo, held_levels, record
+
+ROWS, PERIOD = 500, 5e-3
+# An industrial drive of the speed behind a gear, and a hobby servo: a proportional-derivative loop of the position.
+SERVOS = {
+    "speed": Servo(speed_gain=2e-3, reset_time=0.05, largest_torque=0.03, gear=3.0),
+    "position": Servo(position_gain=25.0, speed_gain=2e-3, largest_torque=0.03, gear=3.0),
+}
+LARGEST = {"speed": 15.0, "position": 1.2}  # rad/s, rad
+SENSORS = {
+    "speed": Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 20000, "encoder"),
+    "position": Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 4096),
+}
+
+
+def servo_machine(kind: str, servo: Servo, sensor: Sensor | None = None) -> Machine:
+    shaft = Coordinate("shaft", 2e-4, 1e-4, 0.004, "rotary", 0.01)
+    law = {
+        "speed_gain": servo.speed_gain,
+        "integral_rate": 1.0 / servo.reset_time,
+        "torque_limit": servo.largest_torque,
+    }
+    if kind == "position":
+        law["position_gain"] = servo.position_gain
+        if np.isfinite(servo.largest_speed):
+            law["speed_limit"] = servo.largest_speed
+    drive = Drive(
+        "motor", "command", "shaft", 1.0, 0.0, 1.0, servo.gear, LARGEST[kind], kind=kind, law_parameters=law
+    )
+    return Machine("servo", (shaft,), (), (drive,), (sensor or SENSORS[kind],))
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(
+    ("kind", "servo"),
+    [
+        ("speed", SERVOS["speed"]),
+        ("position", Servo(25.0, 12.0, 2e-3, 0.1, 0.03, 3.0)),  # all limits and the integral act
+    ],
+)
+def test_the_motion_is_that_of_the_independent_simulator(kind: str, servo: Servo) -> None:
+    motion = record(Axis(servo=servo), held_levels(1, 400, 20, LARGEST[kind]), 400, PERIOD)
+    limited = np.mean(np.abs(motion.current) > 0.999 * servo.largest_torque)
+    assert 0.05 < limited < 0.6
+    # The torque's limit holds the integral from one step to the next, so that the error is in proportion to the step.
+    simulated = simulate(
+        servo_machine(kind, servo), motion.time_s, motion.command[:, None], longest_step=5e-5
+    )
+    assert np.abs(simulated.positions[:, 0] - motion.position).max() < 2e-4 * np.ptp(motion.position)
+    assert np.abs(simulated.velocities[:, 0] - motion.speed).max() < 2e-3 * np.ptp(motion.speed)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", ["speed", "position"])
+def test_identification_finds_gains_inertia_friction_and_limit(kind: str) -> None:
+    servo, resolution = SERVOS[kind], SENSORS[kind].resolution
+    recordings = []
+    for run in range(4):
+        motion = record(Axis(servo=servo), held_levels(run, ROWS, 40, LARGEST[kind]), ROWS, PERIOD)
+        angle = np.rint(motion.position / resolution) * resolution
+        recordings.append(Recording(f"run_{run}", motion.time_s, motion.command[:, None], angle[:, None]))
+    true = servo_machine(kind, servo).parameters
+    wrong = {"shaft.mass": 1.3, "shaft.coulomb": 1.4, "motor.torque_limit": 0.75}
+    wrong["motor.integral_rate" if kind == "speed" else "motor.position_gain"] = 0.7
+    declared = servo_machine(kind, servo).replace({name: f * true[name] for name, f in wrong.items()})
+    assert [f for f in check_recordings(recordings, declared) if f.severity == "fault"] == []
+    result = identify(recordings, declared)
+    assert result.verdict == "no_effect"
+    found = result.after.machine.parameters
+    for name in wrong:
+        assert found[name] == pytest.approx(true[name], rel=1e-2), name
+    assert found["motor.speed_gain"] == true["motor.speed_gain"]  # it sets the unit of force
+    assert result.after.held_out.channels["phi_rad"].noise_ratio < 2.0
+
+
+@pytest.mark.parametrize("kind", ["speed", "position"])
+def test_a_machine_file_states_kind_and_gains(kind: str, tmp_path) -> None:
+    machine = servo_machine(kind, SERVOS[kind])
+    content = machine_to_dict(machine)["drives"][0]
+    assert content["kind"] == kind
+    assert content[f"rated_{kind}"]["unit"] == {"speed": "rad/s", "position": "rad"}[kind]
+    assert "Kt" not in content
+    assert "speed_limit" not in content["parameters"]  # a default
+    save_machine(machine, tmp_path / "servo.json")
+    assert load_machine(tmp_path / "servo.json").drives == machine.drives
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"parameters": {}}, r"drives\.motor\.parameters\.position_gain: missing"),
+        ({"Kt": {"value": 1.0, "unit": "1"}}, r"drives\.motor\.Kt: a drive of the kind 'position' has none"),
+        (
+            {"current_limit": {"value": 1.0, "unit": "A"}},
+            r"drives\.motor\.current_limit: a drive of the kind 'position' has none",
+        ),
+        ({"rated_position": {"value": 1.0, "unit": "m"}}, r"rated_position: unit is 'm', must be 'rad'"),
+    ],
+)
+def test_the_file_refuses_what_the_kind_lacks(change: dict, message: str, tmp_path) -> None:
+    content = machine_to_dict(servo_machine("position", SERVOS["position"]))
+    content["drives"][0] |= change
+    (tmp_path / "servo.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=message):
+        load_machine(tmp_path / "servo.json")
+
+
+def test_unknown_and_wrong_parameters_of_the_law_are_named(tmp_path) -> None:
+    content = machine_to_dict(servo_machine("position", SERVOS["position"]))
+    parameters = content["drives"][0]["parameters"]
+    parameters["gain"] = {"value": 1.0, "unit": "1"}
+    (tmp_path / "servo.json").write_text(json.dumps(content))
+    with pytest.raises(
+        InputError, match=r"parameters\.gain: the kind 'position' has no such parameter; it has"
+    ):
+        load_machine(tmp_path / "servo.json")
+    del parameters["gain"]
+    parameters["speed_gain"]["value"] = -1.0
+    (tmp_path / "servo.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"drives\.motor\.parameters: .*speed_gain = -1 is outside"):
+        load_machine(tmp_path / "servo.json")
