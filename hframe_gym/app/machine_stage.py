@@ -9,7 +9,7 @@ from nicegui.element import Element
 
 from ..dynamics import mode_frequencies
 from ..errors import InputError
-from ..identification.report.plots import readable_unit
+from ..identification.report.units import readable_unit
 from ..machine import Machine, motion_limits
 from ..recordings import (
     TEMPLATE_QUESTIONS,

@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-from ..identification.report.page import verdict_sentence
+from ..identification.report.answers import verdict_sentence
 from ..identification.report.saved_result import next_command
 from ..recordings import load_machine
 from .session import MACHINE, RESULT

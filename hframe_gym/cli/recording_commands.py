@@ -243,7 +243,7 @@ def identify(
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
-    from ..identification.report.page import verdict_sentence
+    from ..identification.report.answers import verdict_sentence
     from ..identification.report.saved_result import next_command
     from ..recordings import load_machine
     from .tables import identification_table
@@ -279,9 +279,10 @@ def _log_notes(result: IdentificationResult, findings: Sequence[Finding]) -> Non
     """Print what the user should know beside the result: first about the result, then about the recordings."""
     from ..data_validation import group_findings
 
-    about = [str(result.unfinished)] if result.unfinished else []
-    about += [*result.limit_warnings, *result.divergence_warnings, *result.run_warnings]
-    notes = [*about, *(str(finding) for finding in group_findings(findings) if finding.severity != "fault")]
+    notes = [
+        *result.notes,
+        *(str(finding) for finding in group_findings(findings) if finding.severity != "fault"),
+    ]
     if notes:
         log(f"Notes ({len(notes)}):")
         for note in notes:
@@ -335,13 +336,16 @@ def _write_rig(
     log: _Log,
 ) -> tuple[dict[str, Any], Exception | None]:
     """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
+    from ..data_validation import group_findings
     from ..identification import write_result
     from ..identification.report.page import build_report
     from ..recordings import recording_files
 
     with output_batch(folder):
         comparisons = proposed_formulas(result, log)
-        write_result(result, folder, list(map(str, findings)), comparisons, recording_files(runs_dir))
+        write_result(
+            result, folder, list(map(str, group_findings(findings))), comparisons, recording_files(runs_dir)
+        )
         contents = result.as_json() | {"proposed_formulas": [c.as_json() for c in comparisons]}
         try:
             build_report(folder, out)
@@ -398,7 +402,7 @@ def _identify_rigs(fit: _Fit, rigs: list[_Rig], jobs: int, ray: str | None) -> N
 
 def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _IdentifiedRig:
     """Identify a rig in a temporary folder."""
-    from ..identification.report.page import verdict_sentence
+    from ..identification.report.answers import verdict_sentence
 
     def log(line: str) -> None:
         if show_progress:

@@ -70,7 +70,7 @@ def _force_cell(errors: Mapping[str, Any]) -> str:
 
 def _error_cell(channel: str, error: Mapping[str, Any]) -> str:
     """Return an rms error in a readable unit, as a multiple of the noise and in percent of the motion."""
-    from ..identification.report.plots import readable_unit
+    from ..identification.report.units import readable_unit
 
     factor, unit = readable_unit(channel, error["rmse"])
     motion = error.get("percent_of_motion")

@@ -620,3 +620,9 @@ class Uncertainty:
             return None
         index = self.names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation coefficients of the parameters, shape (k, k); 0 with a parameter without variance."""
+        std = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        return self.covariance / np.outer(std, std)

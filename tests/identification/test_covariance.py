@@ -139,12 +139,12 @@ def test_no_doubt_about_well_determined_parameters(axis: Machine) -> None:
     assert parameter_doubts(machine, axis) == {"x.mass": [], "x.viscous": []}
 
 
-def test_high_correlation_names_the_partner(axis: Machine) -> None:
+def test_a_high_correlation_is_a_doubt_and_stands_in_the_matrix(axis: Machine) -> None:
     machine = with_standard_deviations(axis, {"x.mass": 0.01, "x.viscous": 0.01}, correlation=-0.98)
-    assert parameter_doubts(machine, axis) == {
-        "x.mass": ["correlation -0.980 with x.viscous"],
-        "x.viscous": ["correlation -0.980 with x.mass"],
-    }
+    doubt = ["correlation beyond 0.95 with another parameter"]
+    assert parameter_doubts(machine, axis) == {"x.mass": doubt, "x.viscous": doubt}
+    assert machine.uncertainty is not None
+    assert machine.uncertainty.correlation == pytest.approx(np.array([[1.0, -0.98], [-0.98, 1.0]]))
 
 
 def test_large_deviation_is_attributed_to_the_prior_or_to_the_data(axis: Machine) -> None:

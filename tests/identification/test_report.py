@@ -21,12 +21,14 @@ from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.fit.residual import ChannelError, Dependence
+from hframe_gym.identification.report.answers import tone_of_remainder, verdict_sentence
 from hframe_gym.identification.report.correlations import CONFIDENCE, correlation
 from hframe_gym.identification.report.curves import page_curves, worst_first
 from hframe_gym.identification.report.effect_curves import effect_curve
+from hframe_gym.identification.report.error_dependence import error_panels
 from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
 from hframe_gym.identification.report.instructions import next_steps
-from hframe_gym.identification.report.page import build_report, tone_of_remainder, verdict_sentence
+from hframe_gym.identification.report.page import build_report
 from hframe_gym.identification.report.plots import report_panels
 from hframe_gym.identification.report.result import Hint, Unfinished, Verdict, plot_data
 from hframe_gym.identification.report.saved_result import load_result, next_command
@@ -97,7 +99,8 @@ def test_the_page_describes_an_effect(data: Dataset, tmp_path: Path) -> None:
         assert text in page
     assert "://" not in page  # self-contained
     assert {p.stem for p in (tmp_path / "plots").iterdir()} == {
-        *("correlations", "coverage", "effects", "error_by_channel", "error_over_time", "residual_force")
+        *("correlations", "coverage", "effects", "error_by_channel"),
+        *("error_over_motion", "error_over_time", "residual_force"),
     }
 
 
@@ -139,7 +142,7 @@ def test_the_page_states_that_no_recording_distinguishes_equivalent_causes(
     for rivals in ([equivalent], [equivalent, *others]):
         report["effects"][0]["rivals"] = rivals
         (tmp_path / "report.json").write_text(json.dumps(report))
-        steps = build_report(tmp_path).read_text().partition("What to do next")[2]
+        steps = build_report(tmp_path).read_text().partition("What now")[2]
         assert (sentence in steps) == (rivals == [equivalent])
         assert ("No experiment is proposed" in steps) == (rivals != [equivalent])
         assert f"constant force at x from {rivals[-1]}." in steps
@@ -185,8 +188,47 @@ def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Data
     assert worst_first(report, curves, ["x_m"]) == ["run_8", "run_9"]
 
 
+def test_the_first_screen_answers_what_is_wrong_how_sure_how_much_is_left_on_which_run_and_what_now(
+    data: Dataset, tmp_path: Path
+) -> None:
+    write_result(result_of(data, "effect_found", STRIBECK, PLAN), tmp_path)
+    page = build_report(tmp_path).read_text()
+    found = re.findall(r"<dt>([^<]*)</dt><dd>(.*?)</dd></div>", page, re.DOTALL)
+    answered = {question: " ".join(text.split()) for question, text in found}
+    for question, text in {
+        "What is wrong": "The machine has an effect that its model lacks: stribeck friction at x.",
+        "How sure": "These runs do not tell apart: stribeck friction at x (or presliding@x).",
+        "How much is left": " µm rms at x_m, ",
+        "On which run": "run_2: ",
+        "What now": "identify again with it.",
+    }.items():
+        assert text in answered[question], question
+
+
+def test_errors_over_position_and_speed_lie_in_the_region_of_white_noise_only_if_they_are(
+    data: Dataset,
+) -> None:
+    result = result_of(data, "effect_found", STRIBECK)
+    report, curves = result.as_json(), plot_data(result)
+    noise, rng = data.noise[0], np.random.default_rng(0)
+    measured = curves["run_2/measured"][:, 0]
+    fractions = []
+    for part in (0.0, 20.0):
+        curves["run_2/after"] = (
+            noise * rng.normal(size=len(measured)) + part * noise * measured / measured.max()
+        )[:, None]
+        over_position, over_speed = error_panels(report, curves, AXIS)
+        assert "over speed of x" in over_speed.title
+        match = re.search(r"outside the band: ([\d.]+) %", over_position.title)
+        assert match is not None
+        fractions.append(float(match[1]))
+    assert fractions[0] < 10.0
+    assert fractions[1] > 60.0
+
+
 def test_a_long_curve_keeps_its_peaks_and_the_page_stays_small(data: Dataset) -> None:
     report = result_of(data, "effect_found", STRIBECK).as_json()
+    report["plain"] = report["before"]
     report["runs"]["held_out"] = [f"run_{k}" for k in range(20)]
     time_s = 1e6 + 1e-3 * np.arange(100_000)
     errors = 1e-5 * np.sin(time_s)[:, None]
@@ -281,11 +323,11 @@ def test_the_page_tells_where_the_result_comes_from(data: Dataset, tmp_path: Pat
     [
         (
             "velocity of x",
-            "Record runs that isolate it, move x at six or more constant speeds in both directions",
+            "Record runs that isolate it: move x at six or more constant speeds in both directions",
         ),
         ("current of motor", "accelerate motor with voltages from small ones to the rated one"),
         ("time", "begin cold, and repeat the same motion"),
-        ("v_V", "slow and fast, of one axis at a time and over the full travel"),
+        ("v_V", "move slowly and fast, one axis at a time, over the full travel"),
     ],
 )
 def test_the_run_to_record_follows_from_the_dependence(
@@ -408,7 +450,10 @@ def test_a_table_is_drawn_and_named_as_a_table(data: Dataset, tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("verdict", "text"),
-    [("no_effect", "No missing effect found"), ("unexplained", "no known effect explains it")],
+    [
+        ("no_effect", "No missing effect found"),
+        ("unexplained", "The model lacks something that no known effect explains."),
+    ],
 )
 def test_the_page_without_an_effect(verdict: Verdict, text: str, data: Dataset, tmp_path: Path) -> None:
     page = page_of(result_of(data, verdict, AXIS), tmp_path)
@@ -473,12 +518,14 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
     )
     result = dataclasses.replace(result, declared=diverged, before=diverged)
     page = page_of(result, tmp_path)
-    assert "infinitely many (its simulation diverges) times the sensors&#39; noise" in page
+    assert "∞ × noise" in page
     assert "The simulation of the declared machine diverges on run_2" in page
     assert "(amplifier limit, emergency stop, wrong scale)" in page
     assert "nan" not in page.replace("finance", "").lower().split("<body", 1)[1].split("<svg", 1)[0]
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["declared"]["held_out"]["x_m"] == {"rmse": None, "noise_ratio": None}
+    sentence = verdict_sentence(report, ["x_m"])
+    assert "infinitely many (its simulation diverges) times the sensors' noise" in sentence
     assert np.isnan(dataclasses.replace(result_of(data, "effect_found", STRIBECK), before=diverged).explained)
 
 
@@ -597,9 +644,9 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
     )
     page = page_of(result, tmp_path)
     for text in (
-        "Left on the held-out runs: 250 times the sensors&#39; noise, 5 mm rms at x_m; 2.1 % of the motion",
+        "5 mm rms at x_m, 250 times the sensors&#39; noise; 2.1 % of the motion",
         "a missing force of 0.37 % of that of the drives.",
-        "Why no other verdict is given: 10 % of the squared error remain with the effects.",
+        "No name is given: 10 % of the squared error remain with the effects.",
         "lacks on x depends most on current of motor, which explains 62 % of its variance.",
         "The nearest effects of the library, which are no causes: current_limit@motor, load_friction@motor.",
         "The search is not complete: the budget of 60 s of processor time ended (trial fit 2 of 5: cogging@motor).",

@@ -351,15 +351,9 @@ def _add_precision_doubts(
 
 
 def _add_correlation_doubts(uncertainty: Uncertainty, doubts: dict[str, list[str]]) -> None:
-    """Add pairs of parameters that are almost perfectly correlated."""
-    names, covariance = uncertainty.names, uncertainty.covariance
-    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance / np.outer(std, std)
-    np.fill_diagonal(correlation, 0.0)
-    for i, name in enumerate(names):
-        partners = [
-            f"{correlation[i, j]:+.3f} with {names[j]}"
-            for j in np.flatnonzero(np.abs(correlation[i]) > _HIGH_CORRELATION)
-        ]
-        if partners and name in doubts:
-            doubts[name].append(f"correlation {', '.join(partners)}")
+    """Add the number of parameters with which a parameter is almost perfectly correlated."""
+    partners = (np.abs(uncertainty.correlation) > _HIGH_CORRELATION).sum(axis=1) - 1
+    for name, count in zip(uncertainty.names, partners, strict=True):
+        if count > 0 and name in doubts:
+            others = "another parameter" if count == 1 else f"{count} others"
+            doubts[name].append(f"correlation beyond {_HIGH_CORRELATION:g} with {others}")

@@ -7,7 +7,7 @@ correlation with an input that comes before the error shows that the machine res
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,54 +41,75 @@ def correlation(first: Array, second: Array, lags: int) -> Array:
     return np.asarray(full[len(a) - 1 : len(a) + lags] / size)
 
 
-def correlation_panels(
-    curves: Mapping[str, Array], run: str, channels: Sequence[str], inputs: Sequence[str], stage: str
-) -> list[Panel]:
-    """Prepare a plot for each measured channel of a run: autocorrelation, and correlation with each earlier input.
+class ErrorCorrelations(NamedTuple):
+    """Correlations of the error of a channel in a run.
+
+    Attributes:
+        run: Name of the run.
+        channel: Name of the output channel.
+        lag_s: Time by which the error is later, s, shape (k,).
+        values: Correlation coefficients with "itself" and with each input by its name, dimensionless, shape (k,).
+        limit: Magnitude below which 99 % of the coefficients of white noise are.
+    """
+
+    run: str
+    channel: str
+    lag_s: Array
+    values: dict[str, Array]
+    limit: float
+
+    def outside(self) -> dict[str, float]:
+        """Return the fraction of the coefficients at later times that are outside the region, by name."""
+        return {name: float(np.mean(np.abs(r[1:]) > self.limit)) for name, r in self.values.items()}
+
+    def panel(self) -> Panel:
+        """Return the plot of the correlations, with the region that holds 99 % of those of white noise."""
+
+        def draw(axes: Any) -> None:
+            axes.axhspan(-self.limit, self.limit, color=color("muted"), alpha=0.3, lw=0)
+            for role, (name, correlations) in zip(SERIES, self.values.items(), strict=False):
+                start = 1 if name == "itself" else 0  # at lag 0, it is 1
+                axes.plot(self.lag_s[start:], correlations[start:], color=color(role), lw=1.1, label=name)
+            axes.set(xlabel="time by which the error is later, s", ylabel="correlation with")
+            axes.margins(x=0.01)
+            legend_above(axes)
+
+        parts = [f"{number(100.0 * fraction)} % with {name}" for name, fraction in self.outside().items()]
+        text = f"error of {self.channel} in {self.run}. Outside the"
+        description = f"Correlations of the {text} region of 99 %: {', '.join(parts)}."
+        return Panel(
+            f"{self.run}: {self.channel}. Outside the band: {', '.join(parts)}", description, draw, 2.3
+        )
+
+
+def error_correlations(
+    curves: Mapping[str, Array], run: str, channels: Sequence[str], inputs: Sequence[str]
+) -> list[ErrorCorrelations]:
+    """Compute the correlations of the errors of the delivered machine in a run.
 
     Args:
         curves: Curves by name, such as "RUN/after", SI, shape (n, sensors).
         run: Name of the run.
         channels: Names of the output channels.
         inputs: Names of the input channels.
-        stage: Machine whose error is drawn: "before" or "after".
 
     Returns:
-        The panels; none for a channel with less than 50 measurements, or if the result has no inputs.
+        Correlations of each channel, k coefficients each, shape (k,); none for a channel with less than 50 measurements,
+        or if the result has no inputs.
     """
     if f"{run}/inputs" not in curves:
         return []
-    errors, commands, time_s = curves[f"{run}/{stage}"], curves[f"{run}/inputs"], curves[f"{run}/time_s"]
-    panels = []
+    errors, commands, time_s = curves[f"{run}/after"], curves[f"{run}/inputs"], curves[f"{run}/time_s"]
+    period = float(np.median(np.diff(time_s)))
+    found = []
     for j, channel in enumerate(channels):
         error = errors[:, j]
         measured = int(np.isfinite(error).sum())
         if measured < _MIN_ROWS:
             continue
-        period = float(np.median(np.diff(time_s)))
         lags = min(max(10, round(_MAX_LAG_S / period)), len(error) // 4)
         values = {"itself": correlation(error, error, lags)}
         values |= {name: correlation(commands[:, k], error, lags) for k, name in enumerate(inputs)}
         lag_s = period * np.arange(lags + 1, dtype=np.float64)
-        panels.append(_panel(run, channel, lag_s, values, CONFIDENCE / float(np.sqrt(measured))))
-    return panels
-
-
-def _panel(run: str, channel: str, lag_s: Array, values: Mapping[str, Array], limit: float) -> Panel:
-    """Draw the correlations of one channel with the region that holds 99 % of those of white noise."""
-
-    def draw(axes: Any) -> None:
-        axes.axhspan(-limit, limit, color=color("muted"), alpha=0.3, lw=0)
-        for role, (name, correlations) in zip(SERIES, values.items(), strict=False):
-            start = 1 if name == "itself" else 0  # at lag 0, it is 1
-            axes.plot(lag_s[start:], correlations[start:], color=color(role), lw=1.1, label=name)
-        axes.set(xlabel="time by which the error is later, s", ylabel="correlation with")
-        axes.margins(x=0.01)
-        legend_above(axes)
-
-    outside = ", ".join(
-        f"{number(100 * float(np.mean(np.abs(correlations[1:]) > limit)))} % with {name}"
-        for name, correlations in values.items()
-    )
-    description = f"Correlations of the error of {channel} in {run}. Outside the region of 99 %: {outside}."
-    return Panel(f"{run}: error of {channel}. Outside the band: {outside}", description, draw, 2.3)
+        found.append(ErrorCorrelations(run, channel, lag_s, values, CONFIDENCE / float(np.sqrt(measured))))
+    return found

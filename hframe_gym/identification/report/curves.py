@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...web_page import number
-from .plots import readable_unit
+from .result import compared_machines
+from .units import readable_unit
 
 Array = NDArray[np.float64]
-# Names of the machines in the order in which their curves are drawn: what is delivered comes last, on top.
-_LABELS = {"declared": "as declared", "plain": "plain fit", "before": "refitted", "after": "with effects"}
 _COLORS = {"declared": "declared", "plain": "series3", "before": "before", "after": "after"}
 _MAX_BYTES = 1_500_000  # of all curves in the page, so that a page of many runs stays below 3 MB
 _MAX_ROWS, _MIN_ROWS = 3000, 200  # of one curve; a screen has some 1000 columns
@@ -28,22 +27,10 @@ _FAR = 3.0  # Error relative to that of the refitted machine above which a curve
 _KEPT_PER_BUCKET = 5  # first row, smallest and largest error of two machines
 
 
-def compared_machines(report: Mapping[str, Any], curves: Mapping[str, Array]) -> dict[str, str]:
-    """Return the machines whose simulations the page compares, with their labels.
-
-    Args:
-        report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
-
-    Returns:
-        Labels by key of the machine: "declared", "plain" (if its curves are known), "before" and "after" (with effects;
-        absent if there are none, because it is then the refitted machine).
-    """
-    runs = report["runs"]["held_out"]
-    absent = set() if report["effects"] else {"after"}
-    if not all(f"{run}/plain" in curves for run in runs):
-        absent.add("plain")
-    return {key: label for key, label in _LABELS.items() if key not in absent}
+def _drawn_machines(report: Mapping[str, Any], curves: Mapping[str, Array]) -> dict[str, str]:
+    """Return the machines whose simulations are drawn, with their labels: those whose curves are known."""
+    run = report["runs"]["held_out"][0]
+    return {key: label for key, label in compared_machines(report).items() if f"{run}/{key}" in curves}
 
 
 def channel_noise(report: Mapping[str, Any], channel: str) -> float | None:
@@ -125,7 +112,7 @@ def page_curves(
         little-endian: "time" (s since the start of the run), "measured" and "errors" (measured minus simulated) by
         machine.
     """
-    machines = compared_machines(report, curves)
+    machines = _drawn_machines(report, curves)
     runs = worst_first(report, curves, channels)
     count = max(1, len(runs) * len(channels) * (2 + len(machines)))
     rows = int(np.clip(_MAX_BYTES / (_BYTES_PER_VALUE * count), _MIN_ROWS, _MAX_ROWS))
@@ -140,7 +127,7 @@ def page_curves(
                 "name": run,
                 "label": _run_label(run_ratio(report, curves, run, channels), run),
                 "channels": [
-                    _channel_curves(report, curves, run, channel, j, list(machines), rows)
+                    _channel_curves(report, curves, run, channel, j, list(machines), far, rows)
                     for j, channel in enumerate(channels)
                     if np.isfinite(curves[f"{run}/measured"][:, j]).any()
                 ],
@@ -155,7 +142,7 @@ def _far(
 ) -> set[str]:
     """Return the machines whose errors on the worst run are so large that those of the others would look like zero."""
     ratios = {
-        key: run_ratio(report, curves, runs[0], channels, key) for key in compared_machines(report, curves)
+        key: run_ratio(report, curves, runs[0], channels, key) for key in _drawn_machines(report, curves)
     }
     limit = _FAR * (ratios["before"] or math.inf)
     return {key for key in ("declared", "plain") if (ratios.get(key) or 0.0) > limit}
@@ -175,14 +162,17 @@ def _channel_curves(
     channel: str,
     j: int,
     machines: Sequence[str],
+    far: set[str],
     max_rows: int,
 ) -> dict[str, Any]:
-    """Return the curves of one channel of a run."""
+    """Return the curves of one channel of a run, with the unit of the errors that are shown at first."""
     time_s, measured = curves[f"{run}/time_s"], curves[f"{run}/measured"][:, j]
     errors = {key: curves[f"{run}/{key}"][:, j] for key in machines}
     rows = _kept_rows([errors[key] for key in ("before", "after") if key in errors], max_rows)
     factor, unit = readable_unit(channel, float(np.nanmax(np.abs(measured), initial=0.0)))
-    largest = max(float(np.nanmax(np.abs(error), initial=0.0)) for error in errors.values())
+    largest = max(
+        float(np.nanmax(np.abs(error), initial=0.0)) for key, error in errors.items() if key not in far
+    )
     error_factor, error_unit = readable_unit(channel, largest)
     noise = channel_noise(report, channel)
     return {

@@ -59,7 +59,10 @@ class EffectCurve:
             f"{number(float(self.y.max()))} {unit}; two standard deviations are at most "
             f"{number(float(spread.max()))} {unit}."
         )
-        return Panel(f"{name}, band: two standard deviations of its parameters", description, draw, 2.5)
+        band = (
+            f"band: two standard deviations of its parameters, at most ±{number(float(spread.max()))} {unit}"
+        )
+        return Panel(f"{name}; {band}", description, draw, 2.5)
 
 
 def effect_curve(effect: AppliedEffect, machine: Machine, curves: Mapping[str, Array]) -> EffectCurve | None:
@@ -94,6 +97,12 @@ def effect_curve(effect: AppliedEffect, machine: Machine, curves: Mapping[str, A
             return None
         x, variable = axis
         value, quantity = _value(hook, symbol, x, effect, coordinate)
+        turn = 2.0 * math.pi
+        if coordinate and coordinate.kind == "rotary" and symbol == "q" and np.ptp(x) > turn:
+            ahead, _ = _value(hook, symbol, x + turn, effect, coordinate)
+            if np.allclose(value(effect, coordinate.coulomb), ahead(effect, coordinate.coulomb)):
+                x = np.linspace(0.0, turn, _POINTS)
+                value, _ = _value(hook, symbol, x, effect, coordinate)
         if hook == "voltage":
             quantity += variable.rpartition(",")[2]
         y, std = _with_std(value, effect, machine, coordinate)

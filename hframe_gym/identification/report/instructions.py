@@ -79,7 +79,7 @@ def next_steps(
         text = "A formula is proposed in place of the table; review it and write it as an effect."
         steps.append(_step(text, f"hframe effects new NAME --from {folder}"))
     if report["verdict"] == "unexplained":
-        return [*findings, *steps, *_measurements(report)]
+        return [*steps, *_measurements(report), *findings]
     control = _control(report["verdict"], machine, folder, bool(effects))
     return [*steps, control, *_measurements(report), *findings]
 
@@ -100,8 +100,8 @@ def _recordings(
         return [_step(text, _again(saved, folder))]
     if report["verdict"] == "unexplained":
         text = (
-            "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it, "
-            f"{_isolating(report)}, and identify again with them."
+            "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it: "
+            f"{_isolating(report)}. Then identify again with them."
         )
         return [_step(text, _again(saved, folder))]
     for kind, why in _NO_EXPERIMENT.items():
@@ -117,7 +117,7 @@ def _isolating(report: Mapping[str, Any]) -> str:
         quantity, _, name = dependence["variable"].partition(" of ")
         if quantity in _MOTIONS:
             return _MOTIONS[quantity].format(name or "the machine")
-    return "slow and fast, of one axis at a time and over the full travel"
+    return "move slowly and fast, one axis at a time, over the full travel"
 
 
 def _measurements(report: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -15,12 +15,14 @@ from ...errors import InputError
 from ...machine import Machine
 from ...web_page import number, write_page
 from ..fit.parameter_diagnostics import parameter_doubts, sum_text
-from ..judge.criteria import SelectionCriteria
+from .answers import answers, drifts, largest_position_error, noise_ratio, percent, tone_of_remainder
+from .correlations import error_correlations
 from .curves import channel_noise, page_curves, worst_first
 from .instructions import next_steps
-from .plots import readable_unit, report_panels, save_plots, slow_fractions
-from .result import STAGES, reason_of_remainder
+from .plots import report_panels, save_plots, slow_fractions
+from .result import STAGES, compared_machines
 from .saved_result import load_result
+from .units import readable_unit
 
 Array = NDArray[np.float64]
 _HEADINGS = {
@@ -33,20 +35,6 @@ _LEFT = {
     "neutral": ", a small error is left",
     "warning": ", a large error is left",
 }  # by tone of the page
-# Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
-_SMALL_PERCENT_OF_MOTION = 1.0
-_NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
-_DIVERGES = "infinitely many (its simulation diverges)"
-_DEVIATING = (
-    "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
-    "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
-)
-_CLEARLY_BETTER = (
-    0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
-)
-_MAX_NOISE_RATIO = (
-    50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
-)
 
 
 def build_report(folder: Path, final_folder: Path | None = None) -> Path:
@@ -71,25 +59,31 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     tone = tone_of_remainder(report)
     runs = worst_first(report, curves, channels)
     panels, effects = report_panels(report, curves, machine, runs), _effect_rows(report, machine)
+    steps = next_steps(saved, final_folder or folder, effects, runs)
     values = {
         "title": f"Identification of {saved.declared.name}",
         "declared_name": saved.declared.name,
         "report": report,
         "heading": _HEADINGS[report["verdict"]] + ("" if report["verdict"] == "unexplained" else _LEFT[tone]),
         "tone": tone,
-        "sentence": verdict_sentence(report, channels),
+        "answers": answers(saved, effects, runs, steps[0]["text"]),
         "tiles": _tiles(report, channels),
         "channels": [_channel_row(report, c) for c in channels],
         "force": _force_row(report),
         "plain": _plain_sentence(report),
-        "delivered": not report["effects"] and report["after"]["held_out"] != report["before"]["held_out"],
+        "machines": compared_machines(report),
+        "pair": _pair(report),
         "runs": [_run_row(report, curves, channels, run) for run in runs],
         "curves": page_curves(report, curves, channels),
         "effects": effects,
         "parameters": _parameter_rows(machine, saved.declared),
+        "correlations": _correlation_rows(machine),
         "determined": _determined_sums(report, machine),
-        "left": _remaining_error(report),
-        "steps": next_steps(saved, final_folder or folder, effects, runs),
+        "whiteness": [
+            {"run": run, "channels": error_correlations(curves, run, channels, machine.input_channels)}
+            for run in runs
+        ],
+        "steps": steps,
         "slow": slow_fractions(curves),
         "panels": panels,
     }
@@ -102,177 +96,28 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     return folder / "report.html"
 
 
-def tone_of_remainder(report: Mapping[str, Any]) -> str:
-    """Return the tone of the page, which follows from the error that is left and not from the names that were found.
-
-    Args:
-        report: Content of report.json.
-
-    Returns:
-        "good" if noise explains the error and the noise is small against the motion; "neutral" if the error is at most
-        1 % of the motion of every channel; "warning" if it is larger, or the simulation diverges. An error that the
-        verdict calls unexplained is never "good".
-    """
-    criteria, left = SelectionCriteria(), report.get("left")
-    errors = report["after"]["held_out"].values()
-    percents = [e["percent_of_motion"] for e in errors if isinstance(e, dict) and e.get("percent_of_motion")]
-    largest = max(percents, default=0.0)
-    if left is None:
-        return "warning"
-    at_noise = left <= criteria.max_noise_ratio_explained and largest <= 100.0 * criteria.max_motion_error
-    if at_noise and report["verdict"] != "unexplained":
-        return "good"
-    return "neutral" if percents and largest <= _SMALL_PERCENT_OF_MOTION else "warning"
-
-
-def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
-    """Describe in words the verdict and the error on the held-out runs, which were not fitted.
-
-    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If that is
-    above 50, the simulation drifts; the relative error of the drives' force is then stated if the report contains it.
-
-    Args:
-        report: Content of report.json.
-        channels: Names of the machine's output channels.
-
-    Returns:
-        One or more English sentences.
-    """
-    by_force = _drifts(report, channels)
-    unit = "% of the drives' force" if by_force else "times the sensors' noise"
-    errors = {
-        stage: 100 * report[stage]["held_out"]["force_error"]
-        if by_force
-        else _noise_ratio(report, stage, channels)
-        for stage in STAGES
-    }
-    before, after = (number(errors[stage], _DIVERGES) for stage in ("before", "after"))
-    declared, refitted = errors["declared"], errors["before"]
-    if declared is not None and refitted is not None and declared < _CLEARLY_BETTER * refitted:
-        before += (
-            f" (with the declared parameters: {number(declared)})"  # The refit minimizes short predictions.
-        )
-    if report["verdict"] == "effect_found":
-        names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
-        single = len(report["effects"]) == 1
-        change = "rises" if (errors["after"] or 0.0) > (refitted or np.inf) else "falls"  # None: it diverges
-        subject, pronoun = ("an effect", "it") if single else (f"{len(report['effects'])} effects", "them")
-        found = (
-            f"The machine has {subject} that its model lacks: {names}. With {pronoun}, the error on the held-out runs "
-            f"{change} from {before} to {after} {unit}.{_remainder(report)}"
-        )
-        return " ".join([*_left_in_words(report), found, *_unfinished(report)])
-    if report["verdict"] == "no_effect":
-        remainder = _remainder(report)
-        start = f"No effect {'was found' if remainder else 'is missing'}: with refitted parameters, the error of the"
-        found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
-        return " ".join([found, *([] if remainder else _left_in_words(report)), *_unfinished(report)])
-    text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
-    why = [f"Why no other verdict is given: {report['reason']}."] if report.get("reason") else []
-    parts = [
-        text,
-        *_left_in_words(report),
-        *why,
-        *_dependence_sentences(report),
-        *_nearest(report),
-        *_unfinished(report),
-    ]
-    return " ".join(parts)
-
-
-def _left_in_words(report: Mapping[str, Any]) -> list[str]:
-    """Return a sentence about the error that is left in the user's terms, if it is known."""
-    errors = report["after"]["held_out"]
-    motions = [
-        e["percent_of_motion"] for e in errors.values() if isinstance(e, dict) and e.get("percent_of_motion")
-    ]
-    force = report["after"].get("missing_force_percent")
-    if report.get("left") is None or not (motions or force):
-        return []
-    parts = [f"{number(report['left'])} times the sensors' noise, {_largest_position_error(errors)}"]
-    if motions:
-        parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
-    if force:
-        parts.append(f"a missing force of {number(force)} % of that of the drives")
-    return [f"Left on the held-out runs: {'; '.join(parts)}."]
-
-
-def _nearest(report: Mapping[str, Any]) -> list[str]:
-    """Return a sentence about the effects of the library that describe a part of the missing force."""
-    labels = (report.get("hint") or {}).get("nearest")
-    return (
-        [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
-    )
-
-
-def _unfinished(report: Mapping[str, Any]) -> list[str]:
-    """Return a sentence about a search that ended early."""
-    unfinished = report.get("unfinished")
-    return (
-        [f"The search is not complete: {unfinished['reason']} ({unfinished['stage']})."] if unfinished else []
-    )
-
-
-def _noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float | None:
-    """Return the error in multiples of the noise, rms over the channels as of `left`; None if the machine diverges."""
-    errors = report[stage]["held_out"]
-    measured = [errors[c]["noise_ratio"] for c in channels if errors[c]["noise_ratio"] is not None]
-    return float(np.sqrt(np.mean(np.square(measured)))) if measured else None
-
-
-def _drifts(report: Mapping[str, Any], channels: Sequence[str]) -> bool:
-    """Return whether the simulation drifts, so that the error of the drives' force describes the machine better."""
-    ratio = _noise_ratio(report, "after", channels)
-    return "force_error" in report["after"]["held_out"] and ratio is not None and ratio > _MAX_NOISE_RATIO
-
-
-def _remainder(report: Mapping[str, Any]) -> str:
-    """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
-    if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
-        return ""
-    error = (
-        f"{number(left)} times the sensors' noise ({_largest_position_error(report['after']['held_out'])})"
-    )
-    if not (runs := report.get("contradicting", [])):
-        return f" An error of {error} is left{reason_of_remainder(report)}."
-    subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
-    others = report.get("left_in_others")
-    elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."
-    return f" An error of {error} is left, because {subject} the fitted runs (see the warnings).{elsewhere}"
-
-
 def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:
     """Return the key figures of the first screen: two errors, what the effects explain, and the data."""
-    by_force = _drifts(report, channels)
-    stages = ("declared", "Error as declared"), ("before", "Error refitted")
-    tiles = []
-    for stage, name in (
-        (("before", "Error before"), ("after", "Error after")) if report["effects"] else stages
-    ):
+    by_force, tiles = drifts(report, channels), []
+    for stage, label in _pair(report).items():
         errors = report[stage]["held_out"]
         if by_force:
             value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
         else:
-            ratio = number(_noise_ratio(report, stage, channels), "∞")
-            value, note = f"{ratio} × noise", _largest_position_error(errors)
-        tiles.append({"name": name, "value": value, "note": note})
+            ratio = number(noise_ratio(report, stage, channels), "∞")
+            value, note = f"{ratio} × noise", largest_position_error(errors)
+        tiles.append({"name": f"Error {label}", "value": value, "note": note})
     if report["effects"] and report.get("explained") is not None:
         note = "of the squared error beyond the noise"
-        tiles.append({"name": "Explained", "value": f"{_percent(report['explained'])} %", "note": note})
+        tiles.append({"name": "Explained", "value": f"{percent(report['explained'])} %", "note": note})
     fitted, held_out = (len(report["runs"][kind]) for kind in ("fitted", "held_out"))
     note = "runs fitted + held out for the errors"
     return [*tiles, {"name": "Recordings", "value": f"{fitted} + {held_out}", "note": note}]
 
 
-def _largest_position_error(errors: Mapping[str, Any]) -> str:
-    """Return the largest rms error of the position channels, or of all channels if there is no position."""
-    measured = {c: e["rmse"] for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
-    positions = {c: rmse for c, rmse in measured.items() if c.endswith("_m")} or measured
-    if not positions:
-        return "diverges, or not measured"
-    channel = max(positions, key=lambda c: positions[c])
-    factor, unit = readable_unit(channel, positions[channel])
-    return f"{number(factor * positions[channel])} {unit} rms at {channel}"
+def _pair(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return the last two machines, with their labels: what was gained by the last step."""
+    return dict([item for item in compared_machines(report).items() if item[0] != "plain"][-2:])
 
 
 def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
@@ -333,7 +178,7 @@ def _run_row(
         residual = residual[np.isfinite(residual)]
         if noise is None or len(residual) == 0:
             return ""
-        return f"{float(np.sqrt(np.mean(residual**2))) / noise:.3g}"
+        return number(float(np.sqrt(np.mean(residual**2))) / noise)
 
     return {
         "name": run,
@@ -382,42 +227,7 @@ def _gain_sentence(gain: float) -> str:
     """Return what an effect does to the squared error of the held-out runs; a negative gain makes it larger."""
     if gain < 0.0:
         return f"It increases the squared error of the held-out runs by {-100 * gain:.3g} %."
-    return f"It removes {_percent(gain)} % of the squared error of the held-out runs."
-
-
-def _percent(fraction: float) -> str:
-    """Return a fraction in percent; values that would round to 100 are "more than 99.9"."""
-    return "more than 99.9" if fraction > 0.9995 else f"{100 * fraction:.3g}"
-
-
-def _remaining_error(report: Mapping[str, Any]) -> list[str]:
-    """Return sentences about the error that the machine of the verdict leaves on the held-out runs."""
-    machine, left = "corrected" if report["effects"] else "refitted", report.get("left")
-    ratio = "" if left is None else f" ({number(left)} times the noise, root mean square over the channels)"
-    text = f"The remaining error of the {machine} machine is {{}} the sensors' noise{ratio}{{}}."
-    if report["residual"]["white"]:
-        return [text.format("consistent with", "")]
-    correlated = ", but it is correlated in time: a small systematic part is left"
-    small = left is not None and left < _NOTICEABLE_ERROR
-    sentences = [text.format("about as large as", correlated) if small else text.format("larger than", "")]
-    return sentences + (
-        _dependence_sentences(report) if report["verdict"] == "no_effect" else []
-    )  # or said already
-
-
-def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
-    """Return a sentence about sensors that deviate alone, or about the variable that explains most of the force."""
-    if sensors := report["residual"].get("sensors"):
-        return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
-    sentences = []
-    for d in report["residual"]["depends_on"][:1]:
-        component = d.get("component") or d["coordinate"]
-        where = f"on {d['coordinate']}" if component == d["coordinate"] else f"(most likely at {component})"
-        sentences.append(
-            f"The force that the model lacks {where} depends most on {d['variable']}, which explains "
-            f"{100 * d['share']:.0f} % of its variance."
-        )
-    return sentences
+    return f"It removes {percent(gain)} % of the squared error of the held-out runs."
 
 
 def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]:
@@ -439,6 +249,19 @@ def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]
             }
         )
     return rows
+
+
+def _correlation_rows(machine: Machine) -> list[dict[str, Any]]:
+    """Return the correlations of each identified parameter with those before it, without ordinates of tables."""
+    if machine.uncertainty is None:
+        return []
+    tables = tuple(f"{e.label}." for e in machine.effects if e.definition.family == TABLE_FAMILY)
+    kept = [k for k, name in enumerate(machine.uncertainty.names) if not name.startswith(tables)]
+    matrix = machine.uncertainty.correlation[np.ix_(kept, kept)]
+    return [
+        {"name": machine.uncertainty.names[k], "values": [float(r) for r in row[:i]]}
+        for i, (k, row) in enumerate(zip(kept, matrix, strict=True))
+    ]
 
 
 def _determined_sums(report: Mapping[str, Any], machine: Machine) -> list[dict[str, str]]:

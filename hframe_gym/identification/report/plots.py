@@ -12,19 +12,15 @@ from numpy.typing import NDArray
 from ...atomic_files import remove_file
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Machine
-from ...recordings import split_unit
 from ...web_page import Panel, color, legend_above, number, save_panels
-from .correlations import correlation_panels
+from .correlations import error_correlations
 from .effect_curves import effect_curve
+from .error_dependence import error_panels
+from .result import compared_machines
+from .units import readable_unit
 
 Array = NDArray[np.float64]
 Panels = dict[str, list[Panel]]
-_STAGES = {"declared": "as declared", "before": "before (refitted)", "after": "after (with effects)"}
-_STAGES_WITHOUT_EFFECT = {
-    "declared": "as declared",
-    "before": "refitted",
-}  # nothing was added: no machine "after"
-_SCALES = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e3, "mrad"),)}
 _SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_RUNS = 2  # Held-out runs whose errors are drawn over time.
 _MEAN_BINS = 40  # Points of the mean curve through the residual force.
@@ -59,12 +55,14 @@ def report_panels(
 
     Returns:
         Panels by name of the plot: error_by_channel, error_over_time (one panel per channel for each of the first two
-        held-out runs), correlations (of the errors of the first run), residual_force, effects (each over its own
-        variable), tables, coverage. The list of a plot without data, such as tables of a machine without tables, is
-        empty.
+        held-out runs), error_over_motion, correlations (of the errors of the first run), residual_force, effects (each
+        over its own variable), tables, coverage. The list of a plot without data, such as tables of a machine without
+        tables, is empty.
     """
     channels = list(machine.output_channels)
-    found = [effect_curve(effect, machine, curves) for effect in machine.effects]
+    named = {f"{e['name']}@{e['site']}" for e in report["effects"]}
+    found = [effect_curve(effect, machine, curves) for effect in machine.effects if effect.label in named]
+    worst = (list(runs) or report["runs"]["held_out"])[0]
     return {
         "error_by_channel": [_error_by_channel(report, channels)],
         "error_over_time": [
@@ -74,15 +72,17 @@ def report_panels(
             if np.isfinite(curves[f"{run}/measured"][:, j]).any()
         ],
         "residual_force": [_residual_force(report, curves, machine)] if "force/variable" in curves else [],
-        "correlations": correlation_panels(
-            curves,
-            (list(runs) or report["runs"]["held_out"])[0],
-            channels,
-            machine.input_channels,
-            "after" if report["effects"] else "before",
-        ),
+        "error_over_motion": error_panels(report, curves, machine),
+        "correlations": [
+            correlations.panel()
+            for correlations in error_correlations(curves, worst, channels, machine.input_channels)
+        ],
         "effects": [curve.panel() for curve in found if curve],
-        "tables": [_table(e, machine) for e in machine.effects if e.definition.family == TABLE_FAMILY],
+        "tables": [
+            _table(e, machine)
+            for e in machine.effects
+            if e.definition.family == TABLE_FAMILY and e.label in named
+        ],
         "coverage": [
             _coverage(_with_unit(name.removeprefix("coverage/"), machine), values)
             for name, values in curves.items()
@@ -118,24 +118,9 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
     return written
 
 
-def readable_unit(channel: str, largest: float) -> tuple[float, str]:
-    """Choose the smallest unit (µm, mm, m; mrad, rad) in which a value of a channel is below 1000.
-
-    Args:
-        channel: Name of the output channel, which ends with its unit, for example "x_m".
-        largest: Largest value to be written, in the channel's unit.
-
-    Returns:
-        factor: Number by which values in the channel's unit are multiplied, for example 1e6.
-        unit: Name of the readable unit, for example "µm"; the channel's unit if it is neither m nor rad.
-    """
-    base = split_unit(channel)[1] or channel.rpartition("_")[2]
-    return next((s for s in _SCALES.get(base, ()) if s[0] * largest < 1000.0), (1.0, base))
-
-
 def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
     """Draw the error of each channel in multiples of the noise, for each machine."""
-    stages = _STAGES if report["effects"] else _STAGES_WITHOUT_EFFECT
+    stages = {key: label for key, label in compared_machines(report).items() if key != "plain"}
     ratios = {
         stage: [report[stage]["held_out"][c]["noise_ratio"] or np.nan for c in channels] for stage in stages
     }
@@ -150,7 +135,7 @@ def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
         axes.axvline(1.0, color=color("ink"), lw=1, ls="--")
         axes.set(xscale="log", yticks=range(len(channels)), yticklabels=channels)
         axes.set_xlabel("rms error / sensor noise (dashed: 1)")
-        axes.xaxis.get_major_locator().set_params(numticks=6)
+        axes.xaxis.get_major_locator().set_params(numticks=5)
         axes.xaxis.set_major_formatter(lambda value, _: number(value))
         axes.minorticks_off()
         axes.margins(x=0.18)
@@ -172,8 +157,9 @@ def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
 
 
 def _compared_stages(report: Mapping[str, Any]) -> dict[str, str]:
-    """Return the machines that the curves compare, with their labels; only the refitted one without an effect."""
-    return {"before": "before", "after": "after"} if report["effects"] else {"before": "refitted"}
+    """Return the machines that the curves compare, with their labels: the refitted and the delivered one."""
+    labels = compared_machines(report)
+    return {key: labels[key] for key in ("before", "after") if key in labels}
 
 
 def _error_over_time(

@@ -234,6 +234,12 @@ class IdentificationResult:
         fitted = [(run.name, w) for run in self.fitted.runs for w in run.initial.warnings]
         return (*self.excluded, *merge_run_warnings([*fitted, *self.after.warnings]))
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What limits the result, one sentence each: an incomplete search, parameters at a limit, unused runs, ..."""
+        unfinished = (str(self.unfinished),) if self.unfinished else ()
+        return (*unfinished, *self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
+
     def as_json(self) -> dict[str, Any]:
         """Return the content of report.json (schema 1), to which `write_result` adds warnings and formulas.
 
@@ -343,14 +349,7 @@ def write_result(
         OSError: If a file cannot be written.
     """
     arrays: dict[str, Any] = {name: _stored(name, values) for name, values in plot_data(result).items()}
-    unfinished = [str(result.unfinished)] if result.unfinished else []
-    warnings = [
-        *unfinished,
-        *warnings,
-        *result.limit_warnings,
-        *result.divergence_warnings,
-        *result.run_warnings,
-    ]
+    warnings = [*result.notes, *warnings]
     report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
     report["made"] = provenance(files)
     with output_batch(folder):
@@ -373,6 +372,24 @@ def write_result(
 def _stored(name: str, values: Array) -> NDArray[np.floating[Any]]:
     """Return a curve as it is stored; times of a clock that began long ago need 64 bits."""
     return values if name.endswith("/time_s") else values.astype(np.float32)
+
+
+def compared_machines(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return the machines that the report compares, with their labels, in the order in which they are shown.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        Labels by key of the machine: "declared"; "plain", if there is a plain fit; "before", the refitted machine; and
+        "after", the machine that is delivered, if it is not the refitted one.
+    """
+    labels = {"declared": "as declared", "plain": "plain fit", "before": "refitted"}
+    if not report.get("plain"):
+        del labels["plain"]
+    if report["effects"] or report["after"]["held_out"] != report["before"]["held_out"]:
+        labels["after"] = "with effects" if report["effects"] else "delivered"
+    return labels
 
 
 def reason_of_remainder(report: Mapping[str, Any]) -> str:

@@ -5,6 +5,7 @@
   const data = JSON.parse(document.getElementById('curve-data').textContent);
   if (!host || !data.runs.length) return;
   const LEFT = 58, RIGHT = 8, UPPER = [8, 178], LOWER = [196, 296], HEIGHT = 336;  // px
+  const CONFIDENCE = 2.576;  // standard deviations that hold 99 % of the noise
   const decode = text => new Float32Array(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer);
   const escaped = text => text.replace(/[&<>"]/g, c => ({'&': '&amp;', '<': '&lt;', '>': '&gt;', '"': '&quot;'})[c]);
   const hidden = new Set(data.machines.filter(m => !m.shown).map(m => m.key));
@@ -40,7 +41,7 @@
     };
   }
   make('p', {className: 'muted', textContent: 'Drag across a plot to enlarge a part of the run; double-click to see all of it. ' +
-    'The lower plot of each pair shows measured minus simulated; its band is two standard deviations of the noise.'}, host);
+    'The lower plot of each pair shows measured minus simulated; its band holds 99 % of the noise.'}, host);
   const plots = make('div', {className: 'figures wide'}, host);
 
   function select(chosen) {
@@ -158,8 +159,8 @@
     const [y2, second] = axis(error, LOWER, `error, ${c.error_unit}`);
     const clip = (name, [top, bottom]) =>
       `<clipPath id="clip-${name}${k}"><rect x="${LEFT}" y="${top}" width="${right - LEFT}" height="${bottom - top}"/></clipPath>`;
-    const noise = c.noise && `<rect x="${LEFT}" width="${right - LEFT}" y="${y2(2 * c.noise)}" ` +
-      `height="${Math.max(0, y2(-2 * c.noise) - y2(2 * c.noise))}" fill="var(--muted)" opacity=".22"/>`;
+    const noise = c.noise && `<rect x="${LEFT}" width="${right - LEFT}" y="${y2(CONFIDENCE * c.noise)}" ` +
+      `height="${Math.max(0, y2(-CONFIDENCE * c.noise) - y2(CONFIDENCE * c.noise))}" fill="var(--muted)" opacity=".22"/>`;
     const curves = shown.map(m => line(c.times, c.values[m.key], x, y1, m.color, 1.6)).join('');
     const errors = shown.map(m => line(c.times, c.deviations[m.key], x, y2, m.color, 1.3)).join('');
     const measured = hidden.has('measured') ? '' : line(c.times, c.values.measured, x, y1, 'ink', 1.1);

@@ -1,0 +1,416 @@
+"""Words about a result: the verdict in a sentence, and the answers to what a reader of its page asks first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...machine import Machine
+from ...web_page import number
+from ..fit.parameter_diagnostics import parameter_doubts
+from ..judge.criteria import SelectionCriteria
+from .curves import channel_noise, run_ratio
+from .result import STAGES, reason_of_remainder
+from .saved_result import SavedResult
+from .units import readable_unit
+
+Array = NDArray[np.float64]
+# Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
+_SMALL_PERCENT_OF_MOTION = 1.0
+_NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
+_DIVERGES = "infinitely many (its simulation diverges)"
+_DEVIATING = (
+    "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
+    "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
+)
+_CLEARLY_BETTER = (
+    0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
+)
+_MAX_NOISE_RATIO = (
+    50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
+)
+_CHANGED_STDS = 3.0  # Standard deviations beyond which a parameter differs from its declared value.
+_NAMED_CHANGES = 3  # Parameters that are named, those first that changed most.
+
+
+def answers(
+    saved: SavedResult, effects: Sequence[Mapping[str, Any]], runs: Sequence[str], step: str
+) -> dict[str, list[str]]:
+    """Answer the five questions that a reader of the page has first.
+
+    Args:
+        saved: The result.
+        effects: Rows of the effects on the page, with the keys "name", "site", "gain", "rivals" and "equivalent".
+        runs: Names of the held-out runs, the worst first.
+        step: The first of the next steps, in words.
+
+    Returns:
+        Sentences by question, in the order of the page: what is wrong, how sure that is, how much is left, on which
+        run, and what to do now.
+    """
+    report = saved.report
+    return {
+        "What is wrong": _wrong(saved),
+        "How sure": [*_unfinished(report), *_certainty(saved, effects)],
+        "How much is left": [*_left(report), *_left_at_belts(saved)],
+        "On which run": _worst_run(saved, runs),
+        "What now": [step],
+    }
+
+
+def _wrong(saved: SavedResult) -> list[str]:
+    """Return what is wrong with the declared machine."""
+    report = saved.report
+    if report["verdict"] == "effect_found":
+        return [f"{_found(report)}.", *_changes(saved)]
+    if report["verdict"] == "no_effect":
+        nothing = "No effect was found." if _cause_of_remainder(report) else "No effect is missing."
+        return [nothing, *(_changes(saved) or ["No parameter differs clearly from its declared value."])]
+    unknown = "The model lacks something that no known effect explains."
+    return [unknown, *_dependence_sentences(report), *_nearest(report)]
+
+
+def _changes(saved: SavedResult) -> list[str]:
+    """Return a sentence about the reliable parameters that differ most from their declared values."""
+    machine, declared = saved.machine, saved.declared
+    doubts = parameter_doubts(machine, declared)
+    changes = {}
+    for name, reasons in doubts.items():
+        before = declared.parameters.get(name)
+        std = (machine.uncertainty.std(name) if machine.uncertainty else None) or math.inf
+        if reasons or not before or abs(machine.parameters[name] - before) < _CHANGED_STDS * std:
+            continue
+        changes[name] = 100.0 * (machine.parameters[name] / before - 1.0)
+    largest = sorted(changes, key=lambda name: -abs(changes[name]))[:_NAMED_CHANGES]
+    texts = [f"{name} {changes[name]:+.3g} %" for name in largest]
+    return [f"Parameters that differ most from the declared machine: {', '.join(texts)}."] if texts else []
+
+
+def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return how sure the verdict is: what the held-out runs say, what else explains them, what is uncertain."""
+    report = saved.report
+    if report["verdict"] == "unexplained":
+        why = (
+            report.get("reason")
+            or "no effect of the library passes the tests on the fitted and the held-out runs"
+        )
+        return [f"No name is given: {why}."]
+    sentences = []
+    if effects:
+        if report.get("explained") is not None:
+            sentences.append(
+                f"The effects remove {percent(report['explained'])} % of the squared error beyond the noise on runs "
+                "to which nothing was fitted."
+            )
+        rivals = [f"{e['name']} at {e['site']} (or {', '.join(e['rivals'])})" for e in effects if e["rivals"]]
+        sentences.append(
+            f"These runs do not tell apart: {'; '.join(rivals)}."
+            if rivals
+            else "No other effect of the library explains these runs as well."
+        )
+        sentences += _precision(saved.machine)
+    return [*sentences, _whiteness(report)]
+
+
+def _precision(machine: Machine) -> list[str]:
+    """Return a sentence about the least certain parameter of the effects."""
+    if (uncertainty := machine.uncertainty) is None:
+        return []
+    values = {
+        name: abs((uncertainty.std(name) or 0.0) / machine.parameters[name])
+        for name in uncertainty.names
+        if "@" in name and machine.parameters[name]
+    }
+    if not values:
+        return []
+    name = max(values, key=lambda name: values[name])
+    percents = number(100.0 * values[name])
+    return [f"The least certain parameter of the effects is {name}: its standard deviation is {percents} %."]
+
+
+def _whiteness(report: Mapping[str, Any]) -> str:
+    """Return whether noise explains the error that is left."""
+    if report["residual"]["white"]:
+        return "The remaining error is consistent with the sensors' noise."
+    if (report.get("left") or math.inf) < _NOTICEABLE_ERROR:
+        return (
+            "The remaining error is about as large as the sensors' noise, but it is correlated in time: a small "
+            "systematic part is left."
+        )
+    return "The remaining error is larger than the sensors' noise."
+
+
+def _left(report: Mapping[str, Any]) -> list[str]:
+    """Return the error that is left, in the user's terms, and why it is, if that is known."""
+    left = _left_parts(report)
+    if not left:
+        return ["The simulation diverges, so that it has no error."]
+    why = "" if report["verdict"] == "unexplained" else _cause_of_remainder(report)
+    return [f"{'; '.join(left)}{why or '.'}"]
+
+
+def _left_at_belts(saved: SavedResult) -> list[str]:
+    """Return the error of a machine without linear sensors as a distance: that of its pulleys' circumference."""
+    machine, errors = saved.machine, saved.report["after"]["held_out"]
+    if not machine.belts or any(sensor.channel.endswith("_m") for sensor in machine.sensors):
+        return []
+    pulleys = {c.name: c.radius for c in machine.coordinates if c.kind == "rotary"}
+    travels = {
+        sensor.channel: abs(factor) * pulleys[name] * errors[sensor.channel]["rmse"]
+        for sensor in machine.sensors
+        for name, factor in sensor.row.items()
+        if sensor.of_position and name in pulleys and errors[sensor.channel]["rmse"] is not None
+    }
+    if not travels:
+        return []
+    largest = max(travels.values())
+    factor, unit = readable_unit("_m", largest)
+    return [f"At the circumference of the pulley, that is {number(factor * largest)} {unit}."]
+
+
+def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
+    """Return the held-out run with the largest error, with the channel and the time of its largest deviation."""
+    report, curves = saved.report, saved.curves
+    channels, run = list(saved.machine.output_channels), runs[0]
+    ratios = {name: run_ratio(report, curves, name, channels) for name in runs}
+    if (worst := ratios[run]) is None:
+        return [f"Nothing was measured in {run}."]
+    if not math.isfinite(worst):
+        return [f"{run}, in which the simulation diverges."]
+    text = f"{run}: {number(worst)} times the noise{_largest_deviation(report, curves, run, channels)}."
+    others = [ratio for name in runs[1:] if (ratio := ratios[name]) is not None]
+    if others:
+        best = number(min(others))
+        text += f" The other held-out run{'s have' if len(others) > 1 else ' has'} {best}"
+        text += f" to {number(max(others))} times the noise." if len(others) > 1 else " times the noise."
+    return [text]
+
+
+def _largest_deviation(
+    report: Mapping[str, Any], curves: Mapping[str, Array], run: str, channels: Sequence[str]
+) -> str:
+    """Return a clause about the largest deviation, of the channel that deviates most in multiples of its noise."""
+    time_s, errors = curves[f"{run}/time_s"], np.abs(np.nan_to_num(curves[f"{run}/after"]))
+    sizes = [
+        float(errors[:, j].max()) / noise if (noise := channel_noise(report, channel)) else 0.0
+        for j, channel in enumerate(channels)
+    ]
+    if not any(sizes):
+        return ""
+    j = int(np.argmax(sizes))
+    row = int(np.argmax(errors[:, j]))
+    factor, unit = readable_unit(channels[j], float(errors[row, j]))
+    size, after_s = factor * float(errors[row, j]), time_s[row] - time_s[0]
+    return f", up to {number(size)} {unit} at {channels[j]} after {after_s:.3g} s"
+
+
+def tone_of_remainder(report: Mapping[str, Any]) -> str:
+    """Return the tone of the page, which follows from the error that is left and not from the names that were found.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        "good" if noise explains the error and the noise is small against the motion; "neutral" if the error is at most
+        1 % of the motion of every channel; "warning" if it is larger, or the simulation diverges. An error that the
+        verdict calls unexplained is never "good".
+    """
+    criteria, left = SelectionCriteria(), report.get("left")
+    errors = report["after"]["held_out"].values()
+    percents = [e["percent_of_motion"] for e in errors if isinstance(e, dict) and e.get("percent_of_motion")]
+    largest = max(percents, default=0.0)
+    if left is None:
+        return "warning"
+    at_noise = left <= criteria.max_noise_ratio_explained and largest <= 100.0 * criteria.max_motion_error
+    if at_noise and report["verdict"] != "unexplained":
+        return "good"
+    return "neutral" if percents and largest <= _SMALL_PERCENT_OF_MOTION else "warning"
+
+
+def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
+    """Describe in words the verdict and the error on the held-out runs, which were not fitted.
+
+    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If that is
+    above 50, the simulation drifts; the relative error of the drives' force is then stated if the report contains it.
+
+    Args:
+        report: Content of report.json.
+        channels: Names of the machine's output channels.
+
+    Returns:
+        One or more English sentences.
+    """
+    by_force = drifts(report, channels)
+    unit = "% of the drives' force" if by_force else "times the sensors' noise"
+    errors = {
+        stage: 100 * report[stage]["held_out"]["force_error"]
+        if by_force
+        else noise_ratio(report, stage, channels)
+        for stage in STAGES
+    }
+    before, after = (number(errors[stage], _DIVERGES) for stage in ("before", "after"))
+    declared, refitted = errors["declared"], errors["before"]
+    if declared is not None and refitted is not None and declared < _CLEARLY_BETTER * refitted:
+        before += (
+            f" (with the declared parameters: {number(declared)})"  # The refit minimizes short predictions.
+        )
+    if report["verdict"] == "effect_found":
+        change = "rises" if (errors["after"] or 0.0) > (refitted or np.inf) else "falls"  # None: it diverges
+        pronoun = "it" if len(report["effects"]) == 1 else "them"
+        found = (
+            f"{_found(report)}. With {pronoun}, the error on the held-out runs "
+            f"{change} from {before} to {after} {unit}.{_remainder(report)}"
+        )
+        return " ".join([*_left_in_words(report), found, *_unfinished(report)])
+    if report["verdict"] == "no_effect":
+        remainder = _remainder(report)
+        start = f"No effect {'was found' if remainder else 'is missing'}: with refitted parameters, the error of the"
+        found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
+        return " ".join([found, *([] if remainder else _left_in_words(report)), *_unfinished(report)])
+    text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
+    why = [f"Why no other verdict is given: {report['reason']}."] if report.get("reason") else []
+    parts = [
+        text,
+        *_left_in_words(report),
+        *why,
+        *_dependence_sentences(report),
+        *_nearest(report),
+        *_unfinished(report),
+    ]
+    return " ".join(parts)
+
+
+def _found(report: Mapping[str, Any]) -> str:
+    """Return a clause that names the effects."""
+    names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
+    subject = "an effect" if len(report["effects"]) == 1 else f"{len(report['effects'])} effects"
+    return f"The machine has {subject} that its model lacks: {names}"
+
+
+def _left_in_words(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about the error that is left in the user's terms, if it is known."""
+    parts = _left_parts(report)
+    return [f"Left on the held-out runs: {'; '.join(parts)}."] if len(parts) > 1 else []
+
+
+def _left_parts(report: Mapping[str, Any]) -> list[str]:
+    """Return the error that is left: in mm and multiples of the noise, and, if known, of the motion and the force."""
+    if report.get("left") is None:
+        return []
+    errors = report["after"]["held_out"]
+    motions = [
+        e["percent_of_motion"] for e in errors.values() if isinstance(e, dict) and e.get("percent_of_motion")
+    ]
+    force = report["after"].get("missing_force_percent")
+    parts = [f"{largest_position_error(errors)}, {number(report['left'])} times the sensors' noise"]
+    if motions:
+        parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
+    if force:
+        parts.append(f"a missing force of {number(force)} % of that of the drives")
+    return parts
+
+
+def _nearest(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about the effects of the library that describe a part of the missing force."""
+    labels = (report.get("hint") or {}).get("nearest")
+    return (
+        [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
+    )
+
+
+def _unfinished(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about a search that ended early."""
+    unfinished = report.get("unfinished")
+    return (
+        [f"The search is not complete: {unfinished['reason']} ({unfinished['stage']})."] if unfinished else []
+    )
+
+
+def noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float | None:
+    """Return the error in multiples of the noise, rms over the channels as of `left`; None if the machine diverges.
+
+    Args:
+        report: Content of report.json.
+        stage: Machine: "declared", "before" or "after".
+        channels: Names of the output channels.
+    """
+    errors = report[stage]["held_out"]
+    measured = [errors[c]["noise_ratio"] for c in channels if errors[c]["noise_ratio"] is not None]
+    return float(np.sqrt(np.mean(np.square(measured)))) if measured else None
+
+
+def drifts(report: Mapping[str, Any], channels: Sequence[str]) -> bool:
+    """Return whether the simulation drifts, so that the error of the drives' force describes the machine better.
+
+    Args:
+        report: Content of report.json.
+        channels: Names of the output channels.
+    """
+    ratio = noise_ratio(report, "after", channels)
+    return "force_error" in report["after"]["held_out"] and ratio is not None and ratio > _MAX_NOISE_RATIO
+
+
+def _remainder(report: Mapping[str, Any]) -> str:
+    """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
+    if not (why := _cause_of_remainder(report)):
+        return ""
+    error = (
+        f"{number(report['left'])} times the sensors' noise "
+        f"({largest_position_error(report['after']['held_out'])})"
+    )
+    return f" An error of {error} is left{why}"
+
+
+def _cause_of_remainder(report: Mapping[str, Any]) -> str:
+    """Return the end of a sentence about the error that is left: why that is; "" if it is the sensors' noise."""
+    if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
+        return ""
+    if not (runs := report.get("contradicting", [])):
+        return f"{reason_of_remainder(report)}."
+    subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
+    others = report.get("left_in_others")
+    elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."
+    return f", because {subject} the fitted runs (see the warnings).{elsewhere}"
+
+
+def largest_position_error(errors: Mapping[str, Any]) -> str:
+    """Return the largest rms error of the position channels, or of all channels if there is no position, in words.
+
+    Args:
+        errors: Errors by channel as in report.json, with "rmse" in the channel's unit.
+    """
+    measured = {c: e["rmse"] for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
+    positions = {c: rmse for c, rmse in measured.items() if c.endswith("_m")} or measured
+    if not positions:
+        return "diverges, or not measured"
+    channel = max(positions, key=lambda c: positions[c])
+    factor, unit = readable_unit(channel, positions[channel])
+    return f"{number(factor * positions[channel])} {unit} rms at {channel}"
+
+
+def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about sensors that deviate alone, or about the variable that explains most of the force."""
+    if sensors := report["residual"].get("sensors"):
+        return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
+    sentences = []
+    for d in report["residual"]["depends_on"][:1]:
+        component = d.get("component") or d["coordinate"]
+        where = f"on {d['coordinate']}" if component == d["coordinate"] else f"(most likely at {component})"
+        sentences.append(
+            f"The force that the model lacks {where} depends most on {d['variable']}, which explains "
+            f"{100 * d['share']:.0f} % of its variance."
+        )
+    return sentences
+
+
+def percent(fraction: float) -> str:
+    """Format a fraction in percent; values that would round to 100 are "more than 99.9".
+
+    Args:
+        fraction: The fraction, dimensionless.
+    """
+    return "more than 99.9" if fraction > 0.9995 else f"{100 * fraction:.3g}"
