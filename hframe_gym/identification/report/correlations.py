@@ -94,7 +94,7 @@ def error_correlations(
         inputs: Names of the input channels.
 
     Returns:
-        Correlations of each channel, k coefficients each, shape (k,); none for a channel with less than 50 measurements,
+        Correlations of each channel, shape (k,); none for a channel with less than 50 measurements,
         or if the result has no inputs.
     """
     if f"{run}/inputs" not in curves:
