@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dynamics.physics.effect_instances import instances_with_state
-from ..machine import SENSOR_KINDS, Machine
+from ..machine import SENSOR_KINDS, Machine, Sensor
 from ..recordings import Recording
 from .belt_stretch import rigid_basis, stretch_angles
 from .encoder_zeros import EncoderZeros, zero_tolerance
@@ -157,11 +157,10 @@ def estimate_initial_state(
     """
     rows = count_resting_rows(recording, machine)
     zeros = zeros or EncoderZeros.of_machine(machine).without(np.ones(len(machine.sensors), np.bool_))
-    at_rest = recording.outputs[settled_rows(rows)]
-    measured = np.asarray(np.isfinite(at_rest).any(axis=0))
     measurement = np.array(
-        [np.nanmean(c) if finite else np.nan for c, finite in zip(at_rest.T, measured, strict=True)]
+        [_measurement_at_rest(c, rows, s) for c, s in zip(recording.outputs.T, machine.sensors, strict=True)]
     )
+    measured = np.isfinite(measurement)
     site = [machine.coordinate_names.index(machine.coordinate_of_sensor(s)) for s in machine.sensors]
     fixed, known = np.array([s.fixed for s in machine.sensors]), zeros.known  # lasers; encoders with a zero
     rigid = rigid_basis(machine)  # (coordinates, motions that stretch no belt)
@@ -202,6 +201,19 @@ def estimate_initial_state(
         velocity_deviations=velocity.deviations,
         warnings=warnings,
     )
+
+
+def _measurement_at_rest(values: Array, resting_rows: int, sensor: Sensor) -> float:
+    """Return what a sensor measures at rest, in its unit; NaN if that is not known.
+
+    It is the mean of the later half of the rows at rest or, if the sensor measured nothing there, of all of them. An
+    encoder counts from an unknown zero, so that its first measurement after the rest is much better than none.
+    """
+    for rows in (settled_rows(resting_rows), slice(resting_rows)):
+        if np.isfinite(values[rows]).any():
+            return float(np.nanmean(values[rows]))
+    later = values[np.isfinite(values)] if sensor.incremental else np.zeros(0)
+    return float(later[0]) if len(later) else np.nan
 
 
 def _position_matrix(

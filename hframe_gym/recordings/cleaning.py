@@ -170,12 +170,13 @@ def _held_regularly(sizes: Array, intervals: NDArray[np.int_]) -> bool:
     """Return whether changes of a channel without a quantum come at regular intervals, whatever their size is.
 
     Steps of a sensor that are not equal are not recognized as a quantum either. In slow motion, they come at intervals
-    that depend on the speed and differ from step to step, and their sizes are similar.
+    that depend on the speed and differ from step to step, and their sizes are similar. Intervals of a sensor that is
+    held may differ by one row, because its period is no whole number of rows.
     """
     shortest, longest = np.percentile(intervals, [10, 90])
     smallest, largest = np.percentile(sizes, [10, 90])
     varying = longest <= _LARGEST_RATIO * shortest and largest > _LARGEST_RATIO * smallest
-    return bool(shortest > 1 and (longest == shortest or varying))
+    return bool(shortest > 1 and (longest <= shortest + 1 or varying))
 
 
 def without_repetitions(recording: Recording) -> Recording:

@@ -16,7 +16,9 @@ _MOST = 0.95  # fraction of the values that must be near a multiple
 def quantum_of(values: Array) -> float:
     """Estimate the quantization step (quantum) of one channel from one run.
 
-    The quantum is the small change of which nearly all changes from row to row are integer multiples.
+    The quantum is the small change of which nearly all changes from row to row, and the distances of nearly all values
+    from each other, are integer multiples. At a steady speed, all changes are nearly equal without any quantum; the
+    distances then add up the small differences.
 
     Args:
         values: Measurements, m or rad, shape (n,), NaN where not measured.
@@ -24,13 +26,16 @@ def quantum_of(values: Array) -> float:
     Returns:
         Quantum, m or rad; 0 if the changes are not multiples of a quantum, or too few.
     """
-    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    measured = values[np.isfinite(values)]
+    steps = np.abs(np.diff(measured))
     steps = steps[steps > 0]
     if len(steps) < _MIN_STEPS:
         return 0.0
     smallest = float(np.percentile(steps, 2))
-    deviation = np.abs(steps / smallest - np.rint(steps / smallest))
-    return smallest if np.mean(deviation < 0.1) > 0.95 else 0.0
+    if not _multiples(steps, smallest):
+        return 0.0
+    levels = np.unique(measured)
+    return smallest if _fitted_quantum(levels - levels[0], smallest) > 0.0 else 0.0
 
 
 def exact_quantum(values: Array, declared: float = 0.0) -> float:
@@ -72,5 +77,10 @@ def _fitted_quantum(distances: Array, quantum: float) -> float:
         if span >= distances[-1]:
             break
         span *= _REFINEMENT
-    deviation = np.abs(distances / quantum - np.rint(distances / quantum))
-    return quantum if np.mean(deviation < _ON_GRID) > _MOST else 0.0
+    return quantum if _multiples(distances, quantum) else 0.0
+
+
+def _multiples(values: Array, quantum: float) -> bool:
+    """Return whether nearly all values are integer multiples of a quantum."""
+    deviation = np.abs(values / quantum - np.rint(values / quantum))
+    return bool(np.mean(deviation < _ON_GRID) > _MOST)

@@ -81,6 +81,18 @@ def test_an_axis_with_an_encoder_only_needs_no_warning(hframe: Machine) -> None:
     assert initial.warnings == ()
 
 
+@pytest.mark.parametrize("first", [0, 4])
+def test_a_slow_encoder_need_not_measure_in_the_last_rows_at_rest(first: int) -> None:
+    """Repeated values of a sensor that the log holds are empty; its only measurement may precede or follow the rest."""
+    axis = BUILTIN_MACHINES["axis"]()
+    axis = axis.replace(sensors=(dataclasses.replace(axis.sensors[0], kind="encoder"),))
+    outputs = np.full((20, 1), np.nan)
+    outputs[first::4] = 3.2
+    run = Recording("run", np.arange(20) * 1e-3, (np.arange(20) > 1)[:, None] * 1.0, outputs)
+    assert estimate_initial_state(run, axis).zeros == pytest.approx(0.0)
+    assert estimate_initial_state(run, axis).position == pytest.approx(3.2)
+
+
 def test_a_run_that_is_driven_from_its_first_row_rests_one_row(hframe: Machine) -> None:
     outputs = np.zeros((30, 4))
     assert count_resting_rows(recording(outputs, 0), hframe) == 1

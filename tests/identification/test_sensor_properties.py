@@ -37,6 +37,13 @@ def test_a_quantized_channel_shows_its_quantum_and_a_noisy_one_none() -> None:
     assert quantum_of(np.full(100, np.nan)) == 0.0
 
 
+def test_steady_speed_is_no_quantum() -> None:
+    """A tachometer-like run: nearly all changes are equal to within 2 %, but add up to no multiples."""
+    speed = np.random.default_rng(0).uniform(0.98, 1.02, 300)
+    speed[:5] = np.linspace(0.3, 0.9, 5)
+    assert quantum_of(7.0 * np.cumsum(speed)) == 0.0
+
+
 @pytest.mark.parametrize("resting", [1, 2, 3, 5])
 def test_resting_runs_do_not_count_for_the_quantum(resting: int) -> None:
     """The median over all runs is half the quantum where half of the runs rest, and zero where most do."""

@@ -184,6 +184,13 @@ def test_a_held_sensor_is_found_in_fast_steady_motion() -> None:
     assert repetitions(held(x, 4)) == 4.0
 
 
+def test_a_sensor_whose_period_is_no_whole_number_of_rows_is_held_at_steady_speed() -> None:
+    """A bus sends the angle every 4.2 rows; its steps are alike, but no multiples of a quantum."""
+    message = (np.arange(1200) / 4.2).astype(int)  # the last one before each row
+    sent_s = 0.021 * message + np.random.default_rng(0).uniform(0.0, 3e-4, 286)[message]
+    assert repetitions(350.0 * np.maximum(sent_s - 0.2, 0.0)) == 4.0
+
+
 def test_a_sensor_that_measures_in_four_of_five_rows_is_found() -> None:
     time = np.arange(2000) * 1e-3
     x = np.rint(0.1 * np.sin(8.0 * time) / 1e-5) * 1e-5
