@@ -182,16 +182,17 @@ def spender() -> Callable[[], None]:
     return (lambda: None) if budget is None else budget.check_quietly
 
 
-def default_budget(recordings: Sequence[Recording], machine: Machine) -> float:
+def default_budget(recordings: Sequence[Recording], machine: Machine, cores: int | None = None) -> float:
     """Return the processor time that an identification may take by default.
 
     Args:
         recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad).
         machine: Machine as declared.
+        cores: Cores that are used. Default: those that this process may use.
 
     Returns:
         A minute for each core that is used, at least two minutes, s; more in proportion to rows times coordinates
         beyond a normal session (160,000).
     """
     size = sum(len(recording.time_s) for recording in recordings) * len(machine.coordinates)
-    return SECONDS_PER_CORE * max(threads(), _LEAST_CORES) * max(1.0, size / NORMAL_SESSION)
+    return SECONDS_PER_CORE * max(cores or threads(), _LEAST_CORES) * max(1.0, size / NORMAL_SESSION)

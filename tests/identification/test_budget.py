@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.identification import budget as module
-from hframe_gym.identification import identify
+from hframe_gym.identification import default_free_parameters, fit, identify
 from hframe_gym.identification.budget import (
     NORMAL_SESSION,
     Budget,
@@ -19,9 +17,8 @@ from hframe_gym.identification.budget import (
     spend,
     spender,
 )
-from hframe_gym.identification.fit import estimation
 from hframe_gym.recordings import Recording
-from tests.identification.axis_results import AXIS
+from tests.identification.axis_results import AXIS, axis_runs
 from tests.identification.test_pipeline import limited_runs
 
 pytestmark = pytest.mark.unit
@@ -90,13 +87,12 @@ def test_a_budget_is_a_number_of_seconds(seconds: float) -> None:
     [(1000, 4, 240.0), (NORMAL_SESSION, 4, 240.0), (2 * NORMAL_SESSION, 4, 480.0), (1000, 1, 120.0)],
 )
 def test_the_default_is_a_minute_per_core_and_more_for_long_sessions(
-    monkeypatch: pytest.MonkeyPatch, rows: int, cores: int, seconds: float
+    rows: int, cores: int, seconds: float
 ) -> None:
-    monkeypatch.setattr(module, "threads", lambda: cores)
     half = np.zeros(rows // 2)
     runs = [Recording(f"run_{k}", half, half[:, None], half[:, None]) for k in range(2)]
     assert len(AXIS.coordinates) == 1
-    assert default_budget(runs, AXIS) == seconds
+    assert default_budget(runs, AXIS, cores) == seconds
 
 
 def test_without_time_to_search_the_refit_is_the_result() -> None:
@@ -135,8 +131,12 @@ def test_a_budget_that_does_not_end_changes_nothing_and_one_that_ends_keeps_what
     assert early.verdict == "effect_found"
 
 
-def test_each_iteration_of_a_fit_asks_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[Any] = []
-    monkeypatch.setattr(estimation, "spend", lambda: asked.append(None))
-    identify(limited_runs([3.0, 3.0]), AXIS, budget=0.0)
-    assert len(asked) > 3
+def test_each_iteration_of_a_fit_asks_the_budget() -> None:
+    """A fit that needs several iterations ends within a budget of one look at the clock."""
+    data = axis_runs(AXIS, rows=500, volts=3.0)
+    steps: list[str] = []
+    with Budget(clock=Clock(), progress=lambda doing, *time: steps.append(doing)).limiting():
+        fit(AXIS, default_free_parameters(AXIS), data, 60.0)
+    assert len(steps) > 1
+    with Budget(1.0, clock=Clock()).limiting(), pytest.raises(BudgetEndedError):
+        fit(AXIS, default_free_parameters(AXIS), data, 60.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +11,13 @@ from numpy.typing import NDArray
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify, prepare
-from hframe_gym.identification.fit import lost_voltages
 from hframe_gym.identification.fit.lost_voltages import (
     _count_unknown_rows,
+    _groups_together,
+    _linearize,
     estimate_lost_voltages,
     with_lost_voltages,
 )
-from hframe_gym.identification.predict import prediction
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -141,11 +140,8 @@ def jacobians(run: Recording, machine: Machine, bandwidth: float) -> tuple[Array
     """Return the Jacobian with several rows in one prediction, and with one row in each prediction."""
     data = prepare([run], machine)
     rows = np.flatnonzero(data.runs[0].dropped)
-    together, _ = lost_voltages._linearize(machine, data.runs[0], data, rows, bandwidth)
-    alone = [
-        lost_voltages._linearize(machine, data.runs[0], data, rows[k : k + 1], bandwidth)[0]
-        for k in range(len(rows))
-    ]
+    together, _ = _linearize(machine, data.runs[0], data, rows, bandwidth)
+    alone = [_linearize(machine, data.runs[0], data, rows[k : k + 1], bandwidth)[0] for k in range(len(rows))]
     return together.toarray(), np.hstack([one.toarray() for one in alone])
 
 
@@ -159,21 +155,16 @@ def test_rows_that_are_perturbed_together_have_the_derivatives_of_single_rows(me
     assert np.linalg.norm(together - alone) < 0.05 * np.linalg.norm(alone)
 
 
-def test_few_histories_are_predicted_together(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_histories_are_predicted_together() -> None:
     """The memory must not grow with the number of dropped rows; the result does not depend on the division."""
     run = without_rows(recorded(HFRAME, random_steps(1, 2), 1), random_rows(1))
     data = prepare([run], HFRAME)
-    estimated = estimate_lost_voltages(data, HFRAME).runs[0].inputs
-    sizes = []
-
-    def predict(*arguments: Any, inputs: Array, **options: Any) -> Any:
-        sizes.append(inputs.shape[0] * data.runs[0].outputs.size)
-        return prediction.predict(*arguments, inputs=inputs, **options)
-
-    monkeypatch.setattr(lost_voltages, "predict", predict)
-    monkeypatch.setattr(lost_voltages, "_VALUES", 30_000)
-    np.testing.assert_array_equal(estimate_lost_voltages(data, HFRAME).runs[0].inputs, estimated)
-    assert max(sizes) <= 30_000
+    rows = np.flatnonzero(data.runs[0].dropped)
+    model = HFRAME, data.runs[0], data, rows, 60.0
+    (together, residual), (divided, same) = _linearize(*model), _linearize(*model, most_values=30_000)
+    np.testing.assert_array_equal(together.toarray(), divided.toarray())
+    np.testing.assert_array_equal(residual, same)
+    assert [_groups_together(30_000, values) for values in (3_000, 7_000, 30_001)] == [10, 4, 1]
 
 
 def test_voltages_are_estimated_although_no_recorded_row_lies_between_two_others() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,8 +14,8 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
 from hframe_gym.identification.evidence.significance import long_run_variance
-from hframe_gym.identification.fit import estimation, model_error
-from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit import model_error
+from hframe_gym.identification.fit.estimation import costs_left_out, prediction_cost
 from hframe_gym.identification.fit.force_sizes import residue_force
 from hframe_gym.identification.fit.model_error import (
     BANDWIDTHS,
@@ -25,12 +24,15 @@ from hframe_gym.identification.fit.model_error import (
     likelihood_deficit,
     likelihood_loss,
     narrower_observer,
+    pieces_left_out,
+    ratios_to_others,
 )
 from hframe_gym.identification.predict.free_parameters import FreeParameter
+from hframe_gym.identification.predict.normal_equations import NormalEquations
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
-from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
-from tests.identification.scripted_fits import DATA, HFRAME, PUSH, fit_with, runs
+from tests.identification.scripted_fits import DATA, HFRAME, fit_with
 
 pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
@@ -135,25 +137,7 @@ def test_a_narrow_observer_needs_short_steps() -> None:
     assert model_error.search_step(30.0) == model_error.search_step(0.0) == 0.25e-3
 
 
-@pytest.mark.parametrize(
-    ("losses", "expected"),
-    [
-        ({60: 5.0, 30: 4.0, 15: 3.0, 7: 3.5, 3: 1.0, 0: 9.0}, 15.0),  # it stops at the first increase
-        ({60: 5.0, 30: 4.0, 15: 3.0, 7: 2.5, 3: 1.0, 0: 9.0}, 3.0),
-        ({60: 5.0, 30: 6.0, 15: 3.0, 7: 2.5, 3: 1.0, 0: 4.0}, 0.0),  # the simulation is tried in any case
-        ({60: 5.0, 30: 5.0, 15: 3.0, 7: 2.5, 3: 1.0, 0: 5.0}, 60.0),  # equal is not better
-    ],
-)
-def test_the_bandwidth_has_the_largest_likelihood(
-    monkeypatch: pytest.MonkeyPatch, losses: Mapping[int, float], expected: float
-) -> None:
-    monkeypatch.setattr(model_error, "likelihood_loss", lambda fitted, data: losses[int(fitted.bandwidth)])
-    monkeypatch.setattr(
-        model_error,
-        "continue_fit",
-        lambda fitted, data, bandwidth: dataclasses.replace(fitted, bandwidth=bandwidth),
-    )
-    assert model_error.fit_with_model_error(fit_with(chi2=2.0, bandwidth=60.0), DATA).bandwidth == expected
+def test_a_fit_in_simulation_needs_no_other_observer() -> None:
     simulated = fit_with(chi2=2.0, bandwidth=0.0)
     assert model_error.fit_with_model_error(simulated, DATA) is simulated
 
@@ -183,42 +167,20 @@ def test_sensors_count_by_their_number_of_measurements() -> None:
     assert model_error.likelihood_loss(fitted, data) == pytest.approx(expected)
 
 
-class LinearModel:
-    """Linear residual r + J theta of each run, in place of a machine."""
-
-    ROWS: Mapping[str, tuple[np.ndarray, np.ndarray]] = {}
-
-    def __init__(self, *arguments: Any) -> None:
-        pass
-
-    def at(self, theta: np.ndarray) -> Any:
-        def linearize_run(run: Any) -> Any:
-            jacobian, residual = self.ROWS[run.name]
-            return SimpleNamespace(jacobian=jacobian, residual=residual + theta @ jacobian)
-
-        return SimpleNamespace(linearize_run=linearize_run)
-
-
 @pytest.mark.parametrize("names", ["abcde", "ab"])
-def test_cross_validation_are_those_of_fits_to_the_others(
-    monkeypatch: pytest.MonkeyPatch, names: str
-) -> None:
+def test_what_is_left_out_has_the_cost_of_a_fit_to_the_others(names: str) -> None:
     """Compare with a least-squares solution for each part; two runs are divided into four parts each."""
     rng = np.random.default_rng(0)
     rows = {name: (rng.normal(size=(2, 80)), rng.normal(size=80)) for name in names}
-    monkeypatch.setattr(LinearModel, "ROWS", rows)
-    monkeypatch.setattr(estimation, "ResidualModel", LinearModel)
-    monkeypatch.setattr(estimation, "map_runs", lambda function, data: map(function, data.runs))
     free = tuple(FreeParameter(f"p{i}", 1.0, 0.5) for i in range(2))
-    fitted = dataclasses.replace(fit_with(chi2=1.0), free=free, theta=np.array([0.3, -0.2]))
-    data: Any = SimpleNamespace(runs=[SimpleNamespace(name=name, count=80) for name in names])
+    theta0 = np.array([0.3, -0.2])
     pieces = 1 if len(names) >= 4 else 4
     parts = [
         (j, r)
         for jacobian, residual in rows.values()
         for j, r in zip(np.array_split(jacobian, pieces, 1), np.array_split(residual, pieces), strict=True)
     ]
-    everything = sum(float(np.sum((r + fitted.theta @ j) ** 2)) for j, r in parts)
+    everything = sum(float(np.sum((r + theta0 @ j) ** 2)) for j, r in parts)
     chi2 = everything / (80 * len(names))
     precision = np.eye(2) / 0.5**2 * max(1.0, chi2)
     expected = []
@@ -228,40 +190,27 @@ def test_cross_validation_are_those_of_fits_to_the_others(
         theta = -np.linalg.solve(information, sum(j @ r for j, r in others))
         costs = [float(np.sum((r + theta @ j) ** 2)) for j, r in parts]
         expected.append((costs[left_out], sum(costs) - costs[left_out]))
-    np.testing.assert_allclose(estimation.cross_validation(fitted, data, pieces), expected, rtol=1e-9)
-    total = sum(cost for cost, _ in expected)
-    assert sum(model_error.left_out_costs(fitted, data, pieces)) == pytest.approx(total)
-    better = dataclasses.replace(fitted, theta=fitted.theta)
-    assert model_error.leave_one_out_gain(fitted, better, data) == pytest.approx(0.0, abs=1e-9)
+    equations = [
+        piece
+        for jacobian, residual in rows.values()
+        for piece in NormalEquations.of_pieces(jacobian, residual + theta0 @ jacobian, 80, pieces)
+    ]
+    np.testing.assert_allclose(costs_left_out(equations, free, theta0), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("effect", "count", "pieces"),
-    [(PUSH, 4, 1), (PUSH, 3, 3), (TABLE, 4, 2), (TABLE, 3, 3)],
+    ("table", "count", "pieces"),
+    [(False, 4, 1), (False, 3, 3), (False, 1, 8), (True, 4, 2), (True, 3, 3)],
 )
-def test_what_is_left_out_to_confirm_an_effect(
-    monkeypatch: pytest.MonkeyPatch, effect: AppliedEffect, count: int, pieces: int
-) -> None:
+def test_what_is_left_out_to_confirm_an_effect(table: bool, count: int, pieces: int) -> None:
     """Some values of a table may depend on one run alone; without half of it, the other half determines them."""
-    divided = []
-    monkeypatch.setattr(
-        model_error, "left_out_costs", lambda fitted, data, pieces: divided.append(pieces) or [1.0]
-    )
-    leave_one_out_gain(fit_with(chi2=2.0), fit_with(effect, chi2=1.0), runs("abcd"[:count]))
-    assert divided == [pieces, pieces]
+    assert pieces_left_out(count, table=table) == pieces
 
 
-def test_runs_of_different_length_are_compared_per_sample(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        model_error,
-        "cross_validation",
-        lambda *arguments: [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)],
-    )
-    data = runs("abcd")
-    data.runs[0].count = 100
-    for run in data.runs[1:]:
-        run.count = 500
-    assert model_error.contradicting_run(fit_with(chi2=1.0), data) == "a"  # 2.0 against 0.1 per sample
+def test_runs_of_different_length_are_compared_per_sample() -> None:
+    costs = [(200.0, 150.0), (50.0, 300.0), (50.0, 300.0), (50.0, 300.0)]
+    ratios = ratios_to_others(costs, [100, 500, 500, 500])
+    assert ratios == pytest.approx([2.0 / 0.1, *[0.1 / (300.0 / 1100.0)] * 3])
 
 
 def test_the_next_narrower_observer_and_the_gain_that_makes_it_as_likely(axis: Machine) -> None:
@@ -275,36 +224,12 @@ def test_the_next_narrower_observer_and_the_gain_that_makes_it_as_likely(axis: M
     assert likelihood_loss(as_likely, data) == pytest.approx(likelihood_loss(best, data))
 
 
-@pytest.mark.parametrize(("cross_validated", "in_simulation"), [(0.0, True), (np.inf, False)])
-def test_the_final_fit_is_the_one_that_simulates_best(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch, cross_validated: float, in_simulation: bool
-) -> None:
+def test_the_final_fit_is_the_one_that_simulates_best(axis: Machine) -> None:
     data = recordings(axis, residue=0.1)
     best = fit_with_model_error(fitted_axis(axis, data), data)
-    monkeypatch.setattr(model_error, "_cross_validated_cost", lambda fitted, data: cross_validated)
     refined = model_error.refined_in_simulation(best, data)
-    assert (refined.bandwidth == 0.0) == in_simulation
     costs = [prediction_cost(f.machine, data, 0.0) for f in (refined, best)]
     assert costs[0] <= costs[1]
-
-
-def test_a_simulation_that_is_best_by_chance_does_not_win(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where small errors grow without limit, a machine that contradicts the data may simulate them best."""
-    # Cost of the simulation and of the prediction at 30 rad/s, by the bandwidth of the fit, rad/s.
-    costs = {30.0: (4e6, 1.0), 15.0: (3e6, 1.1), 7.0: (1e6, 9.0), 3.0: (6e5, 200.0), 0.0: (6e5, 200.0)}
-
-    def fit_at(bandwidth: float) -> Fit:
-        fitted = fit_with(chi2=1.0, bandwidth=bandwidth)
-        return dataclasses.replace(fitted, machine=dataclasses.replace(fitted.machine, name=str(bandwidth)))
-
-    def cost(machine: Machine, data: object, bandwidth: float, longest_step: float) -> float:
-        return costs[float(machine.name)][0 if bandwidth == 0.0 else 1]
-
-    monkeypatch.setattr(model_error, "continue_fit", lambda fitted, data, bandwidth: fit_at(bandwidth))
-    monkeypatch.setattr(model_error, "polish", lambda fitted, data: fitted)
-    monkeypatch.setattr(model_error, "prediction_cost", cost)
-    monkeypatch.setattr(model_error, "_cross_validated_cost", lambda fitted, data: costs[fitted.bandwidth][0])
-    assert model_error.refined_in_simulation(fit_at(30.0), runs("abcd")).bandwidth == 15.0
 
 
 def test_a_fit_in_simulation_stays_as_it_is(axis: Machine) -> None:

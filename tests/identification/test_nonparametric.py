@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,10 +17,14 @@ from hframe_gym.identification import (
     fit,
     prepare,
 )
-from hframe_gym.identification.fit.force_sizes import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.search import tables
-from hframe_gym.identification.search.tables import add_tables, knots_at_bends, table_candidates
+from hframe_gym.identification.search.tables import (
+    Table,
+    add_tables,
+    cost_ratio,
+    knots_at_bends,
+    proposed_tables,
+)
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -82,24 +85,24 @@ def test_no_table_for_a_force_that_differs_between_runs(axis: Machine) -> None:
     assert unchanged is fitted
 
 
-def test_force_and_friction_over_the_position_are_both_proposed(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_force_and_friction_over_the_position_are_both_proposed() -> None:
     """Fitted friction hides a part of a force over the position, so that friction over it may rank higher."""
-    fitted, data = runs_with_cable(axis, 40.0, (0.0, 0.3, -0.3))
-    ranks = {"smooth_friction[position of x]": 0.2, "smooth_force[position of x]": 0.1}
-
-    def explained(variable: np.ndarray, samples: np.ndarray, *, symmetric: bool) -> tuple[float, np.ndarray]:
-        return next(values), np.linspace(-1.0, 1.0, KNOTS)
-
-    variables = tables.table_variables(fitted.machine, data)
-    names = [f"{kind}[{name}]" for name in variables for kind in ("smooth_force", "smooth_friction")]
-    values = iter([ranks.get(name, 0.9) for name in names])
-    monkeypatch.setattr(tables, "_explained_fraction", explained)
-    criteria, scales = SelectionCriteria(max_tables_per_coordinate=2), typical_scales(fitted, data)
-    proposed = [c.label for c in table_candidates(fitted.machine, data, scales, criteria)]
-    assert {f"{name}@x" for name in ranks} <= set(proposed)
-    assert len(proposed) == len(set(proposed)) <= 5
+    ranks = {
+        "smooth_force[velocity of x]": 0.9,
+        "smooth_friction[path of x]": 0.8,
+        "smooth_force[time]": 0.7,
+        "smooth_friction[time]": 0.6,
+        "smooth_friction[velocity of x]": 0.5,
+        "smooth_friction[position of x]": 0.2,
+        "smooth_force[position of x]": 0.1,
+        "smooth_force[position of y]": 0.05,
+    }
+    ranked = [(rank, Table(name, "x", np.linspace(-1.0, 1.0, KNOTS))) for name, rank in ranks.items()]
+    random = np.random.default_rng(0)
+    shuffled = [ranked[k] for k in random.permutation(len(ranked))]
+    names = list(ranks)
+    for count, kept in ((2, [0, 1, 2, 5, 6]), (3, [0, 1, 2, 3, 5, 6]), (6, [0, 1, 2, 3, 4, 5, 6])):
+        assert [t.effect for t in proposed_tables("x", shuffled, count)] == [names[k] for k in kept]
 
 
 CENTER, WIDTH = 0.03, 0.006  # m
@@ -153,17 +156,11 @@ def test_knots_are_dense_only_at_a_bend_that_noise_does_not_explain(bend: float)
         np.testing.assert_array_equal(moved, knots)
 
 
-def test_cross_validation_is_not_dominated_by_one_half_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cross_validation_is_not_dominated_by_one_half_of_a_run() -> None:
     """A table that explains all halves but one is accepted, one that explains what needed no explanation is not."""
-    before, with_table, trivial = [80.0, 90.0, 10.0, 0.0], [2.0, 2.0, 570.0, 0.0], [79.0, 89.0, 0.1, 0.0]
-    costs = {"before": before, "table": with_table, "trivial": trivial, "diverges": [1.0, math.inf, 1.0, 0.0]}
-    monkeypatch.setattr(tables, "left_out_costs", lambda fitted, data, pieces: costs[fitted])
-    data = SimpleNamespace(runs=("run 1", "run 2"))
-
-    def ratio(fitted: str) -> float:
-        return tables._left_out_ratio(fitted, "before", data, SelectionCriteria())
-
+    before = np.array([80.0, 90.0, 10.0, 0.0])  # a piece may have no valid measurement
+    with_table, trivial = np.array([2.0, 2.0, 570.0, 0.0]), np.array([79.0, 89.0, 0.1, 0.0])
     expected = (2 / 80) ** (80 / 180) * (2 / 90) ** (90 / 180) * 57 ** (10 / 180)
-    assert ratio("table") == pytest.approx(expected)
-    assert 0.7 < ratio("trivial") < 1.0
-    assert ratio("diverges") == math.inf
+    assert cost_ratio(with_table, before) == pytest.approx(expected)
+    assert 0.7 < cost_ratio(trivial, before) < 1.0
+    assert cost_ratio(np.array([1.0, math.inf, 1.0, 0.0]), before) == math.inf

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.evidence import significance
-from hframe_gym.identification.evidence.significance import depend_on_same_variable
+from hframe_gym.identification import Dataset, prepare
+from hframe_gym.identification.evidence.significance import depend_on_same_variable, variance_along
 from hframe_gym.identification.fit import force_sizes
 from hframe_gym.identification.fit.force_sizes import force_size
-from hframe_gym.identification.predict.free_parameters import FreeParameter
-from hframe_gym.machine import AppliedEffect, Machine
+from hframe_gym.identification.fit.model_error import search_step
+from hframe_gym.identification.predict.linearization import RunLinearization
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, predict, prediction_error
+from hframe_gym.machine import AppliedEffect
+from hframe_gym.recordings import Recording
 from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import (
     AXIS,
@@ -30,6 +33,12 @@ from tests.identification.scripted_fits import (
 )
 
 pytestmark = pytest.mark.unit
+
+
+@pytest.fixture
+def axis_data() -> Dataset:
+    """Return runs of the built-in axis."""
+    return axis_runs(AXIS, rows=1500, volts=3.0)
 
 
 def test_the_size_of_a_force_is_its_root_mean_square() -> None:
@@ -65,28 +74,29 @@ def test_which_effects_depend_on_the_same_variable(
     assert depend_on_same_variable(second, first, HFRAME) == same
 
 
-def test_the_difference_of_forces_is_that_at_the_belt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Torques are divided by the radius of the pulley; the motion is that of the first machine."""
-    other = dataclasses.replace(HFRAME, name="other")
-    moved: list[str] = []
-
-    def predict(machine: Machine, run: Any, bandwidth: float, period: float, states: bool) -> Any:
-        assert (bandwidth, period, states) == (60.0, 1e-3, True)
-        moved.append(machine.name)
-        return SimpleNamespace(positions=np.zeros((1, 5, 4)), velocities=np.zeros((1, 5, 4)))
-
-    forces = {
-        HFRAME.name: np.full((5, 4), 0.1),
-        "other": np.tile([3.1, 4.1, 0.1, 0.1 + 12.0 * 0.0194], (5, 1)),
-    }
-    monkeypatch.setattr(force_sizes, "predict", predict)
-    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
-    monkeypatch.setattr(force_sizes, "net_forces", lambda machine, *record: forces[machine.name])
-    data: Any = SimpleNamespace(
-        period=1e-3, runs=[SimpleNamespace(time_s=np.arange(5.0), inputs=np.zeros((5, 2)))] * 2
+def test_the_difference_of_forces_is_that_at_the_belt() -> None:
+    """Torques are divided by the radius of the pulley."""
+    inputs = np.zeros((100, 2))
+    inputs[50:] = 2.0
+    time_s = np.arange(100) * 1e-3
+    data = prepare([Recording("run", time_s, inputs, HFRAME.simulate(time_s, inputs).outputs)], HFRAME)
+    force = EFFECTS["constant_force"]
+    other = HFRAME.with_effects(
+        force.at("x", size=3.0), force.at("y", size=-4.0), force.at("phi2", size=12.0 * 0.0194)
     )
     assert force_sizes.force_difference(HFRAME, other, data) == pytest.approx(13.0)
-    assert set(moved) == {HFRAME.name}
+
+
+def test_forces_are_compared_along_the_motion_of_the_first_machine(axis_data: Dataset) -> None:
+    x = AXIS.coordinates[0]
+    damped = AXIS.replace(coordinates=(dataclasses.replace(x, viscous=x.viscous + 2.0),))
+    for first, second in ((AXIS, damped), (damped, AXIS)):
+        speeds = [
+            predict(first, run, SEARCH_BANDWIDTH, period=axis_data.period, states=True).velocities[0]
+            for run in axis_data.runs
+        ]
+        expected = 2.0 * force_size(np.concatenate(speeds))
+        assert force_sizes.force_difference(first, second, axis_data) == pytest.approx(expected)
 
 
 def test_the_force_of_the_drives_is_at_the_belt() -> None:
@@ -101,8 +111,8 @@ def test_no_force_describes_structures_and_measurements(effect: AppliedEffect) -
     assert force_sizes.effect_force(AXIS, effect, DATA) == np.inf
 
 
-def test_the_size_of_an_effect_is_its_force() -> None:
-    data = axis_runs(AXIS, rows=1500, volts=3.0)
+def test_the_size_of_an_effect_is_its_force(axis_data: Dataset) -> None:
+    data = axis_data
     assert force_sizes.effect_force(
         AXIS, EFFECTS["constant_force"].at("x", size=-0.3), data
     ) == pytest.approx(0.3)
@@ -114,66 +124,51 @@ def test_the_size_of_an_effect_is_its_force() -> None:
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, 30.0])
-def test_the_residue_is_the_correction_beyond_that_of_noise(
-    monkeypatch: pytest.MonkeyPatch, bandwidth: float
-) -> None:
+def test_the_residue_is_the_correction_beyond_that_of_noise(axis_data: Dataset, bandwidth: float) -> None:
     """The observer corrects the velocity by bandwidth^2 times the innovation; without one, by that of 3 rad/s."""
-    innovation = np.array([[3e-3], [-5e-3], [np.nan], [1e-3]])
-    run: Any = SimpleNamespace(outputs=innovation, noise=np.array([1e-3]))
-    data: Any = SimpleNamespace(period=1e-3, runs=[run])
-    monkeypatch.setattr(force_sizes, "predict", lambda *arguments, **more: SimpleNamespace(readings=None))
-    monkeypatch.setattr(force_sizes, "prediction_error", lambda run, data, readings: innovation[None])
-    monkeypatch.setattr(force_sizes, "map_runs", lambda function, data: map(function, data.runs))
-    power = (9.0 + 25.0 + 1.0 - 3.0) / 4.0 * 1e-6  # m^2; the missing measurement has neither error nor noise
-    mass = AXIS.coordinates[0].mass
-    expected = max(bandwidth, 3.0) ** 2 * mass * np.sqrt(power)
-    assert force_sizes.residue_force(fit_with(chi2=1.0, bandwidth=bandwidth), data) == pytest.approx(expected)
-    run.noise = np.array([9e-3])
-    assert force_sizes.residue_force(fit_with(chi2=1.0), data) == 0.0
+    [run] = axis_data.with_runs(["run_0"]).runs
+    run.outputs[700:800] = np.nan  # a missing measurement has neither error nor noise
+    pushed = fit_with(PUSH, chi2=1.0, bandwidth=bandwidth)
+    data = dataclasses.replace(axis_data, runs=(run,))
+    used = max(bandwidth, 3.0)
+    motion = predict(pushed.machine, run, used, period=data.period, longest_step=search_step(used))
+    innovation = prediction_error(run, data, motion.readings)[0]  # without the error of the sensor's zero
+    measured = np.isfinite(run.outputs)
+    power = np.sum((innovation**2 - run.noise**2)[measured]) / len(innovation)
+    expected = used**2 * AXIS.coordinates[0].mass * np.sqrt(power)
+    assert force_sizes.residue_force(pushed, data) == pytest.approx(expected, rel=1e-4)
+    noisy = dataclasses.replace(run, noise=1e3 * run.noise)
+    assert force_sizes.residue_force(pushed, dataclasses.replace(data, runs=(noisy,))) == 0.0
 
 
-class CorrelatedResidual:
-    """Residual of runs of 4 s at 1 kHz: constant over sequences of rows; the influence of two parameters.
+def correlated(seed: int, rows: int) -> RunLinearization:
+    """Return a residual of 4 s at 1 kHz that is constant over sequences of rows, and the influence of two parameters.
 
     The first parameter, of the machine, has the influence of a sine; the second one, of the effect, is constant.
     """
+    residual = np.repeat(np.random.default_rng(seed).normal(size=4000 // rows), rows)
+    sine = np.sin(np.arange(4000) * 2e-3 * np.pi)
+    return RunLinearization(np.array([sine, np.ones(4000)]), None, residual, None)
 
-    def __init__(self, *arguments: Any) -> None:
-        pass
 
-    def at(self, theta: np.ndarray) -> Any:
-        return self  # the model is linear
-
-    def linearize_run(self, run: Any) -> Any:
-        """Return Jacobian (2, 4000) and residual (4000,) of a run, which is a pair of seed and correlation in rows."""
-        seed, rows = run
-        residual = np.repeat(np.random.default_rng(seed).normal(size=4000 // rows), rows)
-        sine = np.sin(np.arange(4000) * 2e-3 * np.pi)
-        return SimpleNamespace(jacobian=np.array([sine, np.ones(4000)]), residual=residual)
+OF_EFFECT, PRECISION = np.array([False, True]), np.diag([1.0 / 0.3**2, 1e-12])
 
 
 @pytest.mark.parametrize("rows", [1, 20, 200, 4000])
-def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_variance(
-    monkeypatch: pytest.MonkeyPatch, rows: int
-) -> None:
-    monkeypatch.setattr(significance, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(significance, "map_runs", lambda function, data: map(function, data.runs))
-    free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
-    fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
-    data: Any = SimpleNamespace(period=1e-3, runs=[(seed, rows) for seed in range(100)])
-    # 800 blocks of 0.5 s; the largest of three estimates, the last one of 100 runs.
-    assert significance.long_run_variance(fitted, PUSH.label, data) == pytest.approx(rows, rel=0.35)
+def test_a_residual_that_is_constant_over_some_rows_has_that_many_times_the_variance(rows: int) -> None:
+    """800 blocks of 0.5 s; the largest of three estimates, the last one of 100 runs."""
+    runs = [correlated(seed, rows) for seed in range(100)]
+    assert variance_along(runs, OF_EFFECT, PRECISION, 50, 500) == pytest.approx(rows, rel=0.35)
 
 
-def test_few_blocks_require_a_larger_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_blocks_require_a_larger_gain() -> None:
     """The quantile of F(1, 8) at one in ten thousand is 3.35 times that of the chi-squared distribution."""
-    monkeypatch.setattr(significance, "ResidualModel", CorrelatedResidual)
-    monkeypatch.setattr(significance, "map_runs", lambda function, data: map(function, data.runs))
-    free = (FreeParameter("x.mass", 1.0, 0.3), FreeParameter(f"{PUSH.label}.size", 1.0, 1e6, scale=1.0))
-    fitted = dataclasses.replace(fit_with(PUSH, chi2=1.0), free=free, theta=np.zeros(2))
-    run = (0, 200)
-    one, many = (
-        significance.long_run_variance(fitted, PUSH.label, SimpleNamespace(period=1e-3, runs=[run] * n))
-        for n in (1, 1000)
-    )
+    run = correlated(0, 200)
+    one, many = (variance_along([run] * n, OF_EFFECT, PRECISION, 50, 500) for n in (1, 1000))
     assert one / many == pytest.approx(3.35, rel=0.01)
+
+
+def test_a_machine_that_diverges_reaches_any_gain_by_chance() -> None:
+    run = correlated(0, 200)
+    run.residual[-1] = np.inf
+    assert variance_along([run], OF_EFFECT, PRECISION, 50, 500) == np.inf

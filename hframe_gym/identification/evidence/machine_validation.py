@@ -66,7 +66,22 @@ def top_speeds(machine: Machine) -> tuple[float, float]:
     _, speeds = _random_motions(machine)
     if not machine.effects:
         return _top(speeds), _top(speeds)
-    positions, reference = _random_motions(_without_effects(machine))
+    return speeds_inside(machine, speeds, *_random_motions(_without_effects(machine)))
+
+
+def speeds_inside(machine: Machine, speeds: Array, positions: Array, reference: Array) -> tuple[float, float]:
+    """Return the top speeds with and without effects before the machine without effects leaves its workspace.
+
+    Args:
+        machine: The machine, with the ranges of its coordinates.
+        speeds: Magnitudes of the speeds with the effects, as rates of the belt travel, m/s, shape (histories, n,
+            coordinates).
+        positions: Positions without the effects, m or rad, shape (histories, n, coordinates).
+        reference: Magnitudes of the speeds without them, m/s, of the same shape.
+
+    Returns:
+        Largest speeds, m/s; infinite if the motion diverges.
+    """
     # Also without its effects a machine may leave its workspace, where belts become infinitely stiff.
     inside = np.ones(positions.shape[:2], np.bool_)
     for i, coordinate in enumerate(machine.coordinates):

@@ -7,7 +7,7 @@ An effect that reduces the error may still not exist. Measured here are its gain
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import CHANCE, Addition, Chance, EffectEvidence, Forces, ParameterValue
 from ..predict.free_parameters import prior_precision
-from ..predict.linearization import ResidualModel
+from ..predict.linearization import ResidualModel, RunLinearization
 from ..predict.prediction import SIMULATION, block_size, map_runs
 from ..propose.candidates import covered_by_runs
 from .machine_validation import validation_fault
@@ -96,19 +96,37 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
     """
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     runs = list(map_runs(model.at(fitted.theta).linearize_run, data))
+    of_effect = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
+    blocks = [block_size(seconds, fitted.machine, data) for seconds in (_NOISE_S, BLOCK_S)]
+    return variance_along(runs, of_effect, prior_precision(fitted.free), *blocks)
+
+
+def variance_along(
+    runs: Sequence[RunLinearization], of_effect: NDArray[np.bool_], precision: Array, short: int, long: int
+) -> float:
+    """Return the long-run variance of a residual along the change that an effect causes, over that of white noise.
+
+    Args:
+        runs: Linearized residual of each run, with respect to k parameters.
+        of_effect: True for the parameters of the effect, shape (k,).
+        precision: Precision of the prior of the parameters, dimensionless, shape (k, k).
+        short: Values of a block that is longer than the correlation of a sensor's noise.
+        long: Values of a block that counts as independent.
+
+    Returns:
+        Factor, dimensionless, as `long_run_variance` describes.
+    """
     if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
         return math.inf
-    of_effect = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
     others = ~of_effect
-    hessian = sum((run.jacobian @ run.jacobian.T for run in runs), prior_precision(fitted.free))
+    hessian = sum((run.jacobian @ run.jacobian.T for run in runs), precision)
     # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
-    directions = np.eye(len(fitted.free))[of_effect]
+    directions = np.eye(len(of_effect))[of_effect]
     directions[:, others] = -np.linalg.solve(
         hessian[np.ix_(others, others)], hessian[np.ix_(others, of_effect)]
     ).T
     responses = [directions @ run.jacobian for run in runs]
     inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
-    short, long = (block_size(seconds, fitted.machine, data) for seconds in (_NOISE_S, BLOCK_S))
     largest = 0.0
     for size in (short, long, max(run.residual.size for run in runs)):
         blocks = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]

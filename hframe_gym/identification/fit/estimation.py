@@ -293,21 +293,34 @@ def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[floa
 
     def of_run(run: PreparedRecording) -> list[NormalEquations]:
         rows = point.linearize_run(run)
-        parts = zip(
-            np.array_split(rows.jacobian, pieces, 1), np.array_split(rows.residual, pieces), strict=True
-        )
-        return [NormalEquations.from_rows(*part, count=run.count / pieces) for part in parts]
+        return NormalEquations.of_pieces(rows.jacobian, rows.residual, run.count, pieces)
 
     equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
+    return costs_left_out(equations, fitted.free, fitted.theta)
+
+
+def costs_left_out(
+    equations: Sequence[NormalEquations], free: Sequence[FreeParameter], theta: Array
+) -> list[tuple[float, float]]:
+    """Compute the costs of pieces of a linear model with parameters that are fitted to all other pieces.
+
+    Args:
+        equations: Normal equations of each piece, of k parameters.
+        free: The parameters, with their limits and priors.
+        theta: Parameters at which the model is linearized, dimensionless, shape (k,).
+
+    Returns:
+        For each piece, its cost and that of all others, dimensionless; infinite if a piece is not finite.
+    """
     total = NormalEquations.total(equations)
     if not total.finite:  # the machine diverges
         return [(math.inf, math.inf)] * len(equations)
-    precision = prior_precision(fitted.free) * max(1.0, total.chi2)
+    precision = prior_precision(free) * max(1.0, total.chi2)
     costs = []
     for left_out in equations:
         information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
-        hessian, slope = information + precision, gradient + precision @ fitted.theta
-        step = bounded_step(fitted.free, fitted.theta, hessian, slope)
+        hessian, slope = information + precision, gradient + precision @ theta
+        step = bounded_step(free, theta, hessian, slope)
         cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
         costs.append(
             (cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step))

@@ -285,7 +285,12 @@ def _interpolated_drive(time_s: Array, recorded: Array, rows: Rows, length: int)
 
 
 def _linearize(
-    machine: Machine, run: PreparedRecording, data: Dataset, rows: Rows, bandwidth: float
+    machine: Machine,
+    run: PreparedRecording,
+    data: Dataset,
+    rows: Rows,
+    bandwidth: float,
+    most_values: int = _VALUES,
 ) -> tuple[sparse.csr_array, Array]:
     """Return the derivative of the residual with respect to the voltages in dropped rows, and the residual.
 
@@ -299,6 +304,7 @@ def _linearize(
         data: Data set of the run.
         rows: Dropped rows, in ascending order, shape (r,).
         bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
+        most_values: Measurements that are predicted together, at most, unless one perturbation has more.
 
     Returns:
         Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with m values in n rows.
@@ -326,7 +332,7 @@ def _linearize(
     indices = [np.arange(begin * sensors, end * sensors) for begin, end in zip(begins, ends, strict=True)]
     pointers = np.concatenate([[0], np.cumsum([len(of_row) for of_row in indices for _ in range(drives)])])
     values = np.zeros(pointers[-1])
-    together = max(1, _VALUES // run.outputs.size // drives)  # groups that are predicted at once
+    together = _groups_together(most_values, run.outputs.size * drives)
     for first in range(0, int(groups.max()) + 1, together):
         members = np.flatnonzero((groups >= first) & (groups < first + together))
         inputs = np.tile(run.inputs, (int(groups[members].max() + 1 - first) * drives, 1, 1))
@@ -339,6 +345,11 @@ def _linearize(
     positions = np.concatenate([of_row for of_row in indices for _ in range(drives)])
     shape = (residual.size, len(rows) * drives)
     return sparse.csc_array((values, positions, pointers), shape=shape).tocsr(), residual.ravel()
+
+
+def _groups_together(most_values: int, values: int) -> int:
+    """Return how many groups, with that many values each, are predicted at once."""
+    return max(1, most_values // values)
 
 
 def _response_length(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float) -> int:

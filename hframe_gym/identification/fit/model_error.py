@@ -16,6 +16,8 @@ The cost is the sum of squared residuals in units of the sensors' noise; chi-squ
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +25,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge import run as judge
+from ..judge.observer import likeliest, simulates_best
 from ..judge.run import MIN_RUNS_COMPARED
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, sensor_bandwidths
 from .estimation import Fit, cross_validation, fit, prediction_cost
@@ -126,9 +129,8 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     """Fit again at the observer bandwidth that maximizes the likelihood of the data.
 
     An observer corrects the prediction by the measurements; the larger the error of the model, the larger the bandwidth
-    must be. Starting from the bandwidth of `fitted`, smaller ones are tried as long as the likelihood increases.
-    The simulation (no observer) is always tried, because the likelihood may have a second maximum there: an observer
-    disturbs phases in which friction holds the machine at rest, a simulation does not.
+    must be. Starting from the bandwidth of `fitted`, smaller ones and the simulation (no observer) are tried as
+    `judge.observer.likeliest` asks for them.
 
     Args:
         fitted: Fit (machine, parameters, cost) at 60, 30, 15, 7, 3 or 0 rad/s (`BANDWIDTHS`; 0: simulation).
@@ -140,14 +142,16 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     if fitted.bandwidth == SIMULATION:
         return fitted
     simulated = continue_fit(fitted, data, SIMULATION)
-    best, least_loss = fitted, likelihood_loss(fitted, data)
+    fits = ((narrower, likelihood_loss(narrower, data)) for narrower in _narrowing(fitted, data))
+    return likeliest(fits, (simulated, likelihood_loss(simulated, data)))
+
+
+def _narrowing(fitted: Fit, data: Dataset) -> Iterator[Fit]:
+    """Return a fit, then fits with narrower and narrower observers, each of which continues the one before."""
+    yield fitted
     for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
-        narrower = continue_fit(best, data, bandwidth)
-        loss = likelihood_loss(narrower, data)
-        if not loss < least_loss:
-            break
-        best, least_loss = narrower, loss
-    return simulated if likelihood_loss(simulated, data) < least_loss else best
+        fitted = continue_fit(fitted, data, bandwidth)
+        yield fitted
 
 
 def polish(fitted: Fit, data: Dataset) -> Fit:
@@ -170,9 +174,7 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
     The final machine is used in simulation, whereas an observer (feedback of the measurements) hides slow errors of a
     fit, and with them information about the parameters. Fits at all smaller bandwidths are therefore compared by the
     product of two costs (sums of squared residuals): of the simulation, and of the prediction with the bandwidth of
-    `fitted`. The second one is needed because wrong parameters may simulate best by chance, if small differences of the
-    parameters grow without limit. The cost of a fit in simulation is computed by cross-validation, because such a fit
-    adapts to errors of the model.
+    `fitted` (`judge.observer.simulates_best`).
 
     Args:
         fitted: Final fit at any observer bandwidth.
@@ -188,16 +190,14 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
     def cost(machine: Machine, bandwidth: float) -> float:
         return prediction_cost(machine, data, bandwidth, longest_step=POLISH_STEP)
 
-    best, narrower = fitted, fitted
-    least = cost(fitted.machine, SIMULATION) * cost(fitted.machine, fitted.bandwidth)
-    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
-        narrower = continue_fit(narrower, data, bandwidth)
-        product = cost(narrower.machine, SIMULATION) * cost(narrower.machine, fitted.bandwidth)
-        if product < least:
-            best, least = narrower, product
-    simulated = continue_fit(best, data, SIMULATION)
-    if _cross_validated_cost(simulated, data) * cost(simulated.machine, fitted.bandwidth) < least:
-        best = simulated
+    def product(narrower: Fit) -> float:
+        return cost(narrower.machine, SIMULATION) * cost(narrower.machine, fitted.bandwidth)
+
+    def simulated(best: Fit) -> tuple[Fit, float]:
+        again = continue_fit(best, data, SIMULATION)
+        return again, _cross_validated_cost(again, data) * cost(again.machine, fitted.bandwidth)
+
+    best = simulates_best(((narrower, product(narrower)) for narrower in _narrowing(fitted, data)), simulated)
     return best if best is fitted else polish(best, data)
 
 
@@ -218,9 +218,7 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
 
-    It is the difference of the sums of `left_out_costs` of both fits; each run is left out in turn. Of fewer than four
-    runs, pieces (at least eight in all) are left out instead: too few other runs might not determine the parameters. Of
-    a machine with a table, halves of runs are: some of its values may depend on a single run.
+    It is the difference of the sums of `left_out_costs` of both fits, with the pieces of `pieces_left_out`.
 
     Args:
         without: Fit without the effect (deviation from the nominal model).
@@ -232,9 +230,23 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         fitted runs, and negative if the effect describes single runs rather than the machine.
     """
     table = any(e.definition.family == TABLE_FAMILY for e in with_effect.machine.effects)
-    enough = 2 if table else 1  # pieces of each run
-    pieces = enough if len(data.runs) >= _MIN_RUNS else -(-_PIECES // len(data.runs))
+    pieces = pieces_left_out(len(data.runs), table=table)
     return sum(left_out_costs(without, data, pieces)) - sum(left_out_costs(with_effect, data, pieces))
+
+
+def pieces_left_out(runs: int, *, table: bool) -> int:
+    """Return into how many pieces each run is divided, of which one is left out in turn to confirm an effect.
+
+    Runs are left out whole. Of fewer than four runs, pieces (at least eight in all) are left out instead: too few other
+    runs might not determine the parameters. Of a machine with a table, halves of runs are: some of its values may
+    depend on a single run.
+
+    Args:
+        runs: Number of runs.
+        table: Whether the machine has a table.
+    """
+    enough = 2 if table else 1
+    return enough if runs >= _MIN_RUNS else -(-_PIECES // runs)
 
 
 def left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[float]:
@@ -265,13 +277,22 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
     """
     if len(data.runs) < MIN_RUNS_COMPARED:
         return None
-    costs = cross_validation(fitted, data, 1)
-    total = sum(run.count for run in data.runs)
-    ratios = {
-        run.name: (cost / run.count) / (others / (total - run.count))
-        for (cost, others), run in zip(costs, data.runs, strict=True)
-    }
-    return judge.contradicting_run(ratios)
+    ratios = ratios_to_others(cross_validation(fitted, data, 1), [run.count for run in data.runs])
+    return judge.contradicting_run(dict(zip((run.name for run in data.runs), ratios, strict=True)))
+
+
+def ratios_to_others(costs: Sequence[tuple[float, float]], counts: Sequence[float]) -> list[float]:
+    """Return the cost per value of each run over that of all others, so that runs may have different lengths.
+
+    Args:
+        costs: Cost of each run and of all others, dimensionless, with parameters that are fitted to the others.
+        counts: Effective number of measured values of each run.
+    """
+    total = sum(counts)
+    return [
+        (cost / count) / (others / (total - count))
+        for (cost, others), count in zip(costs, counts, strict=True)
+    ]
 
 
 def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:

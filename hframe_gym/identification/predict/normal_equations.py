@@ -72,6 +72,19 @@ class NormalEquations:
         )
 
     @classmethod
+    def of_pieces(cls, jacobian: Array, residual: Array, count: float, pieces: int) -> list[NormalEquations]:
+        """Form the normal equations of pieces of one run, each of which has the same number of rows.
+
+        Args:
+            jacobian: J transposed, dimensionless, shape (k, rows).
+            residual: Residual r, dimensionless, shape (rows,).
+            count: Number of independent measured values of the run, dimensionless.
+            pieces: Number of pieces.
+        """
+        parts = zip(np.array_split(jacobian, pieces, 1), np.array_split(residual, pieces), strict=True)
+        return [cls.from_rows(*part, count=count / pieces) for part in parts]
+
+    @classmethod
     def total(cls, parts: Iterable[NormalEquations]) -> NormalEquations:
         """Add up the normal equations (inner products of Jacobian and residual) of several runs, to fit them together.
 

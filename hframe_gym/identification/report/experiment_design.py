@@ -294,7 +294,20 @@ def _unexplained_difference(
     differences = _difference(reference, predicted, data)  # (k + 1, n * sensors)
     if not np.isfinite(differences).all():
         return None
-    jacobian, difference = forward_differences(differences, _DIFFERENCE_STEP), differences[0]
+    return after_adaptation(forward_differences(differences, _DIFFERENCE_STEP), differences[0])
+
+
+def after_adaptation(jacobian: Array, difference: Array) -> Array:
+    """Return what remains of the difference of two predictions if the parameters of one adapt within their covariance.
+
+    Args:
+        jacobian: Change of the difference by one standard deviation in each direction of the covariance, dimensionless,
+            shape (k, values).
+        difference: Difference, dimensionless, shape (values,).
+
+    Returns:
+        Remaining difference, shape (values,).
+    """
     # Of full rank by the identity, however much a machine close to instability responds.
     k = len(jacobian)
     rows, right_side = np.vstack([jacobian.T, np.eye(k)]), np.append(difference, np.zeros(k))

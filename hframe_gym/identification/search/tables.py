@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -103,14 +104,27 @@ def table_candidates(
                     variable, samples, symmetric=name.startswith("velocity")
                 )
                 ranked.append((fraction, Table(f"{kind}[{name}]", site, knots)))
-        tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
-        chosen += tables[:max_per_site]
-        remaining = tables[max_per_site:]
-        chosen += [table for table in remaining if table.effect.endswith("[time]")][:1]
-        chosen += [table for table in remaining if table.effect.endswith(f"[position of {site}]")]
+        chosen += proposed_tables(site, ranked, max_per_site)
     return [
         _candidate(table, scales) for table in chosen if f"{table.effect}@{table.site}" not in existing_labels
     ]
+
+
+def proposed_tables(site: str, ranked: Sequence[tuple[float, Table]], count: int) -> list[Table]:
+    """Choose the tables that are proposed at a coordinate.
+
+    These are the ones that explain most; the best one over time, which may explain a drift; and both over the position
+    of the coordinate, force and friction, because fitted friction can hide a part of a force over the position.
+
+    Args:
+        site: Name of the coordinate.
+        ranked: Fraction of the missing force that each table explains, dimensionless, and the table.
+        count: Number of tables that are proposed because they explain most.
+    """
+    tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
+    best, remaining = tables[:count], tables[count:]
+    over_time = [table for table in remaining if table.effect.endswith("[time]")][:1]
+    return best + over_time + [t for t in remaining if t.effect.endswith(f"[position of {site}]")]
 
 
 def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
@@ -344,7 +358,19 @@ def _left_out_ratio(fitted: Fit, reference: Fit, data: Dataset, criteria: Select
         Ratio of the costs, below 1 where `fitted` is better; infinite if a machine diverges.
     """
     pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
-    costs, before = (np.array(left_out_costs(f, data, pieces)) for f in (fitted, reference))
+    return cost_ratio(*(np.array(left_out_costs(f, data, pieces)) for f in (fitted, reference)))
+
+
+def cost_ratio(costs: Array, before: Array) -> float:
+    """Return the geometric mean of the ratios of the costs of pieces, weighted by their cost before.
+
+    Args:
+        costs: Costs of the pieces, dimensionless, shape (pieces,).
+        before: Costs of the reference, shape (pieces,).
+
+    Returns:
+        Ratio, dimensionless; infinite if a cost is.
+    """
     if not np.isfinite([costs, before]).all():
         return math.inf
     compared = (costs > 0.0) & (before > 0.0)  # a piece may have no valid measurement

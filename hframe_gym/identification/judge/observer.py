@@ -1,0 +1,50 @@
+"""Which observer a machine needs: rules on losses and costs of fits of one machine at several bandwidths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+Fitted = TypeVar("Fitted")
+
+
+def likeliest(narrowing: Iterable[tuple[Fitted, float]], simulated: tuple[Fitted, float]) -> Fitted:
+    """Choose the observer under which the data are most likely.
+
+    Narrower observers are compared as long as the likelihood rises. The simulation is compared in any case, because the
+    likelihood may have a second maximum there: an observer disturbs phases in which friction holds the machine at rest.
+
+    Args:
+        narrowing: Fits with their losses (-2 log likelihood per value, dimensionless), at least one, from the present
+            observer to narrower ones; no more are asked for than are compared.
+        simulated: The fit in simulation and its loss.
+
+    Returns:
+        The fit with the smallest loss; the earlier of two that are equal.
+    """
+    fits = iter(narrowing)
+    best, least = next(fits)
+    for fitted, loss in fits:
+        if not loss < least:
+            break
+        best, least = fitted, loss
+    return simulated[0] if simulated[1] < least else best
+
+
+def simulates_best(
+    narrowing: Iterable[tuple[Fitted, float]], simulated: Callable[[Fitted], tuple[Fitted, float]]
+) -> Fitted:
+    """Choose the fit that is best in simulation, without predicting worse in return.
+
+    Args:
+        narrowing: Fits with the product of their costs in simulation and in prediction, from the present observer to
+            narrower ones. Simulation alone may choose wrong parameters where errors grow without limit.
+        simulated: Function that returns the fit in simulation which continues a fit, and its product of costs, that of
+            the simulation by cross-validation: such a fit adapts to errors of the model.
+
+    Returns:
+        The fit with the smallest product; the earlier of two that are equal.
+    """
+    best, least = min(narrowing, key=lambda fit_and_product: fit_and_product[1])
+    alternative, product = simulated(best)
+    return alternative if product < least else best
