@@ -80,6 +80,9 @@ class NormalEquations:
             residual: Residual r, dimensionless, shape (rows,).
             count: Number of independent measured values of the run, dimensionless.
             pieces: Number of pieces.
+
+        Returns:
+            For each piece, J^T J, shape (k, k), J^T r, shape (k,), r^T r and its part of `count`, dimensionless.
         """
         parts = zip(np.array_split(jacobian, pieces, 1), np.array_split(residual, pieces), strict=True)
         return [cls.from_rows(*part, count=count / pieces) for part in parts]

@@ -120,6 +120,9 @@ def proposed_tables(site: str, ranked: Sequence[tuple[float, Table]], count: int
         site: Name of the coordinate.
         ranked: Fraction of the missing force that each table explains, dimensionless, and the table.
         count: Number of tables that are proposed because they explain most.
+
+    Returns:
+        The tables in this order, with knots of shape (KNOTS,) each.
     """
     tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
     best, remaining = tables[:count], tables[count:]
