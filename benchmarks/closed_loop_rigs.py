@@ -34,15 +34,11 @@ from tests.rigs.random_effects import DrawnEffect
 TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
     1: (),
     2: (),
-    3: (
-        hidden(
-            "torque constant that falls with current@drives", "smooth_force[*]@phi1", "smooth_force[*]@phi2"
-        ),
-    ),
+    3: (hidden("torque_saturation@drives"),),
     4: (),
     5: (hidden("input_delay@motor1"), hidden("input_delay@motor2")),
     6: (hidden("gear backlash@phi1", "*play*"),),
-    7: (hidden("friction that rises with dwell@x", "smooth_friction[*]@x"),),
+    7: (hidden("dwell_friction@x"),),
     8: (hidden("stribeck_friction@x"),),
 }
 

@@ -166,8 +166,8 @@ def _unsupported_because(effect: AppliedEffect) -> str:
         return "it has a memory"
     if definition.force and "net" in argument_names(definition.force):
         return "it moves a sensor, not the tool"
-    if definition.current and effect.name != "current_limit":
-        return "effects on the current are not supported, except for current_limit"
+    if (definition.current or definition.torque) and effect.name != "current_limit":
+        return "effects on current and torque are not supported, except for current_limit"
     hooks = [getattr(definition, name) for name in MOTION_HOOKS]
     if any(_has_kink(hook) for hook in hooks if hook):
         return "its formula is not differentiable"

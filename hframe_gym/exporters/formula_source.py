@@ -182,7 +182,7 @@ class C99(Language):
     """C of 1999 with math.h."""
 
     _FUNCTIONS: Mapping[str, str] = {
-        **{name: name for name in ("exp", "sin", "cos", "tanh", "sqrt", "copysign", "floor", "rint")},
+        **{name: name for name in ("exp", "log", "sin", "cos", "tanh", "sqrt", "copysign", "floor", "rint")},
         "absolute": "fabs",
         "minimum": "fmin",
         "maximum": "fmax",
@@ -219,6 +219,7 @@ class StructuredText(Language):
 
     _FUNCTIONS: Mapping[str, str] = {
         **{name: name.upper() for name in ("exp", "sin", "cos", "sqrt")},
+        "log": "LN",
         "absolute": "ABS",
         "minimum": "MIN",
         "maximum": "MAX",

@@ -23,8 +23,16 @@ from ..errors import InputError
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
 Hook = Callable[..., Any]
 HOOKS = (
-    *("force", "active_region", "coulomb", "friction", "viscous", "voltage", "delay", "current", "tension"),
-    *("energy_slope", "belt_travel", "lever_arm", "rest_angle_offset", "measurement", "measurement_delay"),
+    *("force", "active_region", "coulomb", "friction", "viscous", "voltage", "delay", "current", "torque"),
+    *(
+        "tension",
+        "energy_slope",
+        "belt_travel",
+        "lever_arm",
+        "rest_angle_offset",
+        "measurement",
+        "measurement_delay",
+    ),
     *("next_state", "initial_spread"),
 )
 
@@ -116,6 +124,7 @@ class Effect:
     voltage             voltage that reaches the drive, V                            V
     delay               delay of the drive's voltage, s
     current             current of the drive, A                                      i, z, V, q, v, N
+    torque              current that makes torque without the effect, A              i, q
     tension             tension of a belt, N                                         s, rate, k
     energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
                         (default: s^2/2)
@@ -135,9 +144,9 @@ class Effect:
       or Nm; m: mass of the added coordinate, kg or kg m^2.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
       was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad.
-    - Drive: V: voltage, V; i: current by Ohm's law, A; q, v: position and speed of its coordinate; N: its gear ratio.
-      Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m. Sensor: r: ideal reading, m or rad; across:
-      position of the other linear coordinate, m.
+    - Drive: V: voltage, V; i: current by Ohm's law, A (for `torque`, with the effects on it); q, v: position and speed
+      of its coordinate; N: its gear ratio. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m. Sensor: r:
+      ideal reading, m or rad; across: position of the other linear coordinate, m.
 
     Attributes:
         name: Unique name.
@@ -178,6 +187,7 @@ class Effect:
     voltage: Hook | None = None
     delay: Hook | None = None
     current: Hook | None = None
+    torque: Hook | None = None
     tension: Hook | None = None
     energy_slope: Hook | None = None
     belt_travel: Hook | None = None

@@ -6,7 +6,7 @@ from hframe_gym.dynamics.elementwise import (
 from hframe_gym.dynamics.physics.friction import (
     decay_integral, direction, end_weight, friction_force, stop_or_reverse, update_speed
 )
-from hframe_gym.dynamics.codegen.lane_formulas import cos, exp, sign, sin, tanh
+from hframe_gym.dynamics.codegen.lane_formulas import cos, exp, log, sign, sin, tanh
 
 
 def prepare(parameters, derived, h: float):

@@ -10,7 +10,7 @@ from hframe_gym.dynamics.physics.belts import reciprocals
 
 pytestmark = pytest.mark.unit
 
-UNARY = ("exp", "sin", "cos", "tanh", "sqrt", "absolute", "sign", "floor")
+UNARY = ("exp", "log", "sin", "cos", "tanh", "sqrt", "absolute", "sign", "floor")
 BINARY = ("minimum", "maximum", "copysign")
 
 

@@ -172,6 +172,22 @@ def f(A, out, n: int):
     np.testing.assert_array_equal(out[1::2], np.sign(A))
 
 
+def test_log_is_accurate_and_finite() -> None:
+    """The error is a few units in the last place, relative to 1 where the logarithm is near 0."""
+    sizes = np.geomspace(1e-300, 1e300, 2000 * LANES).reshape(-1, LANES)
+    near_one = 1.0 + np.linspace(-0.5, 0.5, 100 * LANES).reshape(-1, LANES)
+    limits = np.resize([1.0, 2.0, 0.5, np.sqrt(2.0), 0.0, -1.0, np.inf, 1e308], (1, LANES))
+    A = np.concatenate([sizes, near_one, limits])
+    out = np.empty_like(A)
+    run(
+        "def f(A, out, n: int):\n    for i in range(n):\n        store(out, i, log(load(A, i)))\n",
+        A,
+        out,
+        len(A),
+    )
+    np.testing.assert_allclose(out, np.log(np.clip(A, 1e-300, 1e300)), rtol=5e-16, atol=5e-16)
+
+
 def test_exp_saturates() -> None:
     """Arguments below -700 give zero, those above 700 give e**700."""
     A = np.full((1, LANES), -700.001)

@@ -80,6 +80,12 @@ _CASES = (
         {"dF": 2.5, "vs": 0.05},
         {"stribeck_force": _x(2.5), "stribeck_velocity": (0.05,) * 4, "stribeck_exponent": (1.0,) * 4},
     ),
+    Case(
+        "dwell_friction",
+        "x",
+        {"dF": 0.8 * Rig().coulomb[0], "tau": 0.02, "D": 1.5e-3},
+        {"friction_age": _x(0.8), "friction_age_s": (0.02,) * 4, "friction_age_path": (1.5e-3,) * 4},
+    ),
     Case("constant_force", "phi1", {"size": 0.03}, {"constant_force": _turned(0.03)}),
     Case("asymmetric_viscous", "phi1", {"a": -0.4}, {"viscous_asymmetry": _turned(-0.4)}),
     Case("quadratic_drag", "x", {"c": 40.0}, {"quadratic_drag": _x(40.0)}),
@@ -142,6 +148,7 @@ _CASES = (
     Case("dead_band", "motor1", {"Vd": 0.4, "drop": 1.0}, {"dead_band_V": (0.4, 0.0)}),
     Case("voltage_limit", "motor1", {"U": 4.0}, {"voltage_limit_V": (4.0, np.inf)}),
     Case("current_limit", "motor1", {"I": 4.5}, {"current_limit_A": (4.5, np.inf)}),
+    Case("torque_saturation", "motor1", {"s": 0.01}, {"torque_saturation_A": (10.0, np.inf)}),
     Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
     Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),
     Case("belt_play", "belts", {"d": 0.15e-3}, {"belt_play_m": 0.15e-3}),
@@ -169,6 +176,12 @@ _CASES = (
     ),
     Case("sensor_skew", "y_m", {"a": 5e-3}, sensors={"skew": (0.0, 5e-3)}),
     Case("sensor_scale", "x_m", {"g": 0.005}, sensors={"scale": (1.0, 1.0, 1.005, 1.0)}),
+    Case(
+        "eccentric_encoder",
+        "phi1_rad",
+        {"A": 0.01, "p": 0.7},
+        sensors={"wave": (0.01, 0.0, 0.0, 0.0), "wave_phase": (0.7, 0.0, 0.0, 0.0)},
+    ),
     Case("sensor_range", "x_m", {"low": 0.077, "high": 0.083}, sensors={"range_x_m": (0.077, 0.083)}),
     Case("sensor_delay", "x_m", {"d": 2.3e-3}, sensors={"delay_s": (0.0, 0.0, 2.3e-3, 0.0)}),
 )

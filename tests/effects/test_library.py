@@ -30,7 +30,7 @@ QUANTITIES = {
     "drive",
     "per_radius",
 }
-PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "kg m^2", "Nm/rad", "Nms", "Hz"}
+PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "1/A^2", "kg m^2", "Nm/rad", "Nms", "Hz"}
 
 
 @EVERY_EFFECT

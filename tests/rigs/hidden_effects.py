@@ -207,6 +207,11 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
                 coordinate, stribeck_force=force, stribeck_velocity=speed, stribeck_exponent=exponent
             )
             return _hidden(name, site, build, {"dF": force, "vs": speed}, forces=("dF",))
+        case "dwell_friction":
+            rise, path = 0.4 * size, _per_kind(site, 3e-4, 0.015)
+            build = partial(coordinate, friction_age=rise, friction_age_path=path)
+            parameters = {"dF": rise * Rig().coulomb[COORDINATES.index(site)], "tau": 0.02, "D": path}
+            return _hidden(name, site, build, parameters, forces=("dF",))
         case "constant_force":
             force = size * _per_kind(site, 0.8, 0.02)
             equivalent = tuple(
@@ -239,6 +244,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "voltage_limit":
             volts = (1.0 - 0.6 * size) * MAX_VOLTAGE_V
             return _hidden(name, site, partial(motor, voltage_limit_V=volts), {"U": volts})
+        case "torque_saturation":
+            amps = 10.0 / np.sqrt(size)
+            return _hidden(name, site, partial(motor, torque_saturation_A=amps), {"s": amps**-2})
         case "electrical_lag":
             tau = size * 1.5e-3
             return _hidden(name, site, partial(motor, electrical_lag_s=tau), {"tau": tau})
@@ -324,6 +332,10 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             gain = 1.0 + 0.02 * size
             build = partial(change_site, sites=CHANNELS, site=site, scale=gain)
             return _hidden(name, site, build, {"g": gain - 1.0})
+        case "eccentric_encoder":
+            error = size * 0.02
+            build = partial(change_site, sites=CHANNELS, site=site, wave=error, wave_phase=0.7)
+            return _hidden(name, site, build, {"A": error, "p": 0.7})
         case "sensor_range":
             end = 0.16 - 0.11 * size  # full: the paper's 100 mm
             return _hidden(

@@ -1,4 +1,6 @@
-"""Draw effects that real machines have and the library lacks: where each acts, on what it depends, what is near it.
+"""Draw effects that real machines have: where each acts, on what it depends, which effects of the library are near it.
+
+The library lacks them, apart from those of `IN_LIBRARY`.
 
 | family | what acts | drawn size |
 |---|---|---|
@@ -409,3 +411,5 @@ FAMILIES: dict[str, Callable[[np.random.Generator], OutsideEffect]] = {
     "eddy brake": _eddy_brake,
     "gas spring": _gas_spring,
 }
+# The library has these by now: torque_saturation, dwell_friction, and eccentric_encoder for one error per turn.
+IN_LIBRARY = frozenset({"torque saturation", "dwell friction", "eccentric encoder"})

@@ -11,7 +11,7 @@ from tests.reference_simulator import Rig, simulate
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M, Sensors
 from tests.rigs.machine_programs import PROGRAMS, draw_path
 from tests.rigs.outside_effects import FAMILIES
-from tests.rigs.outside_rigs import COUNT, draw_rig, drifting_clock
+from tests.rigs.outside_rigs import COUNT, OUTSIDE, draw_rig, drifting_clock
 from tests.rigs.random_excitation import MAX_VOLTAGE_V
 
 NOISE = np.array([ENCODER_STEP_RAD / np.sqrt(12.0)] * 2 + [LASER_NOISE_M] * 2)
@@ -83,12 +83,12 @@ def test_without_amplitude_the_stage_is_the_plain_one(family: str, plain: np.nda
 
 
 def test_no_family_is_an_effect_of_the_library() -> None:
-    assert not {family.replace(" ", "_") for family in FAMILIES} & set(EFFECTS)
+    assert not {family.replace(" ", "_") for family in OUTSIDE} & set(EFFECTS)
 
 
 def test_a_set_has_many_families_and_both_loops() -> None:
     rigs = [draw_rig(7, index) for index in range(COUNT)]
-    assert len({rig.effect.family for rig in rigs}) == len(FAMILIES)
+    assert len({rig.effect.family for rig in rigs}) == len(OUTSIDE)
     assert sum(rig.closed_loop for rig in rigs) == COUNT // 2
     assert [rig.describe() for rig in rigs] == [draw_rig(7, index).describe() for index in range(COUNT)]
 

@@ -50,9 +50,12 @@ def test_every_effect_of_the_library_is_drawn_at_admissible_sites(hframe):
     assert set(EFFECTS) - set(SITES) == {
         "bouc_wen_hysteresis",
         "dahl_hysteresis",
+        "dwell_friction",
+        "eccentric_encoder",
         "friction_warm_up",
         "frame_resonance",
         "second_cogging",
+        "torque_saturation",
         "tustin_friction",
         "voltage_limit",
     }

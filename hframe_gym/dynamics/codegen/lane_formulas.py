@@ -13,6 +13,7 @@ from typing import Any
 from ..symbolic.elementwise import absolute, copysign, floor, fma, pow2, rint, where
 
 _LOG2E = 1.4426950408889634
+_SQRT2 = 1.4142135623730951
 # ln 2 in two parts: the product of the first with an integer up to 2**20 is exact.
 _LN2_HIGH, _LN2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 _TWO_OVER_PI = 0.6366197723675814
@@ -40,6 +41,43 @@ def exp(x: Any) -> Any:
     p = fma(r, p, 1.0)
     p = fma(r, p, 1.0)
     return where(x < -700.0, 0.0, p * pow2(n))
+
+
+def _power(x: Any, step: float) -> Any:
+    """Return step if x >= 2**step, -step if x < 2**(1 - step), otherwise 0."""
+    return where(x >= pow2(step), step, where(x < pow2(1.0 - step), -step, 0.0))
+
+
+def log(x: Any) -> Any:
+    """Return n ln 2 + ln m with an integer n and 1/sqrt(2) < m <= sqrt(2); x is limited to 1e-300 to 1e300."""
+    limited = where(x > 1e-300, where(x < 1e300, x, 1e300), 1e-300)
+    n = _power(limited, 512.0)  # bisection of the exponent, to 1 <= limited / 2**n < 2
+    n = n + _power(limited * pow2(-n), 256.0)
+    n = n + _power(limited * pow2(-n), 128.0)
+    n = n + _power(limited * pow2(-n), 64.0)
+    n = n + _power(limited * pow2(-n), 32.0)
+    n = n + _power(limited * pow2(-n), 16.0)
+    n = n + _power(limited * pow2(-n), 8.0)
+    n = n + _power(limited * pow2(-n), 4.0)
+    n = n + _power(limited * pow2(-n), 2.0)
+    n = n + _power(limited * pow2(-n), 1.0)
+    n = where(limited * pow2(-n) > _SQRT2, n + 1.0, n)
+    m = limited * pow2(-n)
+    # ln m = 2 artanh s with s = (m - 1)/(m + 1), series to s**23: |s| <= 0.172, remainder 2e-19.
+    s = (m - 1.0) / (m + 1.0)
+    q = s * s
+    p = fma(q, 1.0 / 23.0, 1.0 / 21.0)
+    p = fma(q, p, 1.0 / 19.0)
+    p = fma(q, p, 1.0 / 17.0)
+    p = fma(q, p, 1.0 / 15.0)
+    p = fma(q, p, 1.0 / 13.0)
+    p = fma(q, p, 1.0 / 11.0)
+    p = fma(q, p, 1.0 / 9.0)
+    p = fma(q, p, 1.0 / 7.0)
+    p = fma(q, p, 1.0 / 5.0)
+    p = fma(q, p, 1.0 / 3.0)
+    p = fma(q, p, 1.0)
+    return fma(n, _LN2_HIGH, fma(n, _LN2_LOW, 2.0 * s * p))
 
 
 def _sin_shifted(x: Any, quarter_turns: float) -> Any:

@@ -325,6 +325,8 @@ class ReverseTrace(Trace):
                 ]
             case "exp":
                 return [(x, a * node)]
+            case "log":
+                return [(x, a / x)]
             case "sin":
                 return [(x, a * cos(x))]
             case "cos":

@@ -100,9 +100,12 @@ class Equations(BeltEquations, SignalEquations):
     def _current_change(
         self, j: int, point: MotionPoint, motor_voltage: Value, arguments: dict[int, dict[str, Value]]
     ) -> Value:
-        """Return the force that its law and effects on the current of drive j add, N or Nm."""
+        """Return the force that its law and effects on current and torque of drive j add, N or Nm."""
         ohmic = named("ohmic_current", j, self.ohmic_current(j, point, motor_voltage))
         current = self._changed_current(j, point, motor_voltage, ohmic, arguments)
+        quantities = {"q": self.position(point, self.drive_coordinates[j])}
+        for k, e in self.effects_at("torque", self.machine.drives[j].name):
+            current = named("torque", k, self.evaluate(e, "torque", {"i": current, **quantities}))
         return self.drives[j].gear_ratio * self.drives[j].Kt * (current - ohmic)
 
     def _changed_current(
@@ -172,7 +175,8 @@ class Equations(BeltEquations, SignalEquations):
             changes = [
                 self._current_change(j, point, motor_voltages[j], arguments)
                 for j, drive in enumerate(self.machine.drives)
-                if self.drive_coordinates[j] == i and any(self.effects_at("current", drive.name))
+                if self.drive_coordinates[j] == i
+                and any(any(self.effects_at(hook, drive.name)) for hook in ("current", "torque"))
             ]
             level = self._coulomb_level(i, point, motor_voltages, changes)
             for k, e in self.effects_on("friction", i):  # dry friction by the effect, not by Coulomb's law

@@ -40,6 +40,7 @@ __all__ = [
     "exp",
     "floor",
     "fma",
+    "log",
     "maximum",
     "minimum",
     "named",
@@ -63,6 +64,14 @@ def exp(x: Any) -> Any:
     In a simulation kernel the result is never infinite: 0 for x < -700, and e**700 = 1.01e304 for x > 700.
     """
     return _apply("exp", x)
+
+
+def log(x: Any) -> Any:
+    """Return the natural logarithm of a positive number.
+
+    In a simulation kernel the number is limited to 1e-300 to 1e300, so that the result is finite.
+    """
+    return _apply("log", x)
 
 
 def sin(x: Any) -> Any:
@@ -202,6 +211,7 @@ def _numpy_where(condition: Any, yes: Any, no: Any) -> Any:
 
 _NUMPY: Mapping[str, Callable[..., Any]] = {
     "exp": np.exp,
+    "log": np.log,
     "sin": np.sin,
     "cos": np.cos,
     "tanh": np.tanh,
@@ -227,6 +237,7 @@ def _casadi_functions() -> Mapping[str, Callable[..., Any]]:
 
     return {
         "exp": casadi.exp,
+        "log": casadi.log,
         "sin": casadi.sin,
         "cos": casadi.cos,
         "tanh": casadi.tanh,
