@@ -257,7 +257,15 @@ def test_the_scorecard_compares_the_controllers(pages: dict[str, Path]) -> None:
     assert re.search(r"In the same episodes textbook-pid is 0\.\d+ s slower \(95 % interval", text)
     assert "times the shortest possible time" in text
     assert WARNING.replace("'", "&#39;") in text
-    assert text.count("tool path") == 3  # one caption for each controller
+    assert text.count("tool path") == 6  # captions of the median and the worst episode of each controller
+    assert "worst episode" in text
+    assert "settling time to 0.2 mm, s, over the episodes. 5, 50 and 95 % quantiles: pid" in text
+    assert "exact positions and velocities" in text
+    assert "10 ms (100 Hz)" in text
+    steps = text[text.index('<section id="next">') :]
+    assert "Remove what the warnings at the top name" in steps
+    assert "hframe evaluate pid --machine hframe --sensors machine --episodes 20 --html" in steps
+    assert "hframe export gains --machine hframe --period 0.01 --out gains" in steps
     assert "contour" not in text
 
 
@@ -272,6 +280,7 @@ def test_a_controller_that_never_settles_is_not_praised(tmp_path: Path) -> None:
     scores = {"controllers": {"idle": score_episodes(slow)}}
     text = scorecard_page("reach", tmp_path, **scores).read_text()
     assert "No controller succeeds" in text
+    assert "hframe evaluate idle --machine hframe --period 0.002 --episodes 20 --html" in text
     assert text.count("<td>–<small>") == 4  # no settling time to the three bands, and no bound
     assert "Settling time to" not in text  # no plot of the length of the episodes
 

@@ -193,7 +193,9 @@ def evaluate(
         console.print(score_table(scores))
         for reason in unknown_bound_reasons(scores):
             log(reason)
-        for file in _write_evaluation(out, scores, recorded, warned if html else None, declared, motions):
+        for file in _write_evaluation(
+            out, scores, recorded, warned if html else None, declared, machine, motions
+        ):
             log(f"wrote {file}")
     with_agents = any(name not in CONTROLLERS for name in scores["controllers"])
     if not with_agents and (proposal := training_proposal(machine, task, randomize, period)):
@@ -231,6 +233,7 @@ def _write_evaluation(
     recorded: dict[str, Episodes],
     warned: list[str] | None,
     machine: Machine,
+    machine_name: str,
     motions: int,
 ) -> list[Path]:
     """Write scores, plots and, unless `warned` is None, the scorecard, all together; return the files."""
@@ -248,7 +251,7 @@ def _write_evaluation(
                 save_plot(out / f"{label}.png", episodes, title=f"{label} on {machine.name}")
                 written.append(out / f"{label}.png")
             if warned is not None:
-                written.append(write_scorecard(out, scores, recorded, warned))
+                written.append(write_scorecard(out, scores, recorded, warned, machine_name))
         except ImportError as error:
             log(f"no plots: {error}")
     return written

@@ -168,6 +168,24 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
     return time_s[np.minimum(after_last, error.shape[1] - 1)] - time_s[0], success
 
 
+def ranked_episodes(episodes: Episodes) -> NDArray[np.intp]:
+    """Order episodes from the best to the worst.
+
+    Moves to a goal are ordered by their settling time within 0.2 mm, those that do not settle by the error at the end;
+    motion along a path by the root mean square of the contour error.
+
+    Args:
+        episodes: Recorded episodes of one controller.
+
+    Returns:
+        Indices of the B episodes, shape (B,).
+    """
+    if episodes.contour is not None:
+        return np.argsort(np.mean(episodes.contour**2, axis=1), kind="stable")
+    times, success = settling_times(episodes.goal_error, episodes.time_s, BANDS[BOUND_BAND])
+    return np.lexsort((episodes.goal_error[:, -1], np.where(success, times, np.inf)))
+
+
 def overshoot(position: Array, goal: Array) -> Array:
     """Compute the largest distance by which the tool passes its goal, along the line from start to goal, m, shape (B,).
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file
 from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
-from .metrics import BANDS
+from .metrics import BANDS, BOUND_BAND, settling_times
 from .scenario import Episodes
 
 SMALLEST_ERROR_MM = 1e-3  # mm, lower end of the logarithmic error axis of a plot
@@ -125,8 +125,14 @@ def _point(position: NDArray[np.float64]) -> str:
     return texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
 
 
-def episode_panels(name: str, episodes: Episodes, episode: int = 0) -> list[Panel]:
-    """Describe the three plots of an episode for the scorecard: tool path, distance over time, voltages."""
+def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
+    """Describe the three plots of an episode for the scorecard: tool path, distance over time, voltages.
+
+    Args:
+        name: Name of the controller and of the episode, for the captions.
+        episodes: Recorded episodes.
+        episode: Index of the episode.
+    """
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
     route = f"from {_point(start)} mm"
@@ -169,6 +175,40 @@ def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
     return Panel(
         "Distance to the goal in the first episode", f"Distance over time; at the end: {ends}.", draw, 2.6
     )
+
+
+def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
+    """Describe a plot for the scorecard: distribution of the settling times, or of the contour errors of a path.
+
+    A curve shows the fraction of the episodes that have settled until a time, or whose error is at most a value. It
+    ends below 100 % if some episodes do not settle.
+
+    Args:
+        recorded: Recorded episodes by name of the controller.
+    """
+    path = next(iter(recorded.values())).contour is not None
+    curves, texts = {}, []
+    for name, episodes in recorded.items():
+        if episodes.contour is not None:
+            values = np.sort(1e3 * np.sqrt(np.mean(episodes.contour**2, axis=1)))
+        else:
+            times, success = settling_times(episodes.goal_error, episodes.time_s, BANDS[BOUND_BAND])
+            values = np.sort(times[success])
+        curves[name] = values, 100.0 * np.arange(1, len(values) + 1) / len(episodes.position)
+        if len(values):
+            spread = "to".join(f" {number(float(q))} " for q in np.quantile(values, (0.05, 0.5, 0.95)))
+            texts.append(f"{name}{spread}".rstrip())
+    what = "rms contour error, mm" if path else f"settling time to {BAND_TEXTS[BOUND_BAND]}, s"
+
+    def draw(axes: Any) -> None:
+        for name, (values, fractions) in curves.items():
+            axes.step(values, fractions, where="post", lw=1.4, label=name)
+        axes.set(xlabel=what, ylabel="% of the episodes", ylim=(0, 102))
+        legend_above(axes)
+
+    title = "Distribution of the contour errors" if path else "Distribution of the settling times"
+    quantiles = f"5, 50 and 95 % quantiles: {'; '.join(texts) or 'none'}"
+    return Panel(title, f"{title}: {what}, over the episodes. {quantiles}.", draw, 2.6)
 
 
 def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any] | None]) -> Panel:

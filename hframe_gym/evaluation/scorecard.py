@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..web_page import Panel, number, write_page
-from .metrics import BANDS, BOUND_BAND, mean_with_interval, settling_times
-from .plots import BAND_TEXTS, distance_panel, episode_panels, interval_panel, success_panel
+from .advice import assumptions, next_steps, worst_move
+from .metrics import BANDS, BOUND_BAND, mean_with_interval, ranked_episodes, settling_times
+from .plots import (
+    BAND_TEXTS,
+    distance_panel,
+    distribution_panel,
+    episode_panels,
+    interval_panel,
+    success_panel,
+)
 from .protocol_results import settling_or_none
 from .scenario import Episodes
 
@@ -30,14 +38,16 @@ def write_scorecard(
     scores: Mapping[str, Any],
     recorded: Mapping[str, Episodes] | None = None,
     warnings: Sequence[str] = (),
+    machine: str | None = None,
 ) -> Path:
-    """Write scorecard.html: verdict, scores side by side with 95 % intervals, and the first episode of each controller.
+    """Write scorecard.html: verdict, assumptions, scores with 95 % intervals, typical and worst episodes, next steps.
 
     Args:
         folder: Folder; created if it does not exist.
         scores: Contents of scores.json.
-        recorded: Recorded episodes by name of the controller, for the plots of the first episode. Default: no plots.
+        recorded: Recorded episodes by name of the controller, for the plots of episodes. Default: no plots.
         warnings: Sentences about results that cannot be trusted.
+        machine: Name or file of the machine, for the commands on the page. Default: the machine's name.
 
     Returns:
         Path of the page; it appears complete or not at all.
@@ -48,16 +58,22 @@ def write_scorecard(
     """
     recorded, controllers = recorded or {}, scores["controllers"]
     reaches = all("settling_s" in score for score in controllers.values())
-    heading, tone, sentences = _reach_verdict(scores, recorded) if reaches else _track_verdict(scores)
+    verdict = _reach_verdict(scores, recorded) if reaches else _track_verdict(scores)
+    all_warnings = list(dict.fromkeys([*scores.get("warnings", ()), *warnings]))
+    worst = worst_move(recorded[verdict.best]) if verdict.best and verdict.best in recorded else ""
     reasons = [score.get("over_bound_reason") for score in controllers.values()]
     values = {
         "title": f"Scorecard: {_task_name(scores)} on {scores['machine']}",
         "scores": scores,
         "task": _task_name(scores),
-        "heading": heading,
-        "tone": tone,
-        "sentences": sentences,
-        "warnings": list(dict.fromkeys([*scores.get("warnings", ()), *warnings])),
+        "heading": f"Best: {verdict.best}" if verdict.best else "No controller succeeds",
+        "tone": verdict.tone,
+        "sentences": verdict.sentences,
+        "warnings": all_warnings,
+        "assumptions": assumptions(scores),
+        "steps": next_steps(
+            scores, verdict.best, verdict.second, worst, all_warnings, machine or scores["machine"]
+        ),
         "bound_reasons": list(dict.fromkeys(reason for reason in reasons if reason)),
         "reaches": reaches,
         "bands": list(BAND_TEXTS.values()),
@@ -65,7 +81,7 @@ def write_scorecard(
         "rows": [_row(name, score, reaches) for name, score in controllers.items()],
         "further": _further_metrics(controllers),
         "panels": _panels(controllers, recorded, reaches),
-        "episodes": {name: episode_panels(name, episodes) for name, episodes in recorded.items()},
+        "episodes": {name: _median_and_worst(name, episodes) for name, episodes in recorded.items()},
     }
     path = Path(folder) / "scorecard.html"
     write_page(path, "hframe_gym.evaluation", "scorecard.html.j2", values)
@@ -77,8 +93,28 @@ def _task_name(scores: Mapping[str, Any]) -> str:
     return str(scores["task"]).partition("(")[0].lower()
 
 
-def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) -> tuple[str, str, list[str]]:
-    """Return heading, tone and sentences about the fastest of the most successful controllers."""
+class _Verdict(NamedTuple):
+    """Which controller is the best (None: none succeeds), in sentences, and which one is not significantly worse."""
+
+    best: str | None
+    tone: str
+    sentences: list[str]
+    second: str | None = None
+
+
+def _median_and_worst(name: str, episodes: Episodes) -> list[Panel]:
+    """Return the plots of the median and of the worst episode of a controller."""
+    order = ranked_episodes(episodes)
+    chosen = {"median": int(order[(len(order) - 1) // 2]), "worst": int(order[-1])}
+    return [
+        panel
+        for which, episode in chosen.items()
+        for panel in episode_panels(f"{name}, {which} episode ({episode + 1})", episodes, episode)
+    ]
+
+
+def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) -> _Verdict:
+    """Return the fastest of the most successful controllers."""
     controllers = scores["controllers"]
     ranked = sorted(
         controllers,
@@ -93,7 +129,7 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) 
         sentence = (
             f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
         )
-        return "No controller succeeds", "warning", [sentence]
+        return _Verdict(None, "warning", [sentence])
     sentences = [
         f"{ranked[0]} comes to rest within {BAND_TEXTS[BOUND_BAND]} of the goal in {100 * success:.1f} % of the "
         f"episodes, after {settling['mean']:.3f} s on average (95 % interval {_interval(settling, '.3f')} s)."
@@ -101,29 +137,43 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) 
     ratio = _bound_ratio(best)
     if ratio:
         sentences.append(f"This is {ratio['mean']:.2f} times the shortest possible time.")
+    equal = None
     if len(ranked) > 1 and set(ranked[:2]) <= set(recorded):
-        sentences.append(
-            _difference_sentence(ranked[1], recorded[ranked[0]], recorded[ranked[1]], scores["seed"])
-        )
-    return f"Best: {ranked[0]}", "good" if success > 0.99 else "neutral", sentences
+        difference = _difference(recorded[ranked[0]], recorded[ranked[1]], scores["seed"])
+        sentences.append(_difference_sentence(ranked[1], difference))
+        equal = ranked[1] if _includes_zero(difference) else None
+    return _Verdict(ranked[0], "good" if success > 0.99 else "neutral", sentences, equal)
 
 
-def _difference_sentence(name: str, best: Episodes, second: Episodes, seed: int) -> str:
-    """Return a sentence about the settling times of the second best controller, compared episode by episode."""
+def _difference(best: Episodes, second: Episodes, seed: int) -> dict[str, Any]:
+    """Return by how much the second best controller settles later in the same episodes, s, with its interval."""
     times = [settling_times(e.goal_error, e.time_s, BANDS[BOUND_BAND])[0] for e in (second, best)]
-    difference = mean_with_interval(times[0] - times[1], seed)
+    return mean_with_interval(times[0] - times[1], seed)
+
+
+def _includes_zero(difference: Mapping[str, Any]) -> bool:
+    """Return whether a difference is not significant."""
+    return bool(difference["ci95"][0] <= 0.0 <= difference["ci95"][1])
+
+
+def _difference_sentence(name: str, difference: Mapping[str, Any]) -> str:
+    """Return a sentence about the settling times of the second best controller, compared episode by episode."""
     interval = f"95 % interval {_interval(difference, '.3f')} s"
-    if difference["ci95"][0] <= 0.0 <= difference["ci95"][1]:
+    if _includes_zero(difference):
         return f"In the same episodes {name} is not significantly slower or faster ({interval} of the difference)."
     word = "slower" if difference["mean"] > 0 else "faster"
     return f"In the same episodes {name} is {abs(difference['mean']):.3f} s {word} ({interval} of the difference)."
 
 
-def _track_verdict(scores: Mapping[str, Any]) -> tuple[str, str, list[str]]:
-    """Return heading, tone and sentences about the controller with the smallest contour error."""
+def _track_verdict(scores: Mapping[str, Any]) -> _Verdict:
+    """Return the controller with the smallest contour error."""
     controllers = {n: s for n, s in scores["controllers"].items() if "contour_mm" in s}
     if not controllers:
-        return "Scores", "neutral", ["The table compares the controllers on the same episodes."]
+        return _Verdict(
+            next(iter(scores["controllers"])),
+            "neutral",
+            ["The table compares the controllers on the same episodes."],
+        )
     best = min(controllers, key=lambda n: controllers[n]["contour_mm"]["rms"]["mean"])
     contour = controllers[best]["contour_mm"]
     sentence = (
@@ -131,7 +181,7 @@ def _track_verdict(scores: Mapping[str, Any]) -> tuple[str, str, list[str]]:
         f"{_interval(contour['rms'], '.3g')} mm) and {number(contour['max']['mean'])} mm at most, means over the "
         "episodes."
     )
-    return f"Best: {best}", "good", [sentence]
+    return _Verdict(best, "good", [sentence])
 
 
 def _settling(score: Mapping[str, Any], band: str = BOUND_BAND) -> Mapping[str, Any] | None:
@@ -212,4 +262,4 @@ def _panels(
         ratios = {name: _bound_ratio(score) for name, score in controllers.items()}
         if any(ratios.values()):
             panels.append(interval_panel("Settling time / shortest possible time", "", ratios))
-    return panels + ([distance_panel(recorded)] if recorded else [])
+    return panels + ([distribution_panel(recorded), distance_panel(recorded)] if recorded else [])
