@@ -13,6 +13,7 @@ parameter_estimators    estimators that compare measured with simulated states
 predictive_controller   model-predictive control with parameters identified in the episode (`predictive`)
 predictive_plans        computation and simulation of its plans
 textbook_pid            the baseline (`textbook-pid`)
+set_point               trajectories streamed to drives that follow a set point (`set-point`)
 state_estimator         full state and parameters from sensors
 estimation_model        parameters and measurement equation of the state estimator
 time_optimal            lower bound of the settling time, also for voltages held over control periods (extra: bound)
@@ -41,6 +42,7 @@ from .model_based_controller import ModelBasedController
 from .motion_model import MotionModel, OperatingPointGrid
 from .parameter_estimators import ParameterFilter, ParameterWindow
 from .predictive_controller import PredictiveController
+from .set_point import SetPointController
 from .state_estimator import StateEstimator
 from .textbook_pid import TextbookPID
 
@@ -66,6 +68,7 @@ __all__ = [
     "PredictiveController",
     "PreviewGains",
     "PreviewTracker",
+    "SetPointController",
     "SimulatedTransfers",
     "StateEstimator",
     "TextbookPID",

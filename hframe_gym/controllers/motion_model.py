@@ -86,11 +86,18 @@ class MotionModel:
 
     Raises:
         InputError: If the machine has other coordinates than those of its tool and its drives, not one drive per axis,
-            or drives that cannot push along every axis.
+            drives that cannot push along every axis, or drives that follow a set point.
     """
 
     def __init__(self, machine: Machine) -> None:
         names = machine.coordinate_names
+        following = [d.name for d in machine.drives if d.law]
+        if following:
+            raise InputError(
+                f"machine {machine.name!r}: the torque of {' and '.join(following)} follows a law of its own, and this "
+                "controller computes voltages, currents or torques; drives that follow a set point have their loops "
+                "inside: use the controller set-point"
+            )
         self.machine = machine
         self.axes = axes = machine.tool_axes
         self.observed = observed_coordinates(machine)

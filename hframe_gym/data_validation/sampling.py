@@ -219,10 +219,11 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
         One finding (fault or advice) about all runs together if the second fit has less than 70 % of the chi-squared
         (sum of squared errors divided by the noise variances) of the first, otherwise an empty list. Also empty if all
         runs have more than 20,000 rows, or if the declared machine has a delay or an effect with a state (lag,
-        hysteresis), because too large a declared delay would make the response seem early as well.
+        hysteresis, loop of a drive), because too large a declared delay would make the response seem early as well.
     """
     largest = sorted((run for run in data.runs if len(run.time_s) <= _MAX_ROWS), key=_input_changes)[-_RUNS:]
-    if not largest or any(e.definition.delay or e.definition.next_state for e in machine.effects):
+    acting = (*machine.drive_laws, *machine.effects)
+    if not largest or any(e.definition.delay or e.definition.next_state for e in acting):
         return []
     runs = data.with_runs([run.name for run in largest])
     earlier = dataclasses.replace(runs, runs=tuple(map(_with_earlier_inputs, runs.runs)))

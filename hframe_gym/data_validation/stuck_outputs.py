@@ -156,10 +156,10 @@ def _is_driven(inputs: Array, channel: int, machine: Machine) -> bool:
     """Return whether a drive pushes the sensor's coordinate in both directions, far beyond the declared friction.
 
     An end stop holds a machine in one direction only. Machines with belts are left out: a carriage at rest may stretch
-    them.
+    them; and so are drives that follow a set point, whose command is no force.
     """
     sensor = machine.sensors[channel]
-    if machine.belts or machine.spring_loaded or len(sensor.row) > 1:
+    if machine.belts or machine.drive_laws or machine.spring_loaded or len(sensor.row) > 1:
         return False
     columns = [j for j, drive in enumerate(machine.drives) if drive.coordinate == sensor.coordinate]
     friction = machine.coordinate(sensor.coordinate).coulomb

@@ -21,6 +21,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from ..dynamics.elementwise import absolute, maximum, minimum, where
 from ..machine import DRIVE_KINDS, DriveKind, Effect, EffectParameter
 
@@ -95,6 +97,11 @@ class _SetPointDrive(DriveKind):
     fixed: ClassVar[Mapping[str, float]] = {"Kt": 1.0, "Ke": 0.0, "resistance": 1.0}
     largest = "torque_limit"
     unit_of_force = "speed_gain"
+
+    @classmethod
+    @override
+    def damping(cls, gear_ratio: Any, law_parameters: Mapping[str, Any]) -> Any:
+        return law_parameters["speed_gain"] * gear_ratio * gear_ratio
 
 
 @DRIVE_KINDS.register("speed")

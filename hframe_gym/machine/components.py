@@ -195,6 +195,18 @@ class DriveKind:
     unit_of_force: ClassVar[str] = ""
 
     @classmethod
+    def damping(cls, gear_ratio: Any, law_parameters: Mapping[str, Any]) -> Any:
+        """Return how much a force of the law falls per speed of the coordinate within its limits, Ns/m or Nms.
+
+        The integrator solves this part of the law exactly, so that a stiff loop needs no short steps.
+
+        Args:
+            gear_ratio: Gear ratio of the drive, rad/m or rad/rad: float, array of any shape or expression.
+            law_parameters: Values of the parameters of the law, SI, of the same type.
+        """
+        return 0.0
+
+    @classmethod
     def rated(cls) -> str:
         """Return the field of machine.json that states the command of an action of 1, for example rated_voltage."""
         return f"rated_{cls.command}"
@@ -365,6 +377,13 @@ class Drive:
     def back_emf(self) -> float:
         """Viscous friction coefficient equivalent to the back-EMF: gear_ratio^2 * Kt * Ke / resistance, Ns/m or Nms."""
         return self.gain * self.emf_constant
+
+    @property
+    def damping(self) -> float:
+        """Viscous friction coefficient equivalent to the back-EMF or to the law, Ns/m or Nms."""
+        if self.law_parameters:
+            return DRIVE_KINDS.get(self.kind).damping(self.gear_ratio, self.law_parameters)  # type: ignore[no-any-return]
+        return self.back_emf
 
     @property
     def device_parameters(self) -> dict[str, float]:

@@ -89,12 +89,13 @@ class Equations(BeltEquations, SignalEquations):
         """Return the current (V - Ke N w) / R of drive j, A, without inductance (eq. 17 of Sollmann et al. 2010).
 
         V is the motor voltage, Ke the back-EMF constant, N the gear ratio (which eq. 17 omits), w the speed of the
-        drive's coordinate (rad/s or m/s), and R the resistance. It is 0 for a drive with a law, which takes its place.
+        drive's coordinate (rad/s or m/s), and R the resistance. For a drive with a law it is the torque of its damping
+        alone, which the viscous coefficient contains; the law replaces it.
         """
-        if self.drives[j].law_parameters:
-            return 0.0
         speed = self.speed(point, self.drive_coordinates[j])
         drive = self.drives[j]
+        if drive.law_parameters:
+            return -(drive.damping / drive.gear_ratio) * speed
         return (motor_voltage - drive.emf_constant * speed) * (1.0 / drive.resistance)
 
     def _current_change(

@@ -165,6 +165,31 @@ def ohmic_currents(machine: Machine, velocities: Array, inputs: Array) -> Array:
     return np.column_stack([equations.ohmic_current(j, point, voltage) for j, voltage in enumerate(voltages)])
 
 
+def law_torques(
+    machine: Machine, time_s: Times, positions: Array, velocities: Array, inputs: Inputs
+) -> Array:
+    """Return the torques of the motor shafts by the drives' laws along a motion, without effects, Nm.
+
+    Args:
+        positions: Positions, m or rad, shape (N, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (N, coordinates).
+
+    Returns:
+        Torques, Nm, shape (N, drives); 0 for drives without a law.
+    """
+    torques = np.zeros((len(time_s), len(machine.drives)))
+    if not machine.drive_laws:
+        return torques
+    equations = Equations(dataclasses.replace(machine, effects=(), ties={}))
+    voltages = list(inputs.T)
+    states = effect_states(equations, time_s, positions, velocities, voltages)
+    point = equations.point(positions, velocities, time_s, states)
+    for j, drive in enumerate(machine.drives):
+        if drive.law:
+            torques[:, j] = equations.current(j, point, voltages[j])
+    return torques
+
+
 def delayed_voltages(equations: Equations, time_s: Times, inputs: Inputs) -> list[Array]:
     """Return the voltage that reaches each drive, as its mean from each sample to the next.
 

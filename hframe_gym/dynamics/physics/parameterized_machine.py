@@ -118,7 +118,7 @@ class ParameterizedMachine:
     def viscous(self, i: int, direction: Value) -> Value:
         """Return the viscous friction coefficient of coordinate i along its belt travel, Ns/m.
 
-        The back-EMF of the drives and the effects on friction are included.
+        The back-EMF of the drives (the damping by their laws) and the effects on friction are included.
 
         Args:
             direction: 1 for motion in positive direction, -1 in negative direction; 0 or a number in between blends the
@@ -129,7 +129,7 @@ class ParameterizedMachine:
             coefficient = self.evaluate(e, "viscous", {"b": coefficient, "direction": direction})
         for j, of_drive in enumerate(self.drive_coordinates):
             if of_drive == i:
-                coefficient = coefficient + self.drives[j].back_emf
+                coefficient = coefficient + self.drives[j].damping
         return coefficient / (self.radius(i) * self.radius(i))
 
     def force_per_volt(self, j: int) -> Value:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.linalg import null_space
 
+from ...dynamics.physics.motion_forces import law_torques
 from ...machine import Machine
 from ...machine.motion import pulley_names, rigid_motions
 from ...preparation.dataset import Dataset, PreparedRecording
@@ -461,9 +462,10 @@ def variables_of_motion(
     Returns:
         By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C", "acceleration of
         C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of its contacts (s). For each
-        drive D: "current of D" (A; the inductance neglected), "heat of D" (A^2), "load of D", the force that is left
-        for the belts (N or Nm), "impulse of D", the integral of the load. The input channels (V); sums over the drives:
-        "current of drives", "power of drives" (W), "load of drives", and its rate, "tension rate of belts"; "time" and
+        drive D: "current of D" (A; the inductance neglected; for a drive with a law its torque, Nm), "heat of D" (A^2),
+        "load of D", the force that is left for the belts (N or Nm), "impulse of D", the integral of the load. The input
+        channels (V); sums over the drives: "current of drives", "power of drives" (W), "load of drives", and its rate,
+        "tension rate of belts"; "time" and
         "time in the run" (s).
     """
     names, period = machine.coordinate_names, data.period
@@ -477,15 +479,17 @@ def variables_of_motion(
         variables[f"path of {name}"] = np.cumsum(speed) * period
         variables[f"dwell of {name}"] = _contact_age(speed * machine.travel_per_unit[i], period)
     power, rate, loads, currents = np.zeros((4, len(run.time_s)))
+    torques = law_torques(machine, run.time_s, positions, velocities, run.inputs)
     for j, drive in enumerate(machine.drives):
         i = names.index(drive.coordinate)
         coordinate = machine.coordinates[i]
-        amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
-        load = (
-            drive.gain * drive.resistance * amps
-            - coordinate.mass * accelerations[:, i]
-            - coordinate.viscous * velocities[:, i]
-        )
+        if drive.law:
+            amps = torques[:, j]
+            force = drive.gear_ratio * amps
+        else:
+            amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
+            force = drive.gain * drive.resistance * amps
+        load = force - coordinate.mass * accelerations[:, i] - coordinate.viscous * velocities[:, i]
         load -= coordinate.coulomb * smooth_sign(velocities[:, i])
         variables[machine.input_channels[j]] = run.inputs[:, j]
         variables[f"current of {drive.name}"] = amps
