@@ -327,7 +327,7 @@ TRAINED = {  # recipe and shipped start of each task
 
 def entry_names() -> list[str]:
     """Return the names of the entries of the repository."""
-    designed = list(CONTROLLERS)
+    designed = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points]
     variants = [f"{name}-{model}" for name in designed for model in (*MODELS, "online")]
     return [*designed, *variants, *AGENTS, *(f"{agent}-identified" for agent in TRAINED)]
 

@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import events, ui
 
 from ..agents import shipped_agent_names
-from ..controllers import CONTROLLERS, period_concern, shorter_period
+from ..controllers import CONTROLLERS, period_concern, shorter_period, suited_controllers
 from ..envs import TASKS, EnvConfig
 from ..evaluation import BANDS, file_labels
 from ..recordings import load_machine
@@ -90,7 +90,9 @@ class ControlStage(Stage):
             self._period = f"{shorter:g}"
         with ui.element("div").classes("hf-fields"):
             agents = [name for name in shipped_agent_names() if name not in CONTROLLERS]
-            names = [*CONTROLLERS, *agents]
+            suited = suited_controllers(machine)
+            names = [*suited, *agents]
+            self._controllers = [name for name in self._controllers if name in names] or [suited[0]]
             chosen = ui.select(names, value=self._controllers, multiple=True, label="controllers and agents")
             chosen.props("dense outlined options-dense use-chips data-controllers").classes("w-full")
             self.keep(chosen, "_controllers", lambda names: list(names or []))

@@ -31,6 +31,7 @@ from .base import (
     OutputFeedbackController,
     UnitCheck,
     check_period,
+    suited_controllers,
 )
 from .control_period import period_concern, shorter_period
 from .environment_controller import EnvironmentController
@@ -77,6 +78,7 @@ __all__ = [
     "period_concern",
     "scaled_machine",
     "shorter_period",
+    "suited_controllers",
 ]
 
 # A new controller in this folder registers itself. The time-optimal bound needs the extra `bound`.

@@ -65,6 +65,7 @@ class Controller(ABC):
         knowledge: For what it uses the machine from which it is designed, a few words for the leaderboard (class
             attribute). A planner with the true parameters of a draw says so.
         files: Files besides its source that determine what it does, such as weights. They count as learned.
+        set_points: Whether it commands drives that follow set points, which no other controller does (class attribute).
 
     Raises:
         InputError: If the period is not between 1e-5 s and 10 s.
@@ -73,6 +74,7 @@ class Controller(ABC):
     feedback: ClassVar[Feedback] = "state"
     knowledge: ClassVar[str] = "not stated"
     files: Sequence[str | Path] = ()
+    set_points: ClassVar[bool] = False
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         self.machine = machine
@@ -102,6 +104,12 @@ class Controller(ABC):
 
 
 CONTROLLERS: Registry[type[Controller]] = Registry("controller")
+
+
+def suited_controllers(machine: Machine) -> tuple[str, ...]:
+    """Return the names of the controllers whose commands the drives of a machine take, the first one to try first."""
+    return tuple(n for n in CONTROLLERS if CONTROLLERS.get(n).set_points == bool(machine.drive_laws))
+
 
 # m. In motion the belts of the stages here stretch by some mm, and end stops yield by less than this.
 LARGEST_STRETCH = 0.05

@@ -53,6 +53,7 @@ class SetPointController(Controller):
 
     feedback: ClassVar[Feedback] = "observation"
     knowledge: ClassVar[str] = "reach and limits of its drives"
+    set_points: ClassVar[bool] = True
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)

@@ -151,6 +151,9 @@ def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) ->
             f"hframe simulate --machine {quoted(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv",
         )
     period = shorter_period(machine, EnvConfig.period) or EnvConfig.period
+    if machine.drive_laws:
+        text = f"Try set points on the {which} machine: set-point streams trajectories to its drives."
+        return _step(text, command)
     text = (
         f"Design and compare controllers on the {which} machine, pid first, with a control period of "
         f"{number(1e3 * period)} ms.{_textbook_period(machine, period)}"

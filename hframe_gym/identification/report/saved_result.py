@@ -426,4 +426,5 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
     randomize = " --randomize identified" if machine.uncertainty else ""
     shorter = shorter_period(machine, EnvConfig.period)
     period = "" if shorter is None else f" --period {shorter:g}"
-    return f"hframe evaluate pid --machine {machine_file}{randomize}{period} --html --out {out}"
+    controller = "set-point" if machine.drive_laws else "pid"
+    return f"hframe evaluate {controller} --machine {machine_file}{randomize}{period} --html --out {out}"
